@@ -248,11 +248,11 @@ class ControlLoop:
         limit_ns = min(wake_ns + self._timeout_ns, deadline_ns + self._period_ns - RESERVE_NS)
         status = bus.read(limit_ns)
         read_ns = now()
+        late_ns = wake_ns - deadline_ns + bus.late_ns
         self._log.start_computing()
 
-        step_s = min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
-        hold = self._estimator
-        estimate = hold.update(bus.angle_rad, bus.current_a, step_s, status.fresh)
+        hold, step_s = self._estimator, min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
+        estimate = hold.update(bus.angle_rad, bus.current_a, step_s, status.fresh, late_ns * 1e-9)
         estimate_ns = now()
 
         prediction = self._predictor.predict(
@@ -290,7 +290,7 @@ class ControlLoop:
         tick = Tick(
             slot, missed, goal_rad, bus.angle_rad, bus.current_a, estimate, prediction,
             supervisor.state, correction.trust, status, supervisor.stale_ticks, bus.alert,
-            bus.wait_ns - waited_ns, marks_ns,
+            bus.wait_ns - waited_ns, late_ns, marks_ns,
         )  # fmt: skip
         self._log.append(tick)
         goals.report(tick, supervisor.reason)

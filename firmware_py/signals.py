@@ -199,6 +199,9 @@ def tick_signals(dof: int) -> tuple[Signal, ...]:
         Signal("busy_ns", "ns", "whole tick from wake-up to the end of the log stage"),
         Signal("bus_wait_ns", "ns", "part of the tick spent waiting for the servos"),
         Signal("lateness_ns", "ns", "wake-up behind the deadline"),
+        Signal(
+            "sample_late_ns", "ns", "measurement behind the deadline: wake-up and a second read"
+        ),
         Signal("preempted_ns", "ns", "run-queue delay of the loop's thread during the period"),
         Signal("steal_ns", "ns", "time of computing for which the processor itself stood still"),
         Signal("missed", "1", "deadlines missed since the previous tick"),

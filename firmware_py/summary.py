@@ -73,7 +73,7 @@ class RunSummary:
     faults: frozenset[Fault] = frozenset()
     held_up_ticks: int = 0
 
-    def document(self, log: Path | None, bus_plan: str) -> RunDocument:
+    def document(self, log: Path | None, bus_plan: str, payload_note: str = "") -> RunDocument:
         """Return everything but the records as a document.
 
         Parameters
@@ -82,13 +82,15 @@ class RunSummary:
             Log of the run, where one was written.
         bus_plan : str
             Name of the plan by which the servos were read.
+        payload_note : str
+            See `RunDocument`.
         """
         return RunDocument(
             schema=RunDocument.VERSION, ended=self.ended.value, reason=self.reason,
             ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
             telemetry_drops=self.telemetry_drops, replugs=self.replugs, released=self.released,
             timing=self.timing.summary(), log=str(log) if log else None, bus_plan=bus_plan,
-            held_up_ticks=self.held_up_ticks,
+            held_up_ticks=self.held_up_ticks, payload_note=payload_note,
         )  # fmt: skip
 
 
@@ -107,6 +109,8 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         Log of the run, where one was written.
     bus_plan : str
         Name of the plan by which the servos were read.
+    payload_note : str
+        Sentence where the currents of the run fit another payload than the told one; else empty.
     """
 
     MADE_BY: ClassVar[str] = "dropstitch run"
@@ -123,6 +127,7 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     log: str | None
     bus_plan: str
     held_up_ticks: int = 0
+    payload_note: str = ""
 
 
 def read_run_summary(path: Path) -> RunDocument:

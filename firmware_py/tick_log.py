@@ -52,6 +52,8 @@ class Tick(NamedTuple):
         Alert bits of the servos.
     bus_wait_ns : int
         Time spent waiting for the servos.
+    sample_late_ns : int
+        Time from the deadline to the request for the measurement.
     marks_ns : tuple of int
         Deadline, then the ends of the stages from "wake" to "write".
     """
@@ -69,6 +71,7 @@ class Tick(NamedTuple):
     stale_ticks: int
     alert: int
     bus_wait_ns: int
+    sample_late_ns: int
     marks_ns: tuple[int, ...]
 
 
@@ -159,7 +162,7 @@ class TickLog:
             estimate.payload_kg, estimate.di, *prediction.tip_m.tolist(),
             *prediction.half_width_m.tolist(), in_range, tick.state, tick.trust,
             tick.status, tick.stale_ticks, tick.alert, *stages_ns, 0, 0, tick.bus_wait_ns,
-            stages_ns[0], *delays_ns, tick.missed,
+            stages_ns[0], tick.sample_late_ns, *delays_ns, tick.missed,
         ))  # fmt: skip
         if tick.status is not BusStatus.OK:
             self._statuses[tick.status] += 1

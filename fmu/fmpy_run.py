@@ -14,7 +14,12 @@ from firmware_py.motion import Motion
 from firmware_py.signals import DI, PAYLOAD, tip_names
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import embedded_parts
-from fmu.stimulus import inputs_from_motion, inputs_from_trial
+from fmu.stimulus import (
+    check_link_of_trial,
+    inputs_from_motion,
+    inputs_from_trial,
+    usual_payload_kg,
+)
 from models.plant.step_model import names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
@@ -59,7 +64,7 @@ class FmuRun:
 def simulate_fmu(
     archive: FmuArchive,
     source: Motion | Trial,
-    payload_kg: float,
+    payload_kg: float | None,
     step_s: float,
     parameters: Mapping[str, float],
 ) -> FmuRun:
@@ -71,15 +76,18 @@ def simulate_fmu(
         The FMU.
     source : Motion or Trial
         Source of the inputs.
-    payload_kg, step_s : float
-        Payload and communication step; a trial has its own.
+    payload_kg : float or None
+        Payload; None for `usual_payload_kg`. A trial has its own.
+    step_s : float
+        Communication step; a trial has its own.
     parameters : mapping of str to float
         Variables to set before the start.
 
     Raises
     ------
     InputError
-        If the FMU is not one of ours, or refuses a parameter, an input or a step.
+        If the FMU is not one of ours, or refuses a parameter, an input or a step; if the trial is
+        of another link.
     """
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
@@ -89,9 +97,11 @@ def simulate_fmu(
     model = parts.model()
     inputs, outputs = names(model.inputs), names(model.outputs)
     if isinstance(source, Trial):
+        check_link_of_trial(parts, source, parameters)
         u, step_s = inputs_from_trial(parts, model, source), source.step_s
     else:
-        u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
+        held_kg = usual_payload_kg(parts) if payload_kg is None else payload_kg
+        u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), held_kg, step_s)
     # A goal holds over the step that follows it, a measured sample ends the step before it.
     goals = parts.kind == "twin"
     with archive.instance() as instance:

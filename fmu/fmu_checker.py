@@ -35,12 +35,10 @@ from fmu.parity import (
     check_step_parity,
     step_times_us,
 )
-from fmu.stimulus import inputs_from_motion
+from fmu.stimulus import inputs_from_motion, usual_payload_kg
 
 __all__ = ["FmuReport", "check_fmu"]
 
-PAYLOAD_KG: Final = 1.0
-"""Payload of a parity run."""
 STEPS: Final = 256
 """Steps of a parity run: one cycle of the study's motion."""
 
@@ -126,7 +124,8 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
         )
         return report
     model = parts.model()
-    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG, rows=STEPS)
+    held_kg = usual_payload_kg(parts)
+    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), held_kg, rows=STEPS)
     report.checks += check_step_parity(archive, model, u, report.parity)
     report.checks.append(check_saved_states(archive, model, u))
     if parts.predictor:

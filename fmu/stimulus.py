@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
@@ -10,15 +11,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from firmware_py.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
+from models.plant.identification.doubts import ALIKE_M_S2
 from models.plant.simulation.compiled_model import model_inputs
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
 Array = NDArray[np.float64]
+
+ALIKE_M: Final = 1e-3
+"""Largest difference of two sizes that are taken for one: what a ruler tells [assumed]."""
+
+
+def usual_payload_kg(parts: FmuParts) -> float:
+    """Payload where none is named: half of the largest that the link of the plant carries.
+
+    Parameters
+    ----------
+    parts : FmuParts
+        Parts of the FMU.
+    """
+    link = parts.plant.link if parts.plant else None
+    return (link or STUDY_LINK).payload_kg / 2
+
+
+def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, float]) -> None:
+    """Refuse a trial of another link than the FMU's.
+
+    Parameters
+    ----------
+    parts : FmuParts
+        Parts of the FMU; without a plant of a link there is nothing to compare.
+    trial : Trial
+        Source of the rows.
+    parameters : mapping of str to float
+        Variables of the FMU to set before the start.
+
+    Raises
+    ------
+    InputError
+        If size or gravity in the trial differ from those of the FMU.
+    """
+    plant, meta = parts.plant, trial.meta
+    if plant is None or plant.load != "link" or not meta.link_length_m:
+        return
+
+    def own(name: str) -> float:
+        return parameters.get(f"parameters.{name}", plant.parameters[name].value)
+
+    for name in ("link_length_m", "link_width_m", "base_offset_m"):
+        size_m = getattr(meta, name)
+        if abs(size_m - own(name)) > ALIKE_M:
+            raise InputError(
+                trial.path,
+                f"is of another link than the FMU: {name} {size_m:g} in place of {own(name):g}",
+                f"give a trial of the FMU's link, or pass --set parameters.{name}={size_m:g}",
+            )
+    unit = (plant.link or STUDY_LINK).gravity.unit
+    gravity = tuple(own("gravity_m_s2") * axis for axis in unit)
+    if math.dist(gravity, meta.gravity) > ALIKE_M_S2:
+        there, here = (
+            "[" + ", ".join(f"{part + 0.0:.3g}" for part in vector) + "]"  # no -0
+            for vector in (meta.gravity, gravity)
+        )
+        raise InputError(
+            trial.path,
+            f"is of a link that is mounted otherwise than the FMU's: gravity_m_s2 {there} in place "
+            f"of {here}",
+            "give a trial of the FMU's link, or build the FMU from a plant of this link",
+        )
 
 
 def inputs_from_motion(

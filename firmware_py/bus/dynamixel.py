@@ -113,6 +113,11 @@ class DynamixelBus:
         self._follow(plain(self._plans))
 
     @property
+    def late_ns(self) -> int:
+        """Time by which the last measurement is later than the start of its read; 0 after none."""
+        return self._feedback.late_ns
+
+    @property
     def wait_ns(self) -> int:
         """Time spent waiting for the servos since the start."""
         return self._port.wait_ns

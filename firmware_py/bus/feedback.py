@@ -77,6 +77,10 @@ class FeedbackReader:
     standing : int
         `TORQUE_LOST`, `STOPPED_BY_WATCHDOG`: why a servo did not drive in the latest read; 0 where
         all drive or the plan does not tell.
+    late_ns : int
+        Time by which the measurement is later than the start of its read, because the second
+        attempt made it; 0 where the first did. Where each made a part of it, the mean of the
+        joints.
     usual_ns : int
         Duration of one exchange: by the plan, until `DynamixelBus.connect` has measured it.
     """
@@ -90,7 +94,8 @@ class FeedbackReader:
         plan: Plan,
     ) -> None:
         self.angle_rad, self.current_a = np.zeros(len(models)), np.zeros(len(models))
-        self.alert, self.standing, self.usual_ns = False, 0, round(plan.read_s * 1e9)
+        self.alert, self.standing, self.late_ns = False, 0, 0
+        self.usual_ns = round(plan.read_s * 1e9)
         self._port, self._packets, self._clock, self._plan = port, packets, clock, plan
         self._ids, self._models = list(models), list(models.values())
         self._joint_of = {servo_id: j for j, servo_id in enumerate(models)}
@@ -103,7 +108,8 @@ class FeedbackReader:
             for register, value, bit in _SIGNS
             if register in order
         ]
-        self._answered, self._all_joints = 0, (1 << len(models)) - 1  # a bit for every joint
+        # Bits of the joints: that have answered, of these to the latest attempt, all.
+        self._answered, self._by_latest, self._all_joints = 0, 0, (1 << len(models)) - 1
         self._extra_bytes = self._first_extra_bytes = 0
         # The bytes never change; making them once saves 20 µs in every tick.
         self._instructions = [packets.finished(self._ask(k)) for k in range(_DISTINCT_LENGTHS)]
@@ -139,16 +145,24 @@ class FeedbackReader:
         """
         port, now_ns, usual_ns = self._port, self._clock.now_ns, self.usual_ns
         kept_ns = usual_ns + RETRY_MARGIN_NS
-        enough = deadline_ns - now_ns() >= usual_ns + kept_ns
+        first_ns = now_ns()
+        enough = deadline_ns - first_ns >= usual_ns + kept_ns
         port.deadline_ns = deadline_ns - kept_ns if enough else deadline_ns
-        self._answered, self.alert, self.standing = 0, False, 0
+        self._answered, self.alert, self.standing, self.late_ns = 0, False, 0, 0
         self._first_extra_bytes = self._extra_bytes
         status = self._attempt()
         port.deadline_ns = deadline_ns
-        if status is BusStatus.OK or deadline_ns - now_ns() < usual_ns:
+        if status is BusStatus.OK:
             return status
+        second_ns = now_ns()
+        if deadline_ns - second_ns < usual_ns:
+            return status
+        self._by_latest = 0
         status = self._attempt()
-        return BusStatus.RETRIED if self._answered == self._all_joints else status
+        if self._answered != self._all_joints:
+            return status
+        self.late_ns = (second_ns - first_ns) * self._by_latest.bit_count() // len(self._ids)
+        return BusStatus.RETRIED
 
     def _attempt(self) -> BusStatus:
         status = BusStatus.PORT_GONE
@@ -184,7 +198,7 @@ class FeedbackReader:
             if refused:
                 outcome = max(outcome, BusStatus.REFUSED)
             else:
-                self._decode(joint, packet, DATA)
+                self._decode(joint, packet, DATA, len(packet) == length)
             self.alert = self.alert or bool(packet[ERROR] & ALERT_BIT)
         return outcome
 
@@ -199,11 +213,12 @@ class FeedbackReader:
             stride, rest = divmod(len(packet) - _FAST_HEADER, len(self._ids))
             if packet[ID] != BROADCAST_ID or rest or stride not in strides:
                 continue  # the answer to an instruction of an earlier tick
-            status = self._split(packet, stride)
-            if stride == strides[0]:
+            latest = stride == strides[0]
+            status = self._split(packet, stride, latest)
+            if latest:
                 return status
 
-    def _split(self, packet: bytes, stride: int) -> BusStatus:
+    def _split(self, packet: bytes, stride: int, latest: bool) -> BusStatus:
         outcome = BusStatus.OK
         for joint, servo_id in enumerate(self._ids):
             start = _FAST_HEADER + joint * stride
@@ -212,11 +227,11 @@ class FeedbackReader:
             if packet[start] & ERROR_NUMBER:
                 outcome = BusStatus.REFUSED
             else:
-                self._decode(joint, packet, start + 2)
+                self._decode(joint, packet, start + 2, latest)
             self.alert = self.alert or bool(packet[start] & ALERT_BIT)
         return outcome
 
-    def _decode(self, joint: int, packet: bytes, start: int) -> None:
+    def _decode(self, joint: int, packet: bytes, start: int, latest: bool) -> None:
         model, raw = self._models[joint], self._unpack(packet, start)
         self.angle_rad[joint] = model.angle_rad(raw[self._position])
         self.current_a[joint] = model.current_a(raw[self._current])
@@ -224,6 +239,10 @@ class FeedbackReader:
             if raw[index] == value:
                 self.standing |= bit
         self._answered |= 1 << joint
+        if latest:
+            self._by_latest |= 1 << joint
+        else:
+            self._by_latest &= ~(1 << joint)
 
 
 def _layout(table: ControlTable, block: Block, order: list[Register]) -> struct.Struct:

@@ -53,6 +53,9 @@ class ServoBus(Protocol):
         The last valid measurement, overwritten in place.
     alert : int
         Alert bits of all servos, or-ed; see `firmware_py.bus.registers.describe_alert`.
+    late_ns : int
+        Time by which the last measurement is later than the start of its read, because
+        the second attempt made it; 0 where the first did, and after a read that failed.
     wait_ns : int
         Time spent waiting for the servos since the start.
     """
@@ -61,6 +64,11 @@ class ServoBus(Protocol):
     angle_rad: Array
     current_a: Array
     alert: int
+
+    @property
+    def late_ns(self) -> int:
+        """Time by which the last measurement is later than the start of its read."""
+        ...
 
     @property
     def wait_ns(self) -> int:

@@ -127,10 +127,12 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     hold = SampleHold(bundle.estimator)
     hold.reset()
     fresh = columns.get("stale_ticks", np.zeros(len(replayed))) == 0
+    # Where a log does not know it, the loop of then took every sample for punctual.
+    late_s = np.nan_to_num(columns.get("sample_late_ns", np.zeros(len(replayed)))) * 1e-9
     slot = columns.get("tick", np.zeros(len(replayed)))
     told = int(np.argmax(slot >= 0)) if facts.probed else -1
     for k, (angle, current) in enumerate(zip(angle_rad, current_a, strict=True)):
-        estimate = hold.update(angle, current, float(step_s[k]), bool(fresh[k]))
+        estimate = hold.update(angle, current, float(step_s[k]), bool(fresh[k]), float(late_s[k]))
         tip_m = bundle.predictor.predict(
             angle, current, estimate.di, estimate.signals, hold.age_s
         ).tip_m

@@ -27,18 +27,19 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
+from firmware_py.commands.payload_check import contradicted_payload
 from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
-from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
 from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
+from firmware_py.log.logged_run import OUTSIDE, SLOTS_KEY
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.motion import KINDS
@@ -122,7 +123,13 @@ def run(args: argparse.Namespace) -> int:
         settings = bus.found_settings()
         for sentence in filter(None, (_origin(bundle), *_uncompared(config, settings), note)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
-        telemetry, log = stack.enter_context(_telemetry(config, args, bundle, settings, plan, note))
+        # Goals of another program end when that says so.
+        last = goals.slots if slots is None and args.goals is None else slots
+        facts = {} if last is None else {SLOTS_KEY: str(last)}
+        facts |= {GOALS_NOTE: note} if note else {}
+        telemetry, log = stack.enter_context(
+            _telemetry(config, args, bundle, settings, plan, facts)
+        )
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
         loop = build_loop(
@@ -132,10 +139,13 @@ def run(args: argparse.Namespace) -> int:
         for sentence in stack.enter_context(real_time(config.real_time)):
             print(f"dropstitch: {sentence}", file=sys.stderr)
         summary = loop.run()
-    document = summary.document(log, bus.plan.name)
+    doubt = contradicted_payload(bundle, config.payload_kg, config.period_s, summary, log)
+    document = summary.document(log, bus.plan.name, doubt)
     if log is not None:
         _write_summary(log.with_suffix(".timing.json"), document)
     _tell(args, document, f"{describe(summary, log)}\nservos were read by {bus.plan.name}")
+    if doubt:
+        print(f"warning: {doubt}", file=sys.stderr)
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return DONE
@@ -234,7 +244,7 @@ def _telemetry(
     bundle: ModelBundle,
     settings: Settings,
     plan: TipPlan | None,
-    note: str,
+    facts: dict[str, str],
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
         yield NoTelemetry(), None
@@ -248,13 +258,11 @@ def _telemetry(
     log = own if config.record else None
     live = config.live
     address = (live.host, live.port) if args.live else None
-    metadata = log_metadata(config, bundle, started, settings)
+    metadata = log_metadata(config, bundle, started, settings) | facts
     if plan is not None:
         metadata |= log_facts(plan, config)
     if args.goals is not None:
         metadata |= outside_facts()
-    if note:
-        metadata[GOALS_NOTE] = note
     with recording(
         log, config.dof, time.time_ns(), metadata, address, live.origins, live.viewers
     ) as telemetry:

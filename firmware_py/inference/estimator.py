@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 
 _LONGEST_STEP_S: Final = 1.7
 """Largest step that the observer takes after a gap: it must not compute for long."""
+_SHORTEST_STEP_S: Final = 1e-3
+"""Smallest step that it takes: where the clock has leapt, time must not run backwards."""
 _FORGET_S: Final = 0.3
 """Time constant in which a gap of the data is forgotten; assumed, one swing of the link."""
 _FORGOTTEN_S: Final = 1e-6
@@ -243,8 +245,8 @@ class SampleHold:
     """Estimator behind a bus that may fail: the observer waits for the next fresh sample.
 
     A repeated sample tells the observer that the joint has stopped and then jumped. It is given the
-    next fresh one with the time that has passed instead. Other estimators count ticks and take
-    every one.
+    next fresh one instead, with the time that has passed; it is told, too, how late in its slot a
+    sample was taken. Other estimators count ticks and take every one.
 
     Parameters
     ----------
@@ -254,48 +256,55 @@ class SampleHold:
     Attributes
     ----------
     age_s : float
-        Age of the sample that the estimate follows; after a gap of the data a small fraction of it,
-        which is forgotten.
+        Age of the sample that the estimate follows; after a gap a small, fading fraction of it.
     """
 
     def __init__(self, estimator: DeformationEstimator) -> None:
         self._estimator = estimator
         self._latest: Estimate | None = None
-        self.age_s = self._gap_s = self._without_s = 0.0
+        self.age_s = self._gap_s = self._without_s = self._late_s = 0.0
         self._usual_s = math.inf
 
     def reset(self) -> None:
         """Discard the past: the next sample is the first of a run that starts at rest."""
         self._estimator.reset()
         self._latest = None
-        self.age_s = self._gap_s = self._without_s = 0.0
+        self.age_s = self._gap_s = self._without_s = self._late_s = 0.0
 
-    def update(self, angle_rad: Array, current_a: Array, step_s: float, fresh: bool) -> Estimate:
+    def update(
+        self, angle_rad: Array, current_a: Array, step_s: float, fresh: bool, late_s: float = 0.0
+    ) -> Estimate:
         """Take one sample if it is fresh, or the first; else return the latest estimate.
 
         Parameters
         ----------
-        angle_rad, current_a, step_s
+        angle_rad, current_a
             See `DeformationEstimator.update`.
+        step_s : float
+            Time between the slots of this tick and of the previous one.
         fresh : bool
             Whether the sample was measured in this tick.
+        late_s : float
+            Time from the begin of the slot to the request for the sample.
         """
         latest = self._latest
         if not self._estimator.waits_for_fresh:
             return self._estimator.update(angle_rad, current_a, step_s)
         self._usual_s = min(self._usual_s, step_s)
-        whole_s = min(step_s + self._without_s, max(step_s, _LONGEST_STEP_S))
+        longest_s = max(step_s, _LONGEST_STEP_S)
+        whole_s = min(step_s + self._without_s, longest_s)
+        since_s = min(max(whole_s + late_s - self._late_s, _SHORTEST_STEP_S), longest_s)
         if fresh or latest is None:
-            self._without_s = 0.0
+            self._without_s, self._late_s = 0.0, late_s
             gap_s = whole_s - self._usual_s
             self._gap_s = max(gap_s, self._gap_s * math.exp(-whole_s / _FORGET_S))
             if self._gap_s < _FORGOTTEN_S:
                 self._gap_s = 0.0
             self.age_s = _LEFT_OF_A_GAP * self._gap_s
-            self._latest = latest = self._estimator.update(angle_rad, current_a, whole_s)
+            self._latest = latest = self._estimator.update(angle_rad, current_a, since_s)
         else:
             self._without_s = whole_s
-            self.age_s = whole_s
+            self.age_s = since_s
         return latest
 
 

@@ -16,7 +16,7 @@ import msgspec
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from firmware_py.link.servo_presets import PRESETS, ServoPreset, preset_named
+from firmware_py.link.servo_presets import PRESETS, ServoPreset, check_servo, preset_named
 
 __all__ = [
     "STUDY_LINK", "LinkDescription", "LinkGravity", "LinkServo", "describes_link", "read_link",
@@ -41,6 +41,16 @@ _RANGES: Final = {
     "pressure_pa": (5e3, 1.5e5), "mass_kg": (1e-3, 50.0), "tip_mass_kg": (1e-3, 50.0),
     "payload_kg": (0.0, 100.0),
 }  # fmt: skip
+_REQUIRED: Final = ("length_m", "width_m", "base_offset_m", "pressure_pa", "payload_kg")
+"""Keys of every file: numbers of the study's link are no default for another."""
+_DESCRIBES: Final = {"length_m", "width_m", "pressure_pa", "markers"}
+"""Keys that neither a plant nor a rig has: one of them tells that a file is a link's."""
+PAYLOAD_HEADROOM: Final = 1.5
+"""Largest payload that a model of the link takes, over `payload_kg` [assumed]."""
+MOST_PAYLOAD_TORQUE: Final = 10.0
+"""Torque of the payload, held out level, over the servo's: more is a wrong unit [assumed]."""
+CORNER_ROOM_M: Final = 0.1
+"""Distance from the section to a marker that stands off it, at most [assumed]."""
 
 
 class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -139,7 +149,7 @@ class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     mass_kg, tip_mass_kg : float, optional
         Of the link and of the hardware at its tip; left out, estimated from the size.
     payload_kg : float
-        Largest payload.
+        Largest payload that it is used with.
     markers : MarkerLayout, optional
         Places of the markers; left out, four rows of four at the corners.
     gravity, servo
@@ -172,6 +182,16 @@ class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
         return self.width_m if self.section == "square" else self.width_m / math.sqrt(2.0)
 
     @property
+    def most_payload_kg(self) -> float:
+        """Largest payload that plant, twin and observer take: 3 kg of the study's link."""
+        return PAYLOAD_HEADROOM * self.payload_kg
+
+    @property
+    def payloads_kg(self) -> tuple[float, ...]:
+        """Five payloads from none to the largest; one where the link carries none."""
+        return tuple(sorted({round(self.payload_kg * k / 4, 4) for k in range(5)}))
+
+    @property
     def preset(self) -> ServoPreset:
         """Physical properties of the servos."""
         return self.servo.whole
@@ -198,12 +218,14 @@ STUDY_LINK: Final = LinkDescription(name="drop-stitch link of the study")
 def describes_link(document: Any) -> bool:
     """Whether a decoded TOML document describes a link, and no plant or rig.
 
+    A key of its size is enough: `read_link` then names those that are missing.
+
     Parameters
     ----------
     document : dict
         As decoded.
     """
-    return isinstance(document, dict) and {"length_m", "width_m"} <= document.keys()
+    return isinstance(document, dict) and not _DESCRIBES.isdisjoint(document)
 
 
 def read_link(path: Path | str) -> LinkDescription:
@@ -217,13 +239,14 @@ def read_link(path: Path | str) -> LinkDescription:
     Raises
     ------
     InputError
-        If the file is missing or is not TOML, a key is unknown, or a value is out of range; the
-        message names file, key and remedy.
+        If the file is missing or is not TOML, a key is unknown, one of the link's size, pressure
+        or payload is missing, or a value is out of range; the message names file, key and remedy.
 
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> text = 'length_m = 0.6\nwidth_m = 0.1\n[gravity]\nmounting = "hanging"\n'
+    >>> text = "length_m = 0.6\nwidth_m = 0.1\nbase_offset_m = 0.06\npressure_pa = 20700\n"
+    >>> text += 'payload_kg = 0.1\n[gravity]\nmounting = "hanging"\n'
     >>> with TemporaryDirectory() as folder:
     ...     path = Path(folder) / "link.toml"
     ...     size = path.write_text(text)
@@ -234,6 +257,11 @@ def read_link(path: Path | str) -> LinkDescription:
     path = Path(path)
     document = read_toml(path, "write one with 'python -m models new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
+    for key in _REQUIRED:
+        if key not in document:
+            raise InputError(
+                path, f"{key} is missing", "give that of your link (docs/plant/link.md)"
+            )
     check_link(link, path)
     return link
 
@@ -279,8 +307,28 @@ def check_link(link: LinkDescription, where: Path | str) -> None:
             where, f"servo.model {link.servo.model!r} is not known",
             f"use one of {', '.join(PRESETS)}",
         )  # fmt: skip
-    for name, value in msgspec.structs.asdict(link.preset).items():
-        least = 0.0 if "friction" in name or name == "backlash_rad" else 1e-9
-        if isinstance(value, float) and not least <= value < math.inf:
-            raise InputError(where, f"servo.{name} is {value:g}", "give a positive number")
+    check_servo(link.preset, where)
+    _check_payload(link, where)
     link.layout.check(where, link.length_m)
+    _check_corners(link, where)
+
+
+def _check_payload(link: LinkDescription, where: Path | str) -> None:
+    """Refuse a payload of a weight that the servo is far from holding, such as one in grams."""
+    weight_nm = link.payload_kg * link.gravity.size_m_s2 * (link.base_offset_m + link.length_m)
+    ratio = weight_nm / link.preset.torque_limit_nm
+    if ratio > MOST_PAYLOAD_TORQUE:
+        raise InputError(
+            where, f"payload_kg is {link.payload_kg:g}, whose weight takes {ratio:.0f} times the "
+            f"torque of {link.servo.model}", "give it in kg",
+        )  # fmt: skip
+
+
+def _check_corners(link: LinkDescription, where: Path | str) -> None:
+    """Refuse markers that are nowhere near the link's section."""
+    farthest_m = max(abs(v) for corner in link.layout.corners_m for v in corner)
+    if farthest_m > link.width_m / 2 + CORNER_ROOM_M:
+        raise InputError(
+            where, f"[markers] corners_m reach {farthest_m:g} m from the axis, the link is "
+            f"{link.width_m:g} m wide", "correct corners_m or width_m",
+        )  # fmt: skip

@@ -8,17 +8,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
 import msgspec
 
 from firmware_py.errors import InputError
 
-__all__ = ["PRESETS", "ServoPreset", "preset_named"]
+__all__ = ["PRESETS", "ServoPreset", "check_servo", "preset_named"]
 
 COULOMB_FRACTION: Final = 0.39
 """Part of the friction at no-load speed that is Coulomb friction: 4.5 of 11.4 N·m, as assumed for
 the H54 (docs/sources.md, "The servo")."""
+
+
+_RANGES: Final = {
+    "gear": (0.1, 5e4, ""),
+    "torque_constant_nm_a": (3e-3, 700.0, "N.m/A"),
+    "coulomb_friction_nm": (0.0, 500.0, "N.m"),
+    "viscous_friction_nm_s_rad": (0.0, 200.0, "N.m.s/rad"),
+    "load_friction": (0.0, 1.0, ""),
+    "rotor_inertia_kg_m2": (1e-5, 90.0, "kg.m2"),
+    "backlash_rad": (0.0, 0.3, "rad"),
+    "current_limit_a": (0.01, 1e3, "A"),
+    "speed_limit_rad_s": (0.03, 1e3, "rad/s"),
+    "mass_kg": (1e-4, 50.0, "kg"),
+}
+"""Bounds and unit of each number: a hundred times below the XL330 and above the H54. They find a
+wrong unit or the motor's side of the gear."""
 
 
 class ServoPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -146,3 +163,27 @@ def preset_named(name: str) -> ServoPreset:
             f"servo model {name!r}", "is not known", f"use one of {', '.join(PRESETS)}"
         )
     return PRESETS[name]
+
+
+def check_servo(servo: ServoPreset, where: Path | str) -> None:
+    """Refuse numbers that no servo has.
+
+    Parameters
+    ----------
+    servo : ServoPreset
+        To check.
+    where : Path or str
+        File, for the message.
+
+    Raises
+    ------
+    InputError
+        Naming the number and its unit.
+    """
+    for name, (low, high, unit) in _RANGES.items():
+        value = getattr(servo, name)
+        if not low <= value <= high:
+            raise InputError(
+                where, f"servo.{name} is {value:g} {unit}".rstrip() + f", outside {low:g} to "
+                f"{high:g}", f"give it in {unit}, at the output" if unit else "correct it",
+            )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 
@@ -11,7 +11,12 @@ from firmware_py.errors import InputError
 from firmware_py.log.recording import Recording
 from firmware_py.motion_document import MotionDocument, check_motion_document
 
-__all__ = ["LoggedMotion", "LoggedRun", "logged_run"]
+__all__ = ["OUTSIDE", "SLOTS_KEY", "LoggedMotion", "LoggedRun", "logged_run"]
+
+SLOTS_KEY: Final = "slots"
+"""Name of the slots to run among the metadata."""
+OUTSIDE: Final = "outside"
+"""Name of the motion where another program sent the goals, in logs and trials."""
 
 T = TypeVar("T")
 
@@ -59,6 +64,8 @@ class LoggedRun(msgspec.Struct, frozen=True):
         What ran.
     probed : bool
         Whether a probing motion preceded it, after which the observer was told the payload.
+    slots : int or None
+        Slots after which the run was to end; None where the log does not say.
     """
 
     period_s: float | None
@@ -66,6 +73,7 @@ class LoggedRun(msgspec.Struct, frozen=True):
     assumed_payload_kg: float | None
     motion: LoggedMotion
     probed: bool = False
+    slots: int | None = None
 
 
 def logged_run(log: Recording) -> LoggedRun:
@@ -92,7 +100,8 @@ def logged_run(log: Recording) -> LoggedRun:
     if motion.design is not None:
         check_motion_document(motion.design, log.path)
     probed = _decoded(log, "probed", "false", bool)
-    return LoggedRun(period_s, payload_kg, config.payload_kg, motion, probed)
+    slots: int | None = _decoded(log, SLOTS_KEY, "null", int | None)  # type: ignore[arg-type]
+    return LoggedRun(period_s, payload_kg, config.payload_kg, motion, probed, slots)
 
 
 def _decoded(log: Recording, key: str, absent: str, kind: type[T]) -> T:

@@ -129,13 +129,15 @@ class _TickColumn:
         return values
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(path: Path | str, first: int | None = None) -> Recording:
     """Read a log file.
 
     Parameters
     ----------
     path : Path or str
         The file.
+    first : int, optional
+        Number of ticks after which to stop.
 
     Raises
     ------
@@ -162,6 +164,8 @@ def read_recording(path: Path | str) -> Recording:
             for name, column in columns.items():
                 column.add(tick.get(name))
             ticks += 1
+            if ticks == first:
+                break
             if ticks > MOST_TICKS:
                 raise InputError(path, f"holds more than {MOST_TICKS} ticks", "divide the log")
         complete = True

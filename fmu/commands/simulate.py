@@ -28,7 +28,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--amplitude-deg", type=float, default=30.0, metavar="DEG", help="largest goal (30)")
     add("--period", type=float, default=STUDY_PERIOD_S, metavar="S", help="of the motion (4.352)")
     add("--phase-deg", type=float, default=0.0, metavar="DEG", help="lead of joint 2 (0)")
-    add("--payload", type=float, default=1.0, metavar="KG", help="mass at the tip in kg (1)")
+    add(
+        "--payload", type=float, metavar="KG",
+        help="mass at the tip in kg (half of the link's largest: 1 for the study's)",
+    )  # fmt: skip
     add("--step", type=float, default=PERIOD_S, metavar="S", help="communication step (0.017)")
     add(
         "--set", action="append", default=[], metavar="NAME=VALUE",

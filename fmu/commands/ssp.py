@@ -21,7 +21,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
     add("--out", type=Path, required=True, metavar="FILE", help="the .ssp file")
-    add("--payload", type=float, default=1.0, metavar="KG", help="mass at the twin's tip (1)")
+    add(
+        "--payload", type=float, metavar="KG",
+        help="mass at the twin's tip in kg (half of the link's largest: 1 for the study's)",
+    )  # fmt: skip
     add(
         "--platforms", default="x86_64-linux", metavar="NAMES",
         help="platforms of the FMUs, see 'fmu build' (x86_64-linux)",
@@ -34,29 +37,39 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     InputError
-        If an option or a file cannot be used.
+        If an option or a file cannot be used, or the plant is of another link than the bundle's.
     """
-    from firmware_py.inference.bundle import read_manifest
+    from firmware_py.inference.manifest import read_bundle_files
     from fmu.fmu_models import read_parts
     from fmu.packaging.platforms import platform_names
     from fmu.ssp.ssp_builder import build_ssp
+    from fmu.stimulus import usual_payload_kg
     from models.plant.physical_limits import check_payload
+    from models.study.bundle_plant import plant_for_bundle
 
     if args.out.suffix != ".ssp":
         raise InputError(
             f"--out {args.out}", "does not end in .ssp", "use a name like link_1dof.ssp"
         )
-    check_payload(args.payload)
     platforms = platform_names(args.platforms)
-    dof = read_manifest(args.bundle).dof
+    files = read_bundle_files(args.bundle)
+    dof = files.manifest.dof
     twin, observer = (
         read_parts(kind, dof, args.bundle, args.plant) for kind in ("twin", "observer")
     )
-    build_ssp(twin, observer, args.out, payload_kg=args.payload, platforms=platforms)
+    if args.plant:
+        plant_for_bundle(twin.required_plant(), args.plant, files, "this package")
+    payload_kg = usual_payload_kg(twin) if args.payload is None else args.payload
+    check_payload(payload_kg, link=twin.required_plant().link)
+    build_ssp(twin, observer, args.out, payload_kg=payload_kg, platforms=platforms)
     size = args.out.stat().st_size
     emit(
         args,
-        {"dof": dof, "path": str(args.out), "bytes": size, "platforms": list(platforms)},
-        f"{args.out}: twin, observer and controller, {dof}DOF, {FILE_SIZE.number(size)} kB",
-    )
+        {
+            "dof": dof, "payload_kg": payload_kg, "path": str(args.out), "bytes": size,
+            "platforms": list(platforms),
+        },
+        f"{args.out}: twin with {payload_kg:g} kg, observer and controller, {dof}DOF, "
+        f"{FILE_SIZE.number(size)} kB",
+    )  # fmt: skip
     return DONE

@@ -14,14 +14,12 @@ from fmu.interface import interface_of
 from fmu.packaging.plant_pages import plant_sections
 from fmu.packaging.reference_run import reference_files, reference_run
 from fmu.packaging.terminals import terminal_files
-from fmu.stimulus import inputs_from_motion
+from fmu.stimulus import inputs_from_motion, usual_payload_kg
 from models.plant.step_model import StepModel
 from models.shared.page_parts import Section
 
 __all__ = ["FmuContents", "fmu_contents"]
 
-PAYLOAD_KG: Final = 1.0
-"""Payload of the reference run, the middle of the study's."""
 STEPS: Final = 256
 """Steps of the reference run: one cycle of the study's motion."""
 SMALLEST: Final = 1e-9
@@ -63,7 +61,8 @@ def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuCo
     InputError
         If a part that this kind needs is absent.
     """
-    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), PAYLOAD_KG, rows=STEPS + 1)
+    held_kg = usual_payload_kg(parts)
+    u = inputs_from_motion(parts, model, Motion(dof=parts.dof), held_kg, rows=STEPS + 1)
     related = {"documentation/index.html": "document"}
     if parts.plant:
         related["resources/plant.json"] = "model"

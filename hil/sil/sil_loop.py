@@ -19,6 +19,7 @@ from firmware_py.goals.goal_source import GoalSource
 from firmware_py.goals.outside.for_robot import outside_facts
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.plant_of_goals import GOALS_NOTE
+from firmware_py.log.logged_run import SLOTS_KEY
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
@@ -124,6 +125,7 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg),
         "source": "sil",
+        SLOTS_KEY: str(options.slots),
     }
     if options.plan is not None:
         metadata |= log_facts(options.plan, config)

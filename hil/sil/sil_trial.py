@@ -7,12 +7,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from firmware_py.goals.outside.for_robot import NAME as OUTSIDE
 from firmware_py.link.marker_layout import MarkerLayout
+from firmware_py.log.logged_run import OUTSIDE
 from firmware_py.signals import joint_signals, marker_signals, tip_names
 from hil.sil.prediction_error import true_tip_m
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions
+from models.trials.motion_start import rows_at_rest
 from models.trials.trial import Trial, TrialMeta
 
 
@@ -43,7 +44,13 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
     if options.plan is not None:
         conditions, rest_s = options.plan.conditions(), options.plan.rest_s
     elif options.goals is not None:
-        conditions, rest_s = {"motion": OUTSIDE, "period_s": options.seconds}, 0.0
+        goals = np.column_stack([columns[f"goal_{j}_rad"] for j in range(1, options.dof + 1)])
+        rest_s = rows_at_rest(goals) * options.period_s
+        conditions = {
+            "motion": OUTSIDE,
+            "period_s": max(len(goals) * options.period_s - rest_s, options.period_s),
+            "amplitude_rad": float(np.abs(goals).max()),
+        }
     else:
         motion = options.motion.motion(options.dof)
         conditions = {

@@ -13,6 +13,7 @@ import msgspec
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
 from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
 from models.plant.provenance import Evaluation
 from models.trials.trial_directories import read_trial_directories
@@ -29,7 +30,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Compare and print."""
     plant = read_plant(args.plant)
-    result = evaluate_plant(plant, read_trial_directories([args.trials], plant.signals))
+    trials = read_trial_directories([args.trials], plant.signals)
+    refuse_other_links(plant, args.plant, trials)
+    result = evaluate_plant(plant, trials)
     emit(args, msgspec.to_builtins(result), evaluation_text(result))
     return DONE
 

@@ -13,6 +13,7 @@ from firmware_py.console import DONE, emit
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.inference.manifest import read_bundle_files
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
@@ -31,7 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--bundle", type=Path, required=True, help="bundle of the robot: its joints and its period")
     add("--out", type=Path, required=True, metavar="MAP.json", help="file to write")
     add("--reach", type=float, default=0.65, metavar="M", help="largest coordinate, m (0.65)")
-    add("--payloads", type=float, nargs="+", metavar="KG", help="grid of payloads (0 0.5 1 1.5 2)")
+    add("--payloads", type=float, nargs="+", metavar="KG",
+        help="grid of payloads (five up to the largest of the link, 2 of the study's)")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,9 +46,9 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     # CasADi is loaded here, so that a wrong option is refused at once.
     from models.plan.moves.rest_map import map_rest
-    from models.plan.planning import PAYLOADS_KG, PlanRequest, check_request
+    from models.plan.planning import PlanRequest, check_request
 
-    payloads = tuple(args.payloads or PAYLOADS_KG)
+    payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
     check_request(PlanRequest(plant, manifest.dof, manifest.period_s, Limits(), payloads))
     named = plant_for_bundle(plant, args.plant, files, "this map")
     found = map_rest(plant, manifest.dof, manifest.period_s, payloads, args.reach)

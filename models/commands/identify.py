@@ -20,15 +20,17 @@ from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.gap.residuals.residuals import check_duration
-from models.plant.identification.doubts import check_weight, doubts
+from models.plant.identification.doubts import doubts
 from models.plant.identification.fit_picture import draw_fit
 from models.plant.identification.identification import identify
 from models.plant.identification.torque_constant import torque_constant_doubts
+from models.plant.identification.trials_link import refuse_other_links
 from models.plant.identified_gains import read_servo_gains
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_listing import conditions_beside
+from models.trials.verdict.trial_check import judge_pressures
 
 EXAMPLE = (
     "python -m models identify build/trials --plant models/plant/nominal.toml "
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_trial_directories([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
-    check_weight(plant, trials)
+    refuse_other_links(plant, args.plant, trials)
     for trial in trials:
         check_duration(trial)
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
@@ -111,6 +113,7 @@ def run(args: argparse.Namespace) -> int:
         "held_out": msgspec.to_builtins(found.held_out),
     }
     warnings = doubts(found) + torque_constant_doubts(found.plant, fit.trials)
+    warnings += [f"{row.text}; {row.remedy}" for row in judge_pressures(trials.trials)]
     data["warnings"] = warnings
     emit(args, data, text)
     for warning in warnings:

@@ -32,7 +32,7 @@ from models.commands.output_paths import check_output_directory
 from models.trials.earlier_import import check_earlier_import, check_same_samples, recording_hash
 from models.trials.importers import KINDS
 from models.trials.importers.mapping import RecordingMap, read_mapping
-from models.trials.importers.robot_log import with_log_conditions
+from models.trials.importers.robot_log import motion_rows, with_log_conditions
 from models.trials.importers.table_file import read_scalars
 from models.trials.takes import Take, find_takes
 from models.trials.trial_files import check_trial_name, read_trial, write_trial
@@ -161,15 +161,14 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     mapping, servo = take.mapping, args.servo or take.servo
     recording_sha256 = recording_hash(take.file)
     earlier = check_earlier_import(args.out, name, recording_sha256)
-    cut_off = []
+    cut_off, verdict = [], ImportVerdict(name)
     for path in (take.file, servo):
         if path is not None and path.suffix.lower() == ".mcap":
-            mapping, complete = _with_log(mapping, path)
+            mapping, complete = _with_log(mapping, path, verdict)
             cut_off += [] if complete else [str(path)]
     if args.kind == "table":
         mapping = mapping.with_scalars(read_scalars(take.file), take.file)
     offset_s = args.offset if args.offset is not None else take.offset_s
-    verdict = ImportVerdict(name)
     try:
         trial = inspect_import(Source(take.file, args.kind, servo, offset_s), mapping, verdict)
         meta = msgspec.structs.replace(trial.meta, recording_sha256=recording_sha256)
@@ -207,9 +206,17 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     return result
 
 
-def _with_log(mapping: RecordingMap, path: Path) -> tuple[RecordingMap, bool]:
-    """Map with the conditions of a log, and whether that is whole; its ticks are not kept."""
-    log = read_recording(path)
+def _with_log(
+    mapping: RecordingMap, path: Path, verdict: ImportVerdict
+) -> tuple[RecordingMap, bool]:
+    """Map with the conditions of a log, and whether that is whole; its ticks are not kept.
+
+    What ended its motion early is added to the verdict.
+    """
+    log, end = motion_rows(read_recording(path))
+    if end is not None:
+        remedy = "record it again where the whole motion is needed"
+        verdict.findings.append(ImportFinding("warning", "stop", end.text, remedy))
     return with_log_conditions(mapping, log), log.complete
 
 

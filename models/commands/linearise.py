@@ -23,6 +23,7 @@ from firmware_py.console import DONE, emit
 from firmware_py.display_units import ANGLE
 from firmware_py.errors import InputError
 from firmware_py.files.output_files import write_whole
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.signals import PERIOD_S
 from models.commands.output_paths import check_output_file
 from models.plant.physical_limits import check_payload
@@ -40,7 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("plant", type=Path, metavar="PLANT", help="plant to linearise")
     add("--out", type=Path, required=True, metavar="FILE.json", help="file to write")
-    add("--payload", type=float, default=1.0, metavar="KG", help="mass at the tip (1)")
+    add("--payload", type=float, metavar="KG",
+        help="mass at the tip (half the largest of the link, 1 of the study's)")  # fmt: skip
     add("--dof", type=int, choices=(1, 2), default=1, help="number of joints (1)")
     add("--period", type=float, default=PERIOD_S, metavar="S", help="control period (0.017)")
     add("--angle-deg", type=float, nargs="+", metavar="DEG",
@@ -57,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--angle-deg", f"has {len(angles_deg)} values", f"give {args.dof}")
     if not all(abs(angle) <= MOST_ANGLE_DEG for angle in angles_deg):
         raise InputError("--angle-deg", f"is {angles_deg}", f"give {MOST_ANGLE_DEG:g}° at most")
-    check_payload(args.payload)
+    link = plant.link or STUDY_LINK
+    payload_kg = link.payload_kg / 2 if args.payload is None else args.payload
+    check_payload(payload_kg, link=link)
     if not 1e-3 <= args.period <= 1.0:
         raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")
     if plant.load != "link":
@@ -69,11 +73,11 @@ def run(args: argparse.Namespace) -> int:
     from models.plan.feedback.linear_twin import LinearTwins, modes
 
     twins = LinearTwins(plant, args.dof, args.period)
-    system = twins.at(args.payload, np.radians(angles_deg), sliding=not args.at_rest)
+    system = twins.at(payload_kg, np.radians(angles_deg), sliding=not args.at_rest)
     found = modes(system)
-    margins = design_feedback(plant, args.dof, args.period, [args.payload]).margins
+    margins = design_feedback(plant, args.dof, args.period, [payload_kg]).margins
     document: dict[str, Any] = {
-        "plant_sha256": plant.sha256(), "payload_kg": args.payload, "dof": args.dof,
+        "plant_sha256": plant.sha256(), "payload_kg": payload_kg, "dof": args.dof,
         "angles_rad": [math.radians(a) for a in angles_deg], "sliding": not args.at_rest,
         "dt": args.period, "states": system.state_labels, "inputs": system.input_labels,
         "outputs": system.output_labels,
@@ -88,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     }  # fmt: skip
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(args.out, json.dumps(document, indent=1).encode() + b"\n")
-    lines = [f"{args.out}: {len(system.A)} states, {args.payload:g} kg, {args.dof}DOF", "modes:"]
+    lines = [f"{args.out}: {len(system.A)} states, {payload_kg:g} kg, {args.dof}DOF", "modes:"]
     lines += [f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}" for m in found]
     lines += [
         f"feedback of joint {j}: gain margin {m.gain_db:.1f} dB, phase margin "

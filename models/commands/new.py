@@ -190,7 +190,7 @@ def _described(args: argparse.Namespace) -> LinkDescription:
     given = {
         "length_m": args.length, "width_m": args.width, "base_offset_m": args.base_offset,
         "joints": args.joints, "mass_kg": args.mass, "tip_mass_kg": args.tip_mass,
-        "payload_kg": args.payload, "section": args.section, "pressure_pa": args.pressure_pa,
+        "payload_kg": args.payload or 0.0, "section": args.section, "pressure_pa": args.pressure_pa,
     }  # fmt: skip
     servo = args.servo or STUDY_LINK.servo.model
     model_named(servo)

@@ -24,6 +24,7 @@ from firmware_py.errors import InputError
 from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
 from models.commands.output_paths import check_output_file
@@ -67,7 +68,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--seconds", type=float, default=8.0, help="duration of one turn, or of the text (8)")
     add("--turns", type=int, default=1, help="times that the path is passed (1)")
     add("--angle-deg", type=float, default=0.0, help="direction of a line, from x towards y (0)")
-    add("--payloads", type=float, nargs="+", metavar="KG", help="grid of payloads (0 0.5 1 1.5 2)")
+    add("--payloads", type=float, nargs="+", metavar="KG",
+        help="grid of payloads (five up to the largest of the link, 2 of the study's)")  # fmt: skip
     add("--rigid", action="store_true", help="take the link as rigid, for comparison; moves of "
         "point_to_point are as fast as the limits permit")  # fmt: skip
     add("--zvd", action="store_true", help="the same, moves shaped so that the first mode rests")
@@ -95,9 +97,9 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     limits = _limits(args.limits, plant)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.plan.planning import PAYLOADS_KG, PlanRequest, plan_path, shortest_move_s
+    from models.plan.planning import PlanRequest, plan_path, shortest_move_s
 
-    payloads = tuple(args.payloads or PAYLOADS_KG)
+    payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
     feedback = not (args.open_loop or path.moves)
     if args.probe and (not feedback or method != "inverse"):
         raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")

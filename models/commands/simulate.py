@@ -136,7 +136,7 @@ def _complete_from_link(args: argparse.Namespace, described: LinkDescription | N
     if args.phase_deg is None:
         args.phase_deg = 90.0 if described and args.dof == [2] else 0.0
     if args.payloads is None:
-        args.payloads = sorted({round(link.payload_kg * k / 4, 4) for k in range(5)})
+        args.payloads = list(link.payloads_kg)
     if args.pressure_pa is None:
         args.pressure_pa = link.pressure_pa
     if args.gravity is None:
@@ -177,21 +177,23 @@ def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCas
 
 
 def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
-    pressure = parameters.entries["stiffness.pressure_pa"]
+    pressure, link = parameters.entries["stiffness.pressure_pa"], parameters.link
+    largest_kg = _LARGEST_PAYLOAD_KG if link is None else link.most_payload_kg
     ranges: list[tuple[str, float, float, float]] = [
         ("--trials", args.trials, 1, _LARGEST_TRIALS),
         ("--seed", args.seed, 0, 2**32 - 1),
         ("--phase-deg", args.phase_deg, -360, 360),
         ("--pressure-pa", args.pressure_pa, pressure.minimum, pressure.maximum),
         ("--workers", args.workers, 1, 1024),
-        *(("--payloads", kg, 0, _LARGEST_PAYLOAD_KG) for kg in args.payloads),
+        *(("--payloads", kg, 0, largest_kg) for kg in args.payloads),
         *(("--gravity", g, -1e6, 1e6) for g in args.gravity),
     ]
     for option, value, low, high in ranges:
         if not low <= value <= high:
-            raise InputError(
-                f"{option} {value:g}", "is out of range", f"choose {low:g} to {high:g}"
-            )
+            remedy = f"choose {low:g} to {high:g}"
+            if link is not None and option == "--payloads":
+                remedy += f", or raise payload_kg in {parameters.path}"
+            raise InputError(f"{option} {value:g}", "is out of range", remedy)
     if not any(args.gravity):
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
     check_output_directory(args.out)

@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from models.trials.trial_files import STEP_TOLERANCE
 
 if TYPE_CHECKING:
     from models.study.study_document import StudyDocument
+    from models.tip.tip_training import TipTraining
 
 EXAMPLE = (
     "python -m models train build/trials --dof 1 --plant build/plant.json "
@@ -41,7 +43,6 @@ EXAMPLE = (
 )
 STEPS: Final = 20
 """Progress steps of a study before its tests: DI, 18 cross-validations and the fits."""
-
 LARGEST_ASKEW_DEG: Final = 0.8
 """Largest angle of a link mounted askew: 14 mm at the tip; with 15 mm nothing would be in range."""
 
@@ -104,11 +105,13 @@ def run(args: argparse.Namespace) -> int:
     refuse_mixed_steps((*training, *held_out, *unseen, *further))
     refuse_trained(further, (*held_out, *unseen))
 
+    from models.plant.identification.trials_link import refuse_other_links
     from models.plant.plant import read_plant
     from models.study.bundle_export import ParityError, write_bundle  # loads scikit-learn
     from models.study.study import run_study
 
     plant = read_plant(args.plant)
+    refuse_other_links(plant, args.plant, (*everything, *unseen, *further))
     refuse_fitted(plant.provenance, args.plant, tests)
     observer = plant.step_model(args.dof, "observer")
     from models.tip.candidates.candidate_list import CANDIDATES
@@ -132,17 +135,28 @@ def run(args: argparse.Namespace) -> int:
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
-    data = {"bundle": str(args.out), "parity": parity, "degree": study.document.chosen_degree}
-    tables = {
-        name: by_part["pooled"]
-        for name, by_part in study.document.mean_euclidean_distance_m.items()
-    }
-    text = _summary(args.out, study.document)
+    _report(args, study.document, tip, parity)
+    return DONE
+
+
+def _report(
+    args: argparse.Namespace, document: StudyDocument, tip: TipTraining | None,
+    parity: dict[str, float],
+) -> None:  # fmt: skip
+    """Print figures of study and robot's predictor, and what is doubtful."""
+    from models.study.findings import doubts_of_di
+
+    pooled = {name: of["pooled"] for name, of in document.mean_euclidean_distance_m.items()}
+    data: dict[str, Any] = {"bundle": str(args.out), "parity": parity}
+    data |= {"degree": document.chosen_degree, "mean_euclidean_distance_m": pooled}
+    text = _summary(args.out, document)
     if tip:
         data["predictor"] = tip.document.chosen
         text = f"{text}\n  the robot gets: {tip.document.reason}"
-    emit(args, data | {"mean_euclidean_distance_m": tables}, text)
-    return DONE
+    data["warnings"] = doubts_of_di(document)
+    emit(args, data, text)
+    for warning in data["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
 
 
 def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
@@ -330,7 +344,7 @@ def _summary(out: Path, document: StudyDocument) -> str:
         lines.append("  no trial 2 to test on: simulate with --trials 2")
     if not any(name.startswith("unseen") for name in document.tests):
         lines.append(
-            "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 "
-            "--out build/unseen_20deg, then pass that directory to --unseen"
+            "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 --out "
+            "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
         )
     return "\n".join(lines)

@@ -38,6 +38,9 @@ COVERAGE: Final = 0.95
 LEVERAGE_RIDGE: Final = 1e-6
 """Ridge λ of the leverage's normal equation, relative to its mean squares; assumed. It bounds the
 leverage in a direction without training data, like angle 1 less angle 2 of a motion in phase."""
+EDGE: Final = 1e-9
+"""Part by which the training box is wider than its rows: the DI of a link at rest is the smallest,
+and the robot computes it with another rounding (1e-14 of it), in every tick before a motion."""
 
 
 def polynomial_pipeline(degree: int) -> Pipeline:
@@ -200,7 +203,7 @@ class GuardedPredictor:
     pipeline : sklearn Pipeline
         Fitted `polynomial_pipeline`.
     lower, upper : ndarray, shape (n,)
-        Training box in SI units.
+        Training box in SI units, wider than the training rows by `EDGE`.
     leverage : Polynomial
         Quartic in the scaled inputs, one output.
     quantile : ndarray, shape (outputs,)
@@ -241,7 +244,9 @@ class GuardedPredictor:
         score = np.concatenate(scores)
         level = min(1.0, COVERAGE * (1.0 + 1.0 / len(score)))
         quantile = np.quantile(score, level, axis=0, method="higher")
-        return cls(pipeline, features.min(axis=0), features.max(axis=0), leverage, quantile)
+        lower, upper = features.min(axis=0), features.max(axis=0)
+        edge = EDGE * np.maximum(np.abs(lower), np.abs(upper))
+        return cls(pipeline, lower - edge, upper + edge, leverage, quantile)
 
     def predict(self, features: Array) -> Array:
         """Return the outputs at the clipped inputs, shape (n, outputs)."""

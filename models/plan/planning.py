@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, as_columns
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.plan.feedback.planned_feedback import with_feedback
 from models.plan.feedback.probe_motion import design_probe
@@ -24,11 +25,11 @@ from models.plan.path_shapes import DesiredPath
 from models.plan.plan_timeline import Timeline, timeline
 from models.plan.reach import check_reach
 from models.plan.twin_sensitivity import TipTwin
-from models.plant.physical_limits import MOST_PAYLOAD_KG
+from models.plant.physical_limits import check_payload
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
-PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+PAYLOADS_KG: Final = STUDY_LINK.payloads_kg
 """Grid of payloads: the study's range. Between two of them the goals are nearly linear in the
 payload. Measured on the twin of the demo, circle of 0.4 m in 8 s: interpolated goals leave 0.73 mm
 with 0.25 kg, where those of the grid leave 0.66 and 0.71 mm."""
@@ -288,10 +289,7 @@ def check_request(request: PlanRequest) -> None:
         )
     if not payloads or payloads != sorted(set(payloads)) or not 0 <= payloads[0] <= payloads[-1]:
         raise InputError("--payloads", f"are {payloads}", "give rising masses in kg")
-    if payloads[-1] > MOST_PAYLOAD_KG:
-        raise InputError(
-            "--payloads", f"reach {payloads[-1]:g} kg", f"give {MOST_PAYLOAD_KG:g} kg at most"
-        )
+    check_payload(payloads[-1], "--payloads", request.plant.link)
 
 
 def _own_error_m(plant: Plant, dof: int) -> float | None:

@@ -1,4 +1,4 @@
-"""Physical limits: the range of payloads, and sums of parameters that cannot be negative.
+"""Physical limits: the largest payload, and sums of parameters that cannot be negative.
 
 Every parameter has bounds of its own (`models.plant.parameter`). Two of them can still add up to
 something that no body has: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares such
@@ -14,18 +14,15 @@ from fnmatch import fnmatchcase
 from typing import Final
 
 from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 
 __all__ = [
     "LIMITS",
-    "MOST_PAYLOAD_KG",
     "ImpossibleSum",
     "PhysicalLimit",
     "check_payload",
     "impossible_sums",
 ]
-
-MOST_PAYLOAD_KG: Final = 3.0
-"""Half as much again as the study's largest payload [assumed]."""
 
 JOINTS: Final = ("1", "2")
 
@@ -149,8 +146,10 @@ def impossible_sums(
     return found
 
 
-def check_payload(payload_kg: float, option: str = "--payload") -> None:
-    """Refuse a payload that no plant of the link is made for.
+def check_payload(
+    payload_kg: float, option: str = "--payload", link: LinkDescription | None = None
+) -> None:
+    """Refuse a payload that the plant of a link is not made for.
 
     Parameters
     ----------
@@ -158,11 +157,14 @@ def check_payload(payload_kg: float, option: str = "--payload") -> None:
         Mass at the tip.
     option : str
         Where the user gave it.
+    link : LinkDescription, optional
+        The plant's link; left out, the study's.
 
     Raises
     ------
     InputError
         If it is negative, too large or not a number.
     """
-    if not 0.0 <= payload_kg <= MOST_PAYLOAD_KG:
-        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {MOST_PAYLOAD_KG:g} kg")
+    most_kg = (link or STUDY_LINK).most_payload_kg
+    if not 0.0 <= payload_kg <= most_kg:
+        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")

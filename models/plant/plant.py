@@ -28,7 +28,7 @@ from models.plant.composition.plant_composition import (
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.effects.order import in_order
-from models.plant.link_parameters import parameter_of_link
+from models.plant.link_parameters import parameter_of_link, with_payload_bound
 from models.plant.parameter import Parameter, check_values
 from models.plant.plant_document import (
     EffectEntry,
@@ -127,9 +127,10 @@ class Plant:
                 "use the twin",
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        known, columns = without_values(self.parameters), tuple(self.signals)
+        parameters = with_payload_bound(self.parameters, self.link)
+        known, columns = without_values(parameters), tuple(self.signals)
         model = compose_plant(self.load, self.drive, effects, known, dof, kind, columns, self.link)
-        return replace(model, parameters=variables_of(self.parameters, model.parameters))
+        return replace(model, parameters=variables_of(parameters, model.parameters))
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -307,13 +308,16 @@ def _complete(
     The entries may also be parameters of effects that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
-    scope = scope_of(plant.drive, plant.load, LOADS[plant.load].max_dof)
     parts = plant.drive, plant.load
+    scope = scope_of(*parts, LOADS[plant.load].max_dof, link=plant.link)
     own = {q.name: q for q in declared_parameters(scope, *parts, plant._effects(), observer=True)}
     others = [EFFECTS[name]() for name in plant.applicable()]
     possible = {q.name: q for q in declared_parameters(scope, *parts, others, observer=True)}
     known = plant.expected | plant.parameters
-    parameters = {name: known.get(name, q) for name, q in own.items()}
+    parameters = {
+        name: msgspec.structs.replace(known.get(name, q), description=q.description)
+        for name, q in own.items()
+    }
     expected = {name: q for name, q in known.items() if name not in own and name in possible}
     for name, given in entries.items():
         if name in possible and name not in parameters:

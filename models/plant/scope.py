@@ -16,6 +16,7 @@ from typing import Any, Final
 import casadi as ca
 import msgspec
 
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import MarkerLayout
 from models.plant.delayed_staircase import DelayedStaircase
 from models.plant.parameter import Parameter
@@ -129,8 +130,8 @@ class Scope:
         Columns of a trial that the plant's document declares; none for those of the link.
     layout : MarkerLayout or None
         Places of the link's markers; None for four rows of four by the link's size.
-    gravity : tuple of float
-        Direction of gravity, of length one; z along the link at zero angle.
+    gravity, most_payload_kg : tuple of float, float
+        Direction of gravity, of length one, z along the link at zero angle; largest payload.
     features : frozenset of str
         Features of the drive and the load.
     """
@@ -140,6 +141,7 @@ class Scope:
     columns: tuple[str, ...] = ()
     layout: MarkerLayout | None = None
     gravity: tuple[float, float, float] = (0.0, 0.0, -1.0)
+    most_payload_kg: float = STUDY_LINK.most_payload_kg
     features: frozenset[str] = frozenset()
     step_s: Expr = field(default_factory=lambda: ca.SX.sym("step_s"))
     states: dict[str, StateVariable] = field(default_factory=dict)
@@ -313,10 +315,8 @@ def variables_of(
 
     Parameters
     ----------
-    parameters : mapping of str to Parameter
-        By name.
-    variables : sequence of Variable
-        Their order.
+    parameters, variables : mapping of str to Parameter, sequence of Variable
+        By name; their order.
     """
     return tuple(variable_of(parameters[v.name]) for v in variables)
 

@@ -66,7 +66,7 @@ class LinkScale:
     def tip_mass_kg(self) -> float:
         """Mass of the hardware at the tip: as given, or by the area of the section."""
         given = self.link.tip_mass_kg
-        return TIP_MASS_KG_M2 * self.link.width_m**2 if given is None else given
+        return TIP_MASS_KG_M2 * self.area_m2 if given is None else given
 
     @property
     def plate_m2(self) -> float:
@@ -112,8 +112,13 @@ class LinkScale:
 
     @property
     def limit_moment_nm(self) -> float:
-        """Moment at which the section collapses, at the link's pressure: p h³/3, or π p r³."""
-        shape = 1 / 3 if self.link.section == "square" else math.pi / 8
+        """Moment at which the section collapses, at the link's pressure: p h³/2, or π p r³.
+
+        The pressure pulls with p A on the axis; at collapse the wall farthest from the compressed
+        one carries all of it. Wrinkling begins earlier, where the compressed wall loses its
+        tension: p h³/3, or π p r³/2.
+        """
+        shape = 1 / 2 if self.link.section == "square" else math.pi / 8
         return shape * self.link.pressure_pa * self.link.width_m**3
 
     @property

@@ -237,3 +237,22 @@ def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
         "the phase of joint 2, which the paper does not state: in phase the two planes bend "
         "together, a quarter period apart the link is bent at all times",
     )  # fmt: skip
+
+
+def doubts_of_di(document: StudyDocument) -> list[str]:
+    """Return what to look at where the observer's DI says less than its mean; one sentence or none.
+
+    Parameters
+    ----------
+    document : StudyDocument
+        Tables of the study.
+    """
+    r2 = {name: scores["observer"].r2_di for name, scores in document.estimators.items()}
+    worst = min(r2, key=r2.__getitem__, default="")
+    if not worst or not r2[worst] < 0.0:
+        return []
+    return [
+        f"R² of the estimated DI is {r2[worst]:.3f} on {worst}: the mean of the DI would be a "
+        "better estimate, so the plant does not bend as the link of these trials; check their "
+        "payloads and sizes ('python -m models validate') and identify the plant on them"
+    ]

@@ -23,7 +23,7 @@ class Bus:
     def __init__(self, clock, dof=1):
         self.dof, self.clock = dof, clock
         self.angle_rad, self.current_a = np.zeros(dof), np.zeros(dof)
-        self.alert, self.wait_ns = 0, 0
+        self.alert, self.wait_ns, self.late_ns = 0, 0, 0
         self.script, self.reads = {}, 0
         self.driven, self.calls, self.sent, self.deadlines = False, [], [], []
         self._goal = np.zeros(dof)

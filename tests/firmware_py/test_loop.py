@@ -122,6 +122,41 @@ def test_data_of_a_second_read_is_fresh_and_counted():
     assert summary.bus_faults == {"retried": 10}
 
 
+class Steps(NoEstimator):
+    """Notes the time between the samples that it gets."""
+
+    waits_for_fresh = True
+
+    def __init__(self):
+        self.steps_s = []
+
+    def update(self, angle_rad, current_a, step_s):
+        self.steps_s.append(step_s)
+        return super().update(angle_rad, current_a, step_s)
+
+
+class LateBus(Bus):
+    """Its measurement 50 is 5 ms late."""
+
+    def read(self, deadline_ns):
+        self.late_ns = 5_000_000 if self.reads == 50 else 0
+        return super().read(deadline_ns)
+
+
+def test_the_estimator_gets_the_time_between_samples_not_between_slots():
+    estimator = Steps()
+    loop, bus, *_ = make(bus=LateBus, estimator=estimator)
+    sleep = bus.clock.sleep_until
+    bus.clock.sleep_until = lambda time_ns: sleep(time_ns + (3_000_000 if bus.reads == 70 else 0))
+    rows = loop.run().records
+    assert rows["sample_late_ns"][[49, 50, 51, 69, 70, 71]].tolist() == [
+        0, 5_000_000, 0, 0, 3_000_000, 0
+    ]  # fmt: skip
+    steps_s = np.full(len(rows), 0.017)
+    steps_s[[50, 51, 70, 71]] = 0.022, 0.012, 0.020, 0.014
+    assert estimator.steps_s == pytest.approx(steps_s)
+
+
 def test_the_servos_get_their_own_position_as_first_goal_before_the_torque():
     loop, bus, *_ = leaning(0.2)
     events = []

@@ -15,7 +15,9 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.config import read_config
 from firmware_py.log.recording import read_recording
 from firmware_py.summary import read_run_summary
 
@@ -85,6 +87,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     assert result["ended"] == "finished"
     log = read_recording(result["log"])
     assert len(log.columns["tick"]) == result["ticks"] - result["telemetry_drops"]
+    assert log.metadata["slots"] == str(len(read_config(config).goals_rad()))
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
     summary = read_run_summary((tmp_path / result["log"]).with_suffix(".timing.json"))
     assert msgspec.to_builtins(summary) == result
@@ -105,8 +108,8 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     arguments = ["import", result["log"], "--as", "recording", "--map", mapping, "--out", out]
     assert models([*map(str, arguments), "--name", "run"]) == 0, capsys.readouterr().err
     trial = read_trial(out / "run.csv")
-    fresh = log.columns["stale_ticks"] == 0
-    if fresh.all() and not log.columns["missed"].any() and not result["telemetry_drops"]:
+    at_once = log.columns["bus_status"] == BusStatus.OK
+    if at_once.all() and not log.columns["missed"].any() and not result["telemetry_drops"]:
         assert np.array_equal(trial.angle_rad[:, 0], log.columns["angle_1_rad"])
         assert np.array_equal(trial.goal_rad[:, 0], log.columns["goal_1_rad"])
     assert (trial.meta.motion, trial.meta.period_s, trial.meta.source) == (
@@ -282,10 +285,15 @@ def test_a_directory_for_logs_that_cannot_be_is_refused(servos, config, capsys):
     assert (code, "cannot be made" in output.err) == (2, True)
 
 
-def test_without_a_recorder_the_robot_runs_and_leaves_no_file(servos, config, capsys):
+def test_without_a_log_a_doubtful_payload_is_told(servos, config, capsys, monkeypatch):
+    def doubt(*_):
+        return f"torque {servos.get(1, Register.TORQUE_ENABLE)}"
+
+    monkeypatch.setattr("firmware_py.commands.run.contradicted_payload", doubt)
     config.write_text("record = false\n" + config.read_text())
     code, output = call(capsys, "run", "--config", config, "--json")
     assert (code, json.loads(output.out)["log"]) == (0, None)
+    assert "warning: torque 0\n" in output.err and '"payload_note": "torque 0"' in output.out
     assert not list(config.parent.rglob("*.mcap"))
 
 

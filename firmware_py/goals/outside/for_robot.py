@@ -18,13 +18,12 @@ from firmware_py.goals.outside.goal_map import GoalMap, read_goal_map
 from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.log.logged_run import OUTSIDE
 
 __all__ = ["outside_facts", "outside_goals"]
 
 WAIT_S: Final = 60.0
 """Longest wait for the program, before the torque is switched on [assumed]."""
-NAME: Final = "outside"
-"""Name of the motion in logs and trials."""
 
 
 @contextlib.contextmanager
@@ -87,6 +86,9 @@ def _fitting(path: Path, config: RobotConfig) -> GoalMap:
 
 
 def outside_facts() -> dict[str, str]:
-    """Return what the log of such a run holds in place of the configured motion."""
-    motion = {"motion": NAME, "period_s": 1.0, "amplitude_rad": 0.0, "phase_2_rad": 0.0}
-    return {"motion": msgspec.json.encode(motion).decode(), "rest_samples": "1"}
+    """Return what the log of such a run holds in place of the configured motion.
+
+    Duration and amplitude are unknown when the log begins: whoever reads it takes them from its
+    goals.
+    """
+    return {"motion": msgspec.json.encode({"motion": OUTSIDE}).decode(), "rest_samples": "1"}

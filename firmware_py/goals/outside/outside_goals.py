@@ -203,7 +203,7 @@ class OutsideGoals:
                 return
             found = self._rest.goals_rad(message.tip_m, self.payload_kg)
             if found is None:
-                place = ", ".join(f"{v:.3f}" for v in message.tip_m)
+                place = ", ".join(f"{v:g}" for v in message.tip_m)
                 self._refuse(f"wants the tip at ({place}) m, which is out of reach")
                 return
             goals = found
@@ -213,11 +213,11 @@ class OutsideGoals:
         for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):
             rate = (value - before) / self._period_s
             if not low <= value <= high:
-                what = f"at {value:.3f} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
+                what = f"at {value:g} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
                 self._refuse(f"wants joint {joint + 1} {what}")
                 return
             if not abs(rate) <= most * _ROUNDING:
-                what = f"at {rate:.2f} rad/s, the limit is {most:g} rad/s (limits.rate_rad_s)"
+                what = f"at {rate:.4g} rad/s, the limit is {most:g} rad/s (limits.rate_rad_s)"
                 self._refuse(f"moves joint {joint + 1} {what}")
                 return
             rates.append(rate)

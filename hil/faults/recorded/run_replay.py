@@ -51,7 +51,7 @@ class _Playback:
         self._tips = np.stack([columns[f"predicted_tip_{a}_m"] for a in "xyz"], axis=1)
         self.angle_rad: Array = np.zeros(self.dof)
         self.current_a: Array = np.zeros(self.dof)
-        self.alert, self.wait_ns, self.row = 0, 0, 0
+        self.alert, self.wait_ns, self.late_ns, self.row = 0, 0, 0, 0
         self._connections, self._switches, self._in_tick = 0, 0, False
         self._clock, self._wake_ns = SimClock(), 0
         self._last_tick = self._last_lateness_ns = 0

@@ -19,6 +19,7 @@ from models.gap.calibration.calibration_files import (
     calibration_directory,
     patterns_file,
 )
+from models.plant.identification.trials_link import SAME_SIZE_FRACTION, refuse_other_links
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
@@ -34,9 +35,6 @@ COUNTS: Final = {
     "processes": (2, 1, "processes that work at once"),
 }
 """Options that count something: usual and least value, and help."""
-
-SAME_SIZE_FRACTION: Final = 0.01
-"""Fraction by which the size of a trial's link may differ from that of the drawn rigs [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -63,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
         )  # fmt: skip
     trials = read_trial_directories(args.trials, plant.signals)
     make = _make(args.link, trials)
+    refuse_other_links(plant, args.plant, trials)
     # CasADi and MuJoCo are loaded here, so that a wrong option is refused at once.
     from models.gap.calibration.left_out_rigs import draw_left_out, pattern_sentence
     from models.gap.calibration.pattern_measurement import (

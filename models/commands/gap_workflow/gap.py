@@ -14,6 +14,7 @@ import msgspec
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
 from models.commands.output_paths import check_output_directory
+from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
@@ -63,6 +64,7 @@ def run(args: argparse.Namespace) -> int:
             raise InputError(
                 f"--dof {args.dof}", "is the number of joints of no trial", "leave it out"
             )
+    refuse_other_links(plant, args.plant, trials)
     patterns = patterns_beside(args.plant, plant.sha256())
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from firmware_py.errors import InputError
 from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import as_columns
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.plan.feedback.linear_twin import STIFFNESS, LinearTwins, modes
 from models.plan.twin_sensitivity import TipTwin
@@ -65,7 +66,8 @@ payload: 3 s and 2 s for the link of the study and 2 kg."""
 STIFFER: Final = 0.3
 STIFFNESS_STEP: Final = 0.05
 PAYLOAD_STEP_KG: Final = 0.125
-"""Range and steps of the grid [assumed]; the payloads are those of the plan and a step more."""
+"""Range and steps of the grid [assumed]; the payloads are those of the plan and a step more. The
+step is that of the study's link, and in proportion to the largest payload of another."""
 FEATURES: Final = 14
 """Beyond them nothing is left: 0.3 standard deviations on the grid at most."""
 NOISE_A: Final = 0.055
@@ -140,10 +142,10 @@ def design_probe(
     if not light or light[0] * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
         raise InputError("--probe", "finds no slow mode of the link", "leave it out")
     goals = probe_goals(light[0], twin.dof, twin.period_s)
-    low = max(0.0, payloads_kg[0] - PAYLOAD_STEP_KG)
-    masses = low + PAYLOAD_STEP_KG * np.arange(
-        np.ceil((payloads_kg[-1] - low) / PAYLOAD_STEP_KG - 1e-9) + 2
-    )
+    over_study = (plant.link or STUDY_LINK).payload_kg / STUDY_LINK.payload_kg
+    step_kg = PAYLOAD_STEP_KG * (over_study or 1.0)
+    low = max(0.0, payloads_kg[0] - step_kg)
+    masses = low + step_kg * np.arange(np.ceil((payloads_kg[-1] - low) / step_kg - 1e-9) + 2)
     changes = STIFFNESS_STEP * np.arange(-6, 7)
     values = {n: p.value for n, p in plant.parameters.items()}
     stiff = [n for n in values if n.startswith(STIFFNESS)]

@@ -20,7 +20,7 @@ the paper averages E|strain + n|.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Final
 
 import casadi as ca
@@ -66,7 +66,8 @@ class Link:
             Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
                       description="width of the link", source="paper, fig. 2"),
             Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
-                      description="gravity, along -z", source="standard gravity"),
+                      description=f"gravity, along {_direction(scope.gravity)}",
+                      source="standard gravity"),
             Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
                       role="nuisance", description="mass of the link",
                       source='docs/sources.md, "The link": assumed', prior_deviation=0.15),
@@ -267,6 +268,14 @@ class Link:
                 strain = sum(scope.p("edge_gain") * x / segment_m * t for x, t in levered)
                 total += count * mean_magnitude(strain, noise)
         return total / (len(rows) * sum(count for _, count in edges))
+
+
+def _direction(unit: Sequence[float]) -> str:
+    """Axis of the link's frame along a vector of length one, else the vector itself."""
+    for axis, part in zip("xyz", unit, strict=True):
+        if abs(part) > 1 - 1e-9:
+            return f"-{axis}" if part < 0 else axis
+    return "(" + ", ".join(f"{part:.4g}" for part in unit) + ")"
 
 
 def _about_z(angle_rad: Expr) -> Expr:

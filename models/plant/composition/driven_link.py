@@ -61,7 +61,7 @@ def compose_driven(
         As for `models.plant.composition.twin.compose_twin`.
     """
     declare_measured_motion(scope, effects)
-    scope.payload_kg = scope.input(payload_variable())
+    scope.payload_kg = scope.input(payload_variable(scope))
     apply_measured_motion(scope, drive, load, effects)
     step_s = declare_step_length(scope)
     outputs: dict[str, tuple[Variable, Expr]] = {}

@@ -32,7 +32,7 @@ def compose_imposed(
         As for `models.plant.composition.twin.compose_twin`.
     """
     declare_measured_motion(scope, effects)
-    scope.payload_kg = scope.input(payload_variable())
+    scope.payload_kg = scope.input(payload_variable(scope))
     apply_measured_motion(scope, drive, load, effects)
     start_in_motion(scope)
     torque = scope.suffix["torque"]

@@ -18,6 +18,7 @@ from typing import Final
 
 import casadi as ca
 
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.signals import PAYLOAD
 from models.plant.components.drives.drive_protocol import Drive
 from models.plant.components.load_protocol import PlantLoad
@@ -46,12 +47,13 @@ LEAST_SQUARE: Final = 1e-24
 
 
 def observer_parameters() -> tuple[Parameter, ...]:
-    """Declare the parameters of the payload estimate."""
+    """Declare the parameters of the payload estimate, for the study's link."""
+    most_kg = STUDY_LINK.most_payload_kg
     return (
-        Parameter(name="payload_known_kg", unit="kg", value=-1.0, low=-1.0, high=3.0,
+        Parameter(name="payload_known_kg", unit="kg", value=-1.0, low=-1.0, high=most_kg,
                   description="payload where it is known, negative to estimate it",
                   source="unknown"),
-        Parameter(name="payload_prior_kg", unit="kg", value=1.0, low=0.0, high=3.0,
+        Parameter(name="payload_prior_kg", unit="kg", value=1.0, low=0.0, high=most_kg,
                   description="payload before anything is measured",
                   source="middle of the study's range"),
         Parameter(name="payload_spread_kg", unit="kg", value=1.0, low=0.01, high=10.0,
@@ -84,7 +86,7 @@ def compose_observer(
     """
     declare_measured_motion(scope, effects)
     measured = [scope.input(current_variable(j)) for j in scope.joints]
-    payload = scope.state(payload_variable(), scope.p("payload_prior_kg"))
+    payload = scope.state(payload_variable(scope), scope.p("payload_prior_kg"))
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a symbol of its own: to derive by it
     before = set(scope.states)
     apply_measured_motion(scope, drive, load, effects)
@@ -93,7 +95,7 @@ def compose_observer(
     moving = set(scope.states) - {payload.name()}
     _update_estimates(scope, drive, payload, measured, sensitivity)
     outputs = load.outputs(scope)
-    outputs[PAYLOAD.name] = (payload_variable(1.0), mass_kg)
+    outputs[PAYLOAD.name] = (payload_variable(scope, 1.0), mass_kg)
     outputs |= _state_of_the_estimate(scope, outputs, sensitivity)
 
     known = scope.p("payload_known_kg")

@@ -54,7 +54,7 @@ def compose_plant(
     columns : tuple of str
         Columns that the plant's document declares.
     link : LinkDescription, optional
-        Markers and direction of gravity; left out, those of the study's link.
+        Markers, direction of gravity and largest payload; left out, those of the study's link.
     """
     scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
     known, observer = dict(parameters), kind != "twin"
@@ -78,9 +78,10 @@ def scope_of(
     drive, load, dof, columns, link
         As for `compose_plant`.
     """
+    own = link or STUDY_LINK
     return Scope(
         tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns,
-        None if link is None else link.layout, (link or STUDY_LINK).gravity.unit,
+        None if link is None else link.layout, own.gravity.unit, own.most_payload_kg,
         frozenset(DRIVES[drive].features) | frozenset(LOADS[load].features),
     )  # fmt: skip
 

@@ -2,16 +2,21 @@
 
 The drive gives the saw-tooth of a goal that jumps (`models.plant.components.drives.goal_shape`);
 of that a low-pass keeps the part in phase at the frequency of the steps. The rest of the current
-moves little within a step, so a line between the currents at both ends is taken.
+moves little within a step, so a line between the currents at both ends is taken. A servo holds the
+current within its limit at every moment, so the sample is clipped to what the sensor shows at the
+limit. The motion does not depend on the sample.
 """
 
 from __future__ import annotations
 
 import math
 
+import casadi as ca
+
+from models.plant.components.drives.drive_protocol import current_limit
 from models.plant.components.drives.goal_shape import declare_step_length
 from models.plant.composition.output_lag import lagged_output
-from models.plant.composition.step_functions import current_variable
+from models.plant.composition.step_functions import current_variable, measured_current
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 
@@ -36,8 +41,12 @@ def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
             above = (1 + scope.current_scale[j]) * scope.sampled_above[j]
             if j in scope.sensor_lag and lagged_output(outputs, j, scope.columns) == name:
                 above *= _kept_fraction(scope, scope.sensor_lag[j].time_s)
-            value += above
-        result[name] = (variable, current_at_phase(scope, j, value))
+            value = _within_limit(scope, j, value + above)
+            # Clipped again: the line between two samples at the limit may round beyond it.
+            value = _within_limit(scope, j, current_at_phase(scope, j, value))
+        else:
+            value = current_at_phase(scope, j, value)
+        result[name] = (variable, value)
     return result
 
 
@@ -61,6 +70,13 @@ def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
     before = scope.state(Variable(f"current_before_{joint}_a", "A"), substitute(current, still))
     scope.states[before.name()].begin = current
     return phase * current + (1 - phase) * before
+
+
+def _within_limit(scope: Scope, joint: int, measured: Expr) -> Expr:
+    """Measured current, at most what the sensor shows at the limit of the current."""
+    limit = current_limit(scope, joint)
+    low, high = (measured_current(scope, joint, bound) for bound in (-limit, limit))
+    return ca.fmin(ca.fmax(measured, low), high)
 
 
 def _kept_fraction(scope: Scope, time_s: Expr) -> Expr:

@@ -24,9 +24,19 @@ COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
 """Name of a joint's measured coordinate, by the suffix of its unit."""
 
 
-def payload_variable(start: float = 0.0) -> Variable:
-    """Payload as an input or output."""
-    return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, 3.0)
+def payload_variable(scope: Scope, start: float = 0.0) -> Variable:
+    """Payload as an input or output.
+
+    Parameters
+    ----------
+    scope : Scope
+        With the largest payload of its link.
+    start : float
+        Value at the start.
+    """
+    most_kg = scope.most_payload_kg
+    start = min(start, most_kg)
+    return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, most_kg)
 
 
 def current_variable(joint: int) -> Variable:

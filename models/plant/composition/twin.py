@@ -44,7 +44,7 @@ def compose_twin(
     """
     apply_effects(scope, ("sensor",), effects)
     drive.declare(scope)
-    scope.payload_kg = scope.input(payload_variable())
+    scope.payload_kg = scope.input(payload_variable(scope))
     for j in scope.joints:
         declare_joint_states(scope, j, scope.start[j])
         if drive.has_presliding:

@@ -7,7 +7,7 @@ from typing import Final
 
 from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
-from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from models.plant.identification.identification import Identification
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
@@ -77,7 +77,7 @@ def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
 
 
 def check_weight(plant: Plant, trials: TrialSet) -> None:
-    """Refuse trials of a link that is mounted otherwise than the plant.
+    """Refuse trials of a link that is mounted otherwise than the plant, or carries too much.
 
     Parameters
     ----------
@@ -89,10 +89,13 @@ def check_weight(plant: Plant, trials: TrialSet) -> None:
     Raises
     ------
     InputError
-        If gravity in a trial differs from the plant's in direction or size.
+        If gravity in a trial differs from the plant's in direction or size, or its payload is
+        larger than twin and observer of the described link would take.
     """
     if plant.load != "link":
         return
+    if plant.link is not None:
+        _check_payloads(plant.link, trials)
     unit = (plant.link or STUDY_LINK).gravity.unit
     own = tuple(plant.parameters["gravity_m_s2"].value * axis for axis in unit)
     for trial in trials:
@@ -101,6 +104,19 @@ def check_weight(plant: Plant, trials: TrialSet) -> None:
                 trial.path,
                 f"gravity is {_vector(trial.meta.gravity)} m/s², in the plant {_vector(own)} m/s²",
                 "name the link's file: --plant link.toml, with its mounting under [gravity]",
+            )
+
+
+def _check_payloads(link: LinkDescription, trials: TrialSet) -> None:
+    """Refuse payloads beyond the link's: the observer would never estimate so much."""
+    for trial in trials:
+        if trial.meta.payload_kg > link.most_payload_kg:
+            raise InputError(
+                trial.path,
+                f"has a payload of {trial.meta.payload_kg:g} kg, a plant of this link takes "
+                f"{link.most_payload_kg:g} kg at most",
+                f"raise payload_kg in the link's file, now {link.payload_kg:g}, and name that "
+                "file: --plant link.toml",
             )
 
 

@@ -30,7 +30,8 @@ WALL_FRACTION: Final = 0.3
 """Part of the bending stiffness that does not depend on pressure [assumed]."""
 
 WRINKLE_FRACTION: Final = 0.5
-"""Moment at which the wall wrinkles over the limit moment: p h^3 / 6 over p h^3 / 3."""
+"""Moment at which the wall wrinkles over the limit moment: a tube's; a box by theory has 2/3
+(docs/sources.md, "The link") [assumed]."""
 
 ZENER_FRACTION: Final = 0.5
 """Stiffness of the damping branch over the elastic one [assumed]."""

@@ -8,8 +8,9 @@ so that for any `skew` (directional stiffness) and S (coupling of the planes) th
 law absorbs is m . du/dt and no part can create energy. m sums up, per hinge pair:
 
 * a radial elastic torque K f(x) / x u, x = K|u| / M_c, that levels off at the limit moment M_c:
-  f = tanh(x), or a box that wrinkles from half of M_c on, f = x, then 1 - 1 / (4 x) (wrinkling from
-  half of the collapse moment: Comer and Levy, *AIAA Journal* 1, 1963 [recalled]; shape [assumed]);
+  f = tanh(x), or a wall that wrinkles from half of M_c on, f = x, then 1 - 1 / (4 x) (half of the
+  collapse moment is a tube's: Comer and Levy, *AIAA Journal* 1, 1963 [recalled]; that a box has
+  half, not two thirds as in docs/sources.md, "The link", and the shape are [assumed]);
 * Maxwell branches, ds/dt = g K du/dt - s / tau (`models.rig.forms.creep_forms`);
 * friction (`models.rig.forms.hysteresis_forms`).
 

@@ -174,7 +174,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         document: dict[str, object] = {
             "source": "measured",
             "rest_samples": rest_samples,
-            **(self.described.conditions() if self.link else {}),
+            **({"dof": self.described.joints, **self.described.conditions()} if self.link else {}),
             **self.trial,
         }
         if self.signals and duration_s is not None:

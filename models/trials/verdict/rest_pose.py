@@ -194,7 +194,7 @@ def _order(
     misfit = _misfit(measured, nominal)
     if far.max() < _FAR_M:
         return same, ""
-    found = _exchanged_pairs(names, measured, nominal, misfit)
+    found = _exchanged_pairs(names, measured, nominal, misfit, layout)
     if found is not None:
         return found
     index = {name: k for k, name in enumerate(names)}
@@ -262,9 +262,9 @@ def _permuted(
 
 
 def _exchanged_pairs(
-    names: Sequence[str], measured: Array, nominal: Array, misfit: float
+    names: Sequence[str], measured: Array, nominal: Array, misfit: float, layout: MarkerLayout
 ) -> tuple[Order, str] | None:
-    """Up to three pairs of exchanged names."""
+    """Up to three pairs of exchanged names; none if they mirror the link with a pair per row."""
     order, now = np.arange(len(names)), misfit
     said: list[str] = []
     for _ in range(3):
@@ -282,5 +282,15 @@ def _exchanged_pairs(
         said.append(f"{names[i]} and {names[j]} are swapped")
         now = least
         if now < _BETTER * misfit and now < _FAR_M / 2:
-            return order, ", ".join(said)
+            return None if _is_in_all_rows(names, order, layout) else (order, ", ".join(said))
     return None
+
+
+def _is_in_all_rows(names: Sequence[str], order: Order, layout: MarkerLayout) -> bool:
+    """Whether names are exchanged alike in each of several rows, as a left-handed file has them."""
+    places = np.array([layout.names.index(name) for name in names])
+    row, corner = np.divmod(places, layout.corners)
+    changed = order != np.arange(len(names))
+    if layout.rows == 1 or (row[order] != row).any():
+        return False
+    return int(changed.sum()) == layout.rows * len(set(corner[changed]))

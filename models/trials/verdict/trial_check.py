@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 
+from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.importers.mapping import RecordingMap
@@ -24,8 +26,13 @@ from models.trials.verdict.signal_findings import check_common_clock, judge_sign
 from models.trials.verdict.whole_run.run_findings import judge_run
 from models.trials.verdict.whole_run.zero_markers import without_zeros
 
-__all__ = ["check_trial", "check_trials"]
+__all__ = ["check_trial", "check_trials", "judge_pressures", "refuse_mixed_links"]
 
+LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
+"""Conditions that all trials of one link share."""
+
+ONE_PRESSURE_FRACTION: Final = 0.05
+"""Difference of pressures that are taken for one: the link is 5 % stiffer [assumed]."""
 COLLINEAR: Final = 0.98
 """Correlation of two angles from which their effects cannot be told apart."""
 
@@ -83,17 +90,7 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
     trials : TrialSet
         Of the link.
     """
-    found: list[ImportFinding] = []
-    for key in ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout"):
-        values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
-        if len(values) > 1:
-            listed = "; ".join(_worded(v) for v in values)
-            found.append(
-                ImportFinding(
-                    "refused", "size", f"{key} differs between the trials: {listed}",
-                    "keep the trials of each link in a directory of their own",
-                )
-            )  # fmt: skip
+    found = [*_judge_links(trials), *judge_pressures(trials)]
     found += [*_doubled(trials), *judge_payloads(list(trials))]
     _, held_out = trials.split()
     if not len(held_out):
@@ -113,6 +110,62 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
                 "and gap need none",
             )
         )  # fmt: skip
+    return found
+
+
+def refuse_mixed_links(trials: Sequence[Trial]) -> None:
+    """Refuse trials of several links, as `check_trials` does, before anything is fitted.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        That are used together.
+
+    Raises
+    ------
+    InputError
+        If trials are of several links; it names the first that is not of the link of the first.
+    """
+    for finding in _judge_links(trials)[:1]:
+        first = [getattr(trials[0].meta, key) for key in LINK_FACTS]
+        other = next(t for t in trials if [getattr(t.meta, key) for key in LINK_FACTS] != first)
+        raise InputError(other.path, finding.text, f"correct it, or {finding.remedy}")
+
+
+def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
+    """Finding on trials of several pressures.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        That are used together; a pressure of 0 is unknown.
+    """
+    known = sorted({t.meta.pressure_pa for t in trials if t.meta.pressure_pa > 0})
+    if not known or known[-1] <= (1 + ONE_PRESSURE_FRACTION) * known[0]:
+        return []
+    return [
+        ImportFinding(
+            "warning", "pressure",
+            f"pressure_pa differs between the trials: {known[0]:g} to {known[-1]:g} Pa, and the "
+            "stiffness grows with it",
+            "fit a plant or a predictor to the trials of one pressure",
+        )
+    ]  # fmt: skip
+
+
+def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
+    """Findings on trials of several links: sizes, mounting, markers."""
+    found: list[ImportFinding] = []
+    for key in LINK_FACTS:
+        values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
+        if len(values) > 1:
+            listed = "; ".join(_worded(v) for v in values)
+            found.append(
+                ImportFinding(
+                    "refused", "size", f"{key} differs between the trials: {listed}",
+                    "keep the trials of each link in a directory of their own",
+                )
+            )  # fmt: skip
     return found
 
 

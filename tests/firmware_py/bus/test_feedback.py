@@ -128,6 +128,8 @@ def test_a_lost_answer_is_asked_for_again_where_both_reads_fit(budget_ns, expect
     assert len(transport.written) - sent == 1 + again
     taken_ns = budget_ns - MARGIN_NS if again else budget_ns
     assert clock.now_ns() - start_ns == taken_ns, "a single read has all the time"
+    assert bus.late_ns == (taken_ns - EXCHANGE_NS if again else 0), "the second was sent then"
+    assert (read(bus, clock), bus.late_ns) == (BusStatus.OK, 0)
 
 
 @pytest.mark.parametrize(("short_ns", "again"), [(0, True), (1, False)])
@@ -137,6 +139,7 @@ def test_a_damaged_answer_is_asked_for_again_at_once_where_time_is_left(short_ns
     status = bus.read(start_ns + 2 * EXCHANGE_NS - short_ns)
     assert status is (BusStatus.RETRIED if again else BusStatus.CORRUPT)
     assert len(transport.written) - sent == 1 + again
+    assert bus.late_ns == (EXCHANGE_NS if again else 0)
 
 
 def test_a_read_is_repeated_once_and_no_more():

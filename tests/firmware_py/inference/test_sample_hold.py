@@ -42,6 +42,28 @@ def test_the_observer_waits_for_a_fresh_sample_and_gets_the_time():
     assert 0 < ages[5] < ages[4] < STEP_S  # a gap is remembered for a while
 
 
+def test_a_sample_that_is_late_comes_with_the_time_between_it_and_its_neighbours():
+    observer = Observer()
+    hold = SampleHold(observer)
+    late_s = {1: 0.005, 4: 0.003, 5: 0.003}
+    ages = []
+    for k, fresh in enumerate([True, True, True, False, True, True, False, True]):
+        hold.update(*SAMPLE, fresh, late_s.get(k, 0.0))
+        ages.append(hold.age_s)
+    expected = [0.017, 0.022, 0.012, 0.037, 0.017, 0.031]
+    assert observer.steps_s == pytest.approx(expected)
+    assert ages[1] == ages[2] == 0.0, "no data was missing"
+    assert (ages[3], ages[6]) == pytest.approx((0.017, 0.014))
+
+
+def test_time_never_runs_backwards_after_a_leap_of_the_clock():
+    observer = Observer()
+    hold = SampleHold(observer)
+    for late_s in (0.0, 5.0, 0.0, -3.0, 0.0):
+        hold.update(*SAMPLE, True, late_s)
+    assert all(0.0 < step_s < 2.0 for step_s in observer.steps_s)
+
+
 def test_other_estimators_take_every_sample():
     counter = Counter()
     answers = follow(counter, [True, False, True])

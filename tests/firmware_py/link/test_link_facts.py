@@ -27,7 +27,8 @@ def test_the_nominal_plant_is_of_the_studys_link(plant, tmp_path):
 
 
 def test_a_described_link_tells_its_mounting_and_its_servo(tmp_path):
-    text = 'length_m = 0.6\nwidth_m = 0.1\njoints = 1\n[gravity]\nmounting = "hanging"\n'
+    text = "length_m = 0.6\nwidth_m = 0.1\nbase_offset_m = 0.06\npressure_pa = 20700\n"
+    text += 'payload_kg = 0.1\njoints = 1\n[gravity]\nmounting = "hanging"\n'
     (tmp_path / "link.toml").write_text(text + '[servo]\nmodel = "XM430-W350"\n')
     read_plant(tmp_path / "link.toml").write(tmp_path / "plant.json")
     found = facts_of_plant(plain(tmp_path / "plant.json"))

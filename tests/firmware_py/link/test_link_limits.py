@@ -14,7 +14,16 @@ port = "p"
 id = 1
 model = "XM430-W350"
 """
-LINK = 'length_m = 2.0\nwidth_m = 0.1\njoints = 1\n[servo]\nmodel = "XM430-W350"\n'
+LINK = """
+length_m = 2.0
+width_m = 0.1
+base_offset_m = 0.06
+pressure_pa = 20700
+payload_kg = 0.1
+joints = 1
+[servo]
+model = "XM430-W350"
+"""
 
 
 def read(folder, robot=ROBOT, link=LINK):
@@ -38,7 +47,7 @@ def test_the_box_of_the_tip_holds_the_whole_link(tmp_path):
     [
         (ROBOT.replace("XM430-W350", "H54-200-S500-R"), LINK, "is not the link's XM430-W350"),
         (ROBOT + '[[servos]]\nid = 2\nmodel = "XM430-W350"\n', LINK, "the link 1 joint"),
-        (ROBOT, LINK.replace("2.0", "200"), "length_m is 200"),
+        (ROBOT, LINK.replace("= 2.0", "= 200"), "length_m is 200"),
     ],
 )
 def test_another_link_is_refused(tmp_path, robot, link, said):

@@ -81,6 +81,13 @@ def test_what_the_loop_sends_is_read_back_to_the_bit(tmp_path, dof):
     assert telemetry.drops == 0
 
 
+def test_only_the_first_ticks_are_read_where_that_is_asked(tmp_path):
+    records = ticks(100)
+    write(tmp_path / "run.mcap", records)
+    assert_same(read_recording(tmp_path / "run.mcap", 30).columns, records[:30])
+    assert_same(read_recording(tmp_path / "run.mcap", 500).columns, records)
+
+
 def test_the_file_declares_every_column_with_its_unit(tmp_path):
     from mcap.reader import make_reader
 

@@ -215,6 +215,7 @@ def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(bus_
         clock.sleep_until(10**9 + 17 * MS * tick)
         assert bus.read(clock.now_ns() + 8 * MS) is BusStatus.RETRIED
         assert clock.now_ns() == 10**9 + 17 * MS * tick + 8 * MS, "the second was waited for"
+        assert bus.late_ns == 0, "measured by the first"
 
 
 @pytest.mark.parametrize(
@@ -239,6 +240,7 @@ def test_two_reads_make_one_measurement_where_every_servo_answered_one(bus_of, f
     assert bus.read(clock.now_ns() + 8 * MS) is expected
     if expected.fresh:
         assert bus.angle_rad == pytest.approx([0.2, 0.3], abs=1e-3)
+        assert 0 < bus.late_ns < 4 * MS, "the mean of a joint of each read"
     else:
         np.testing.assert_array_equal(bus.angle_rad, before_rad)
 

@@ -6,6 +6,7 @@ import json
 import threading
 
 import msgspec
+import numpy as np
 import pytest
 
 from firmware_py.documents import write_document
@@ -60,9 +61,13 @@ def test_the_run_is_that_of_the_program(options, tmp_path):  # noqa: F811
     own = result.records[result.records["tick"] >= 1][: TICKS - 2]
     wanted = [swinging({"tick": 0, "time_s": (k - 1) * 0.017})["joint_rad"][0] for k in own["tick"]]
     assert own["goal_1_rad"] == pytest.approx(wanted, abs=1e-9)
-    assert read_trial(tmp_path / "trial" / "sil.csv").meta.motion == "outside"
+    trial = read_trial(tmp_path / "trial" / "sil.csv")
+    assert trial.meta.motion == "outside"
+    assert trial.meta.amplitude_rad == np.abs(trial.goal_rad).max() > 0.05
+    moving = len(trial) - trial.meta.rest_samples
+    assert trial.meta.period_s == pytest.approx(moving * trial.step_s, abs=0.018)
     log = read_recording(tmp_path / LOG_NAME)
-    assert json.loads(log.metadata["motion"])["motion"] == "outside"
+    assert json.loads(log.metadata["motion"]) == {"motion": "outside"}
 
 
 def test_a_map_without_goals_is_refused_as_on_the_robot(tmp_path, capsys):

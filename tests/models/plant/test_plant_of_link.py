@@ -84,3 +84,18 @@ def test_the_index_of_a_plant_follows_the_places_of_the_markers(plant_of):
         y = model.simulate(np.tile([0.3, 0.1], (3, 1)), 0.017)
         found.append(y[0, [v.name for v in model.outputs].index("di")])
     assert found[1] == pytest.approx(found[0] / 2, rel=1e-6) and found[0] > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("gravity", "words"),
+    [
+        (LinkGravity(), "gravity, along -z"),
+        (LinkGravity(mounting="horizontal"), "gravity, along -x"),
+        (LinkGravity(mounting="hanging"), "gravity, along z"),
+        (LinkGravity(direction=(0.0, 3.0, -4.0)), "gravity, along (0, 0.6, -0.8)"),
+    ],
+)
+def test_gravity_is_described_as_the_link_is_mounted(plant_of, tmp_path, gravity, words):
+    plant_of(msgspec.structs.replace(SMALL, gravity=gravity)).write(tmp_path / "plant.json")
+    model = read_plant(tmp_path / "plant.json").step_model(1, "twin")
+    assert [v.description for v in model.parameters if v.name == "gravity_m_s2"] == [words]

@@ -6,7 +6,7 @@ from typing import ClassVar, Final
 
 import casadi as ca
 
-from models.plant.components.drives.drive_protocol import friction_speed_parameter
+from models.plant.components.drives.drive_protocol import current_limit, friction_speed_parameter
 from models.plant.components.drives.goal_shape import (
     above_end,
     above_mean,
@@ -61,10 +61,11 @@ class Cascade:
 
         i = k_v (b w − q̇ + I / T_i),   İ = w − q̇,   τ = k_t i
 
-    the current clipped to its limit, and I held back while it is (back-calculation). A servo
-    without feed-forward, position integral and set-point weight has k_f = k_i = 0 and b = 1. One
-    with a derivative of the position error, or with a PID straight to the current, is the same law
-    with other gains (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
+    the current clipped to its limit, and I held back while it is (back-calculation). The sample of
+    the current within a step is clipped to the same limit. A servo without feed-forward, position
+    integral and set-point weight has k_f = k_i = 0 and b = 1. One with a derivative of the position
+    error, or with a PID straight to the current, is the same law with other gains (Åström and
+    Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
     """
 
     kind: ClassVar[str] = "cascade"
@@ -118,7 +119,7 @@ class Cascade:
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
             held = scope.holding_torque[j] / self.torque_constant(scope, j)
             integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
-            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
+            limit = current_limit(scope, j)
             asked, measured = self._asked_rate(scope, j), scope.measured_rate(j)
             gathered = integral.symbol / scope.p("velocity_integral_time_{j}_s", j)
             weight = scope.p(SETPOINT_WEIGHT, j)

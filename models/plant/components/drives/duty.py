@@ -6,7 +6,11 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.components.drives.drive_protocol import declare_goal, start_offset_parameter
+from models.plant.components.drives.drive_protocol import (
+    current_limit,
+    declare_goal,
+    start_offset_parameter,
+)
 from models.plant.parameter import NO_DEFAULT, Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
@@ -70,8 +74,7 @@ class Duty:
             constant = self.torque_constant(scope, j)
             voltage = duty * scope.inputs[f"supply_{j}_v"][1] - constant * scope.rate[j]
             wanted = voltage / scope.p("winding_resistance_{j}_ohm", j)
-            limit = scope.p("current_limit_{j}_a", j) - scope.current_limit_reduction[j]
-            limit = ca.fmax(limit, 0)
+            limit = ca.fmax(current_limit(scope, j), 0)
             closed = scope.inputs[f"enabled_{j}"][1]
             scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
             scope.motor_torque[j] = constant * scope.current[j]

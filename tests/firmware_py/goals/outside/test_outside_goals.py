@@ -76,7 +76,8 @@ FAULTS = {
     "both": (lambda status: [goal(status, 0.0) | {"tip_m": [0.0]}], r"needs one of joint_rad"),
     "unknown key": (lambda status: [goal(status, 0.0) | {"speed": 1}], r"cannot be read"),
     "too long": (lambda status: [b" " * 600], r"has more than 512 bytes"),
-    "angle": (lambda status: [goal(status, 0.7)], r"wants joint 1 at 0\.700 rad, outside -0\.6"),
+    "angle": (lambda status: [goal(status, 0.7)], r"wants joint 1 at 0\.7 rad, outside -0\.6"),
+    "huge": (lambda status: [goal(status, 1e308)], r"wants joint 1 at 1e\+308 rad, outside -0\.6"),
     "rate": (lambda status: [goal(status, 0.3)], r"moves joint 1 at .* rad/s, the limit is 2"),
     "tip": (lambda status: [{"tick": status["tick"], "tip_m": [0.0]}], r"there is no map"),
 }
@@ -146,4 +147,4 @@ def test_a_place_out_of_reach_is_refused(place):
         return [{"tick": tick, "tip_m": [0.0 if tick < 30 else place]}]
 
     summary, *_ = run(Program(answer), goal_map=linear_map(slope=0.5, gap=True))
-    assert f"wants the tip at ({place:.3f}) m, which is out of reach" in summary.reason
+    assert f"wants the tip at ({place}) m, which is out of reach" in summary.reason

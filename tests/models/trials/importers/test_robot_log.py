@@ -1,4 +1,4 @@
-"""Our own logs as trials: to the bit, and with a word where a log was cut off."""
+"""Our own logs as trials: to the bit, and with a word where a log or its motion was cut off."""
 
 import json
 
@@ -6,10 +6,16 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.bus.registers import TORQUE_LOST
+from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
+from firmware_py.log.recording import read_recording
 from firmware_py.log.sinks import McapSink, TickEncoder
+from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
 from models.__main__ import main
+from models.trials.importers import robot_log
+from models.trials.importers.mapping import RecordingMap
 from models.trials.trial_files import read_trial
 
 MAP = """
@@ -90,3 +96,116 @@ def test_the_payload_is_what_the_log_knows(tmp_path, import_):
     path = log_of(tmp_path / "run.mcap", records_of(1), 1, payload_kg="0.5")
     assert import_(path, MAP.replace("payload_kg = 1.0\n", ""))[0].meta.payload_kg == 0.5
     assert import_(path)[0].meta.payload_kg == 1.0, "the map's own word holds"
+
+
+LATE_NS = 5_000_000
+
+
+def swinging(**columns):
+    """Ticks of a slow swing after a rest of 60, sampled at once but for the rows that are named."""
+    records = records_of(1)
+    time_s = records["time_s"] - 60 * PERIOD_S
+    records["goal_1_rad"] = np.where(time_s > 0, 0.2 * np.sin(2 * time_s), 0.0)
+    records["angle_1_rad"] = records["goal_1_rad"]
+    records["wake_ns"], records["read_ns"] = 80_000, 1_000_000
+    for name, values in columns.items():
+        records[name] = values
+    return records
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("late", [[100, 101, 102, 150], [0, 120, COUNT - 1]])
+def test_samples_of_a_second_read_are_those_of_the_time_of_their_row(
+    tmp_path, monkeypatch, late, told
+):
+    """Whether the log tells how late a sample is, or only how long its read took."""
+    records = swinging()
+    exact = 0.2 * np.sin(2 * records["time_s"])
+    records["angle_1_rad"] = records["current_1_a"] = exact
+    records["bus_status"][late] = BusStatus.RETRIED
+    records["read_ns"][late] += LATE_NS
+    later = 0.2 * np.sin(2 * (records["time_s"] + LATE_NS * 1e-9))
+    records["angle_1_rad"][late] = records["current_1_a"][late] = later[late]
+    log = read_recording(log_of(tmp_path / "run.mcap", records, 1))
+    log.columns.pop("sample_late_ns", None)
+    if told:
+        after = np.where(records["bus_status"] == BusStatus.RETRIED, LATE_NS, 0)
+        log.columns["sample_late_ns"] = records["wake_ns"] + after
+        log.columns["read_ns"] = 0 * records["read_ns"]
+    monkeypatch.setattr(robot_log, "read_recording", lambda path: log)
+    series = robot_log.read_robot_log(tmp_path / "run.mcap", RecordingMap())
+    first = 1 if 0 in late else 0  # before the first sample nothing is known
+    assert np.array_equal(series[0].columns["goal_1_rad"], records["goal_1_rad"])
+    at_once = records["bus_status"][first:] == BusStatus.OK
+    for name in ("angle_1_rad", "current_1_a"):
+        own, raw = series[-1].columns[name], records[name][first:]
+        assert own[at_once].tobytes() == raw[at_once].tobytes()
+        assert np.abs(raw - exact[first:]).max() > 1e-3
+        assert own == pytest.approx(exact[first:], abs=1e-4)
+
+
+ENDS = {
+    "alert": ({"alert": 32}, {}, "a servo raises an alert (overload)"),
+    "torque": ({"alert": TORQUE_LOST}, {}, "a servo raises an alert (its torque went off)"),
+    "no cause": ({"bus_status": BusStatus.ALERT}, {}, "a servo raises an alert (cause unknown)"),
+    "stop": ({"state": SafetyState.STOPPING}, {}, "the robot stops before the end of its motion"),
+    "earlier log": (
+        {"state": SafetyState.STOPPING}, {"slots": None}, "stops before the end of its motion",
+    ),
+    "stale": (
+        {"state": SafetyState.STOPPING, "stale_ticks": 3}, {}, "motion, without fresh data for 3",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_rows_from_an_early_end_on_are_left_out_with_a_word(tmp_path, import_, name):
+    columns, facts, reason = ENDS[name]
+    records, row = swinging(), 200
+    for column, value in columns.items():
+        records[column][row:] = value
+    known = {key: value for key, value in ({"slots": "571"} | facts).items() if value}
+    trial, result = import_(log_of(tmp_path / "run.mcap", records, 1, **known))
+    assert len(trial) == row
+    assert trial.columns["goal_1_rad"].tobytes() == records["goal_1_rad"][:row].tobytes()
+    (said,) = [f["text"] for f in result["findings"] if f["cause"] == "stop"]
+    assert said.startswith("what run.mcap holds from sample 201 (3.40 s) on is left out: ")
+    assert reason in said
+
+
+@pytest.mark.parametrize("facts", [{"slots": "250"}, {"motion": '{"motion": "plan_line"}'}])
+def test_the_stop_after_the_motion_stays(tmp_path, import_, facts):
+    records = swinging()
+    records["state"][250:] = SafetyState.STOPPING
+    if "slots" not in facts:  # nothing tells the end of a plan, but that it rests there
+        records["goal_1_rad"][249:] = records["goal_1_rad"][249]
+    text = MAP + "motion = 'swing'\nperiod_s = 4.0\namplitude_rad = 0.2\n"
+    trial, result = import_(log_of(tmp_path / "run.mcap", records, 1, **facts), text)
+    assert len(trial) == COUNT
+    assert not [f for f in result["findings"] if f["cause"] == "stop"]
+
+
+def test_an_alert_before_the_motion_leaves_no_trial(tmp_path, capsys):
+    records = swinging()
+    records["alert"][70:] = 32
+    path = log_of(tmp_path / "run.mcap", records, 1)
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    words = f"import {path} --as recording --map {tmp_path}/map.toml --out {tmp_path}/out"
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert "from sample 71 (1.19 s) on is left out: a servo raises an alert (overload)" in said
+    assert said.endswith("and hardly any motion is left; record it again.\n")
+    assert not list((tmp_path / "out").glob("*.csv"))
+
+
+@pytest.mark.parametrize("more", [{}, {"period_s": 1.0, "amplitude_rad": 0.0, "phase_2_rad": 0.0}])
+def test_goals_from_outside_tell_their_duration_and_reach(tmp_path, import_, more):
+    """Also in earlier logs, which gave them a motion of no amplitude."""
+    motion = json.dumps({"motion": "outside"} | more)
+    records = swinging()
+    trial, result = import_(log_of(tmp_path / "run.mcap", records, 1, motion=motion))
+    meta = trial.meta
+    assert (meta.motion, meta.rest_samples) == ("outside", 60)
+    assert meta.amplitude_rad == np.abs(records["goal_1_rad"]).max()
+    assert meta.period_s == pytest.approx(PERIOD_S * (COUNT - 60))
+    assert not [f for f in result["findings"] if "amplitude_rad" in f["text"]]

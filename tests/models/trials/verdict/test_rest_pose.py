@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.link.marker_layout import square_layout
 from models.trials.importers.mapping import MocapFrame, RecordingMap
 from models.trials.importers.mocap_frame import nominal_markers_m
 from models.trials.importers.series import Series, marker_columns
@@ -158,3 +159,25 @@ def test_mapped_markers_of_the_base_are_not_missed():
     series = Series(np.arange(3.0), columns, Path("take.csv"))
     mapping = RecordingMap(markers={name: name for name in names})
     assert judge_markers([series], mapping) == []
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (-9.81, 0.0, 0.0)])
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_left_handed_file_mirrors_all_rows_however_few_there_are(rows, gravity):
+    layout = square_layout(0.95, 0.15, rows=rows)
+    meta = msgspec.structs.replace(META, markers=layout, gravity_m_s2=gravity)
+    places_m = nominal_markers_m(meta) + nominal_sag_m(meta, np.eye(3))
+    mirrored_m = noisy(places_m) * [1.0, -1.0, 1.0]
+    pose = rest_pose(dict(zip(layout.names, mirrored_m, strict=True)), meta)
+    found = judge_pose(pose, RecordingMap(), "z")
+    assert [f.text for f in found] == ["corners are named in the order 3, 4, 1, 2"]
+
+
+@pytest.mark.parametrize("pair", [(0, 4), (1, 2)])
+def test_one_pair_of_two_rows_is_still_a_pair(pair):
+    layout = square_layout(0.95, 0.15, rows=2)
+    meta = msgspec.structs.replace(META, markers=layout)
+    swapped = noisy(nominal_markers_m(meta))
+    swapped[list(pair)] = swapped[list(reversed(pair))]
+    found = rest_pose(dict(zip(layout.names, swapped, strict=True)), meta)
+    assert found.order == " and ".join(layout.names[k] for k in pair) + " are swapped"

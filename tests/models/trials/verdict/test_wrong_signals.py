@@ -132,6 +132,14 @@ def test_a_recording_that_was_imported_twice_is_told():
     assert [(f.level, f.cause) for f in found] == [("warning", "doubled")]
 
 
+@pytest.mark.parametrize("pressure_pa, told", [(41300.0, False), (42000.0, False), (20700.0, True)])
+def test_trials_of_several_pressures_are_told(pressure_pa, told):
+    one, other = swung(number=1), swung(number=2)
+    other = replace(other, meta=msgspec.structs.replace(other.meta, pressure_pa=pressure_pa))
+    found = [f for f in check_trials(TrialSet((one, other))) if f.cause == "pressure"]
+    assert bool(found) is told and all("20700 to 41300 Pa" in f.text for f in found)
+
+
 def test_joints_that_move_together_matter_to_a_predictor_only():
     one = swung(dof=2)
     both = {f"{n}_2_{unit}": one.columns[f"{n}_1_{unit}"] for n, unit in SIGNALS}
