@@ -108,6 +108,7 @@ def run(args: argparse.Namespace) -> int:
     from models.plant.identification.trials_link import refuse_other_links
     from models.plant.plant import read_plant
     from models.study.bundle_export import ParityError, write_bundle  # loads scikit-learn
+    from models.study.findings import doubts_of_di
     from models.study.study import run_study
 
     plant = read_plant(args.plant)
@@ -117,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
     from models.tip.candidates.candidate_list import CANDIDATES
     from models.tip.candidates.own_candidate import own_candidate
     from models.tip.tip_training import train_tip
+    from models.trials.verdict.trial_check import judge_pressures
 
     candidates = CANDIDATES
     for path in args.candidate:
@@ -135,25 +137,23 @@ def run(args: argparse.Namespace) -> int:
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
-    _report(args, study.document, tip, parity)
+    doubts = doubts_of_di(study.document)
+    doubts += [f"{f.text}; {f.remedy}" for f in judge_pressures((*training, *further))]
+    data = {"bundle": str(args.out), "parity": parity, "warnings": doubts}
+    _report(args, study.document, tip, data)
     return DONE
 
 
 def _report(
-    args: argparse.Namespace, document: StudyDocument, tip: TipTraining | None,
-    parity: dict[str, float],
-) -> None:  # fmt: skip
+    args: argparse.Namespace, document: StudyDocument, tip: TipTraining | None, data: dict[str, Any]
+) -> None:
     """Print figures of study and robot's predictor, and what is doubtful."""
-    from models.study.findings import doubts_of_di
-
     pooled = {name: of["pooled"] for name, of in document.mean_euclidean_distance_m.items()}
-    data: dict[str, Any] = {"bundle": str(args.out), "parity": parity}
     data |= {"degree": document.chosen_degree, "mean_euclidean_distance_m": pooled}
     text = _summary(args.out, document)
     if tip:
         data["predictor"] = tip.document.chosen
         text = f"{text}\n  the robot gets: {tip.document.reason}"
-    data["warnings"] = doubts_of_di(document)
     emit(args, data, text)
     for warning in data["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)

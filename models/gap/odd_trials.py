@@ -14,6 +14,7 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz
+from models.gap.settings import GapSettings
 from models.shared.kinematics import Array
 from models.trials.trial import TrialSet
 
@@ -52,16 +53,20 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
     point : FitPoint
         With link and set-up refitted.
     """
-    trials, ratio = estimator.residuals.trials, estimator.settings.odd_trial_ratio
+    trials, settings = estimator.residuals.trials, estimator.settings
     found: list[OddTrial] = []
     groups = zip(estimator.residuals.groups, point.rows, estimator.means, strict=True)
     for group, rows, mean in groups:
         own = [trials[k] for k in group.trials]
         payloads = np.array([t.meta.payload_kg for t in own])
         hz = group_frequencies_hz(group, trials)
-        levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean)
+        levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean, settings)
         like = [_level_of_like(k, levels, payloads) for k in range(len(own))]
-        odd = [k for k in np.argsort(-levels) if levels[k] > ratio * max(like[k], 1.0)]
+        odd = [
+            k
+            for k in np.argsort(-levels)
+            if levels[k] > settings.odd_trial_ratio * max(like[k], 1.0)
+        ]
         found += [
             OddTrial(own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), like[k])
             for k in odd[: len(own) // 3]
@@ -76,8 +81,9 @@ def without_odd(trials: TrialSet, odd: Collection[OddTrial]) -> TrialSet:
 
 
 def _levels(
-    floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array
-) -> Array:
+    floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array,
+    settings: GapSettings,
+) -> Array:  # fmt: skip
     """Root mean square of each trial's residual in noise floors; amplification left out."""
     power = []
     for b, signal in enumerate(signals):
@@ -86,11 +92,14 @@ def _levels(
         noise, model = (
             np.interp(hz, floor.frequency_hz, table[signal]) for table in (floor.noise, floor.model)
         )
-        expected = [
+        variances = [
             noise * floor.ratios.noise_at(signal, p, hz)
             + model * floor.ratios.model_at(signal, p, hz)
             for p in payloads_kg
         ]
+        # A signal of a simulation may have no noise at all.
+        least = settings.least_noise_fraction * max(float(np.max(variances)), 1e-12)
+        expected = np.maximum(variances, least)
         power.append(np.mean(rows[:, b] ** 2 / expected, axis=1))
     return np.sqrt(np.mean(power, axis=0)) if power else np.zeros(len(rows))
 

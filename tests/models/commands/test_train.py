@@ -1,5 +1,6 @@
 """Training command: selection of trials, refusals, bundle and summary."""
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -101,3 +102,19 @@ def test_a_place_for_no_bundle_is_refused_before_the_trials_are_read(
     assert told.count("\n") == 1
     assert said in told
     assert (tmp_path / "full" / "notes.txt").read_text() == "kept"
+
+
+def test_trials_of_several_pressures_are_doubted_in_training(toy_trials, tmp_path, capsys):
+    for trial in toy_trials(1, amplitudes_deg=(30,)):
+        meta = trial.meta
+        if meta.payload_kg == 2.0:
+            meta = msgspec.structs.replace(meta, pressure_pa=20e3)
+        size = {"link_length_m": 0.95, "link_width_m": 0.15, "base_offset_m": 0.06}
+        write_trial(replace(trial, meta=msgspec.structs.replace(meta, **size)), tmp_path / "trials")
+    arguments = ["train", str(tmp_path / "trials"), "--dof", "1", "--out", str(tmp_path / "out")]
+    arguments += ["--study-only", "--json", "--plant", "models/plant/nominal.toml"]
+    assert main(arguments) == 0
+    output = capsys.readouterr()
+    told = "warning: pressure_pa differs between the trials: 20000 to 41300 Pa"
+    assert told in output.err
+    assert told.removeprefix("warning: ") in " ".join(json.loads(output.out)["warnings"])
