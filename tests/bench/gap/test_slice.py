@@ -1,4 +1,4 @@
-"""Slice of the gap benchmark: effects hidden in the rig are named with a plant of that rig."""
+"""Slice of the gap benchmark: an effect hidden in the rig is named with a plant of that rig."""
 
 import json
 
@@ -8,8 +8,6 @@ from bench.gap.benchmark_run import run_benchmark
 from bench.gap.cases import draw_cases
 from bench.gap.scores.score_summary import benchmark_figures
 from hil.campaign.case_worker import run_task
-
-SINGLES, NULLS = 1, 1
 
 
 class OwnProcess:
@@ -21,16 +19,19 @@ class OwnProcess:
         yield from map(run_task, tasks)
 
 
+def first_case():
+    return [next(draw_cases(1, 0, 0, 0, seed=0))]
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
-    """Directory of results: an effect, and a data set without any, with a plant of that rig.
+    """Directory of the result of one effect, with a plant of that rig.
 
-    They run in this process: the tests take both cores already.
+    It runs in this process: the tests take both cores already. That nothing is named where nothing
+    is hidden: `tests/models/gap/test_two_joints.py`, on the rig too.
     """
     out = tmp_path_factory.mktemp("slice") / "out"
-    drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    run_benchmark(drawn[:SINGLES], None, out, OwnProcess())
-    run_benchmark(drawn[-NULLS:], None, out, OwnProcess(), sealed=False)
+    run_benchmark(first_case(), None, out, OwnProcess())
     return out
 
 
@@ -39,17 +40,14 @@ def test_what_is_hidden_is_found_and_nothing_else(results):
     assert figures["detected"]["fraction"] == 1.0
     assert figures["class_of_named"]["fraction"] == 1.0
     assert figures["nothing_beside"]["fraction"] == 1.0
-    assert figures["false_alarms"]["fraction"] == 0.0
     # Most of it: this is one case, of friction whose level and speed make up for each other.
     assert figures["fraction_of_gap_removed"]["median"] > 0.5
 
 
 def test_each_case_leaves_a_file_of_its_own_and_is_not_run_again(results):
     files = sorted((results / "results").rglob("*.json"))
-    assert len(files) == SINGLES + NULLS
     before = {f: f.stat().st_mtime_ns for f in files}
-    drawn = list(draw_cases(1, NULLS, 0, 0, seed=0))
-    assert run_benchmark(drawn[:SINGLES], None, results).kept == SINGLES
+    assert run_benchmark(first_case(), None, results).kept == 1
     assert {f: f.stat().st_mtime_ns for f in files} == before
     kinds = [json.loads(f.read_text())["config"]["case"]["kind"] for f in files]
-    assert sorted(kinds) == ["null", "single"]
+    assert kinds == ["single"]

@@ -119,7 +119,12 @@ def test_a_plan_that_breaks_a_limit_is_refused_with_its_row(plant, limits, sente
 
 @pytest.mark.parametrize(
     ("payloads", "sentence"),
-    [((), "are"), ((1.0, 0.5), "give rising masses"), ((-1.0,), "rising"), ((0.0, 9.0), "reach 9")],
+    [
+        ((), "are"),
+        ((1.0, 0.5), "give rising masses"),
+        ((-1.0,), "rising"),
+        ((0.0, 9.0), "is 9 kg; give 0 to 3 kg"),
+    ],
 )
 def test_payloads_that_cannot_be_are_refused(plant, payloads, sentence):
     path = built_in_path("line", 1, PERIOD_S, PathOptions())

@@ -28,6 +28,7 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
         settings=SimpleNamespace(same_link=False),
         refitted=dict(refitted),
         tested=[SimpleNamespace(further=further)],
+        odd_trials=(),
     )
 
 
@@ -53,6 +54,22 @@ def test_the_next_step_follows_from_what_is_undecided(found, words):
     assert words in next_step_in_words(found)
 
 
+def test_an_odd_trial_is_mended_first_and_a_refitted_link_is_the_better_plant():
+    found = document("no gap", answers=Answers(0.7, 0.2, 0.1), refitted={"link_mass_kg": None})
+    found.odd_trials = (SimpleNamespace(name="load2_trial1"),)
+    said = next_step_in_words(found)
+    assert said.startswith("Check payload_kg, conditions and recording of load2_trial1")
+    assert "Without it: plant.json holds the refitted link" in said
+
+
+def test_a_further_effect_that_was_refused_is_not_asked_for():
+    further = FurtherEffect("backlash", separation=40.0, least=20.0)
+    found = document("reduced", "creep", further=further)
+    assert "whether backlash is missing too" in next_step_in_words(found)
+    found.refused = [SimpleNamespace(effect="backlash", kind="held-out error")]
+    assert "backlash" not in next_step_in_words(found)
+
+
 def test_every_answer_has_its_probability_and_likely_effects_are_listed():
     answers = Answers(nothing=0.003, catalogue=0.96, outside=0.037)
     found = document(
@@ -74,7 +91,7 @@ def test_no_probability_is_said_to_be_certain():
     [
         (
             40.0,
-            "backlash would take up most of it (d′ 40; noise and these errors reach 20)",
+            "backlash would take up most of it (by d′ 40, noise and these errors by 20)",
         ),
         (19.0, "a residual above the noise floor is left"),
     ],

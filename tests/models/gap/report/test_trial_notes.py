@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -21,8 +22,16 @@ def document(curve="measured", amplification=(), patterns="measured", signals=("
         "changed_conditions": (),
         "settings": DEFAULT_SETTINGS,
         "refused": [],
+        "odd_trials": (),
     }
     return SimpleNamespace(noise_floor=floor, **plain | others)
+
+
+def test_a_trial_that_was_left_out_is_noted_with_its_size():
+    (said,) = notes_in_words(document(odd_trials=(OddTrial("p2_r2", "p2_r2.csv", 1.0, 8.9, 1.6),)))
+    assert said == (
+        "left out: p2_r2 (1 kg) differs from the plant by 8.9 noise floors, its like by 1.6"
+    )
 
 
 def test_nothing_is_noted_of_plain_trials():
