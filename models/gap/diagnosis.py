@@ -140,7 +140,7 @@ class Diagnosis:
         Factor on the power of the floor by payload in kg, see
         `models.gap.estimation.measured_floor.with_amplified_scatter`.
     odd : tuple of OddTrial
-        Trials that were left out because they differ from their like.
+        Trials that were left out because they differ far more than comparable ones.
     """
 
     plant: Plant

@@ -1,8 +1,8 @@
-"""Trials that differ from the plant far more than their like: of a wrong payload, or disturbed.
+"""Trials that differ from the plant far more than comparable ones: disturbed, or of a wrong payload.
 
 An effect shows alike in repetitions, and at a payload between two others no more than at these. A
-trial that lies far above its like is a matter of this trial, not of the robot: no effect is to be
-named by it.
+trial that lies far above comparable ones is a matter of this trial, not of the robot: no effect is
+to be named by it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class OddTrial:
         Of the trial, and of its file.
     payload_kg : float
         As its conditions say.
-    floors, floors_of_like : float
+    floors, floors_of_comparable : float
         Root mean square of its difference from the plant in noise floors, and that of its
         repetitions, or of the other trials of its motion where there are none.
     """
@@ -38,11 +38,11 @@ class OddTrial:
     path: str
     payload_kg: float
     floors: float
-    floors_of_like: float
+    floors_of_comparable: float
 
 
 def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
-    """Trials that lie above their like by `GapSettings.odd_trial_ratio`.
+    """Trials that lie above comparable ones by `GapSettings.odd_trial_ratio`.
 
     At most a third of a motion's trials can be odd; these are the ones that differ most.
 
@@ -61,14 +61,16 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
         payloads = np.array([t.meta.payload_kg for t in own])
         hz = group_frequencies_hz(group, trials)
         levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean, settings)
-        like = [_level_of_like(k, levels, payloads) for k in range(len(own))]
+        comparable = [_level_of_comparable(k, levels, payloads) for k in range(len(own))]
         odd = [
             k
             for k in np.argsort(-levels)
-            if levels[k] > settings.odd_trial_ratio * max(like[k], 1.0)
+            if levels[k] > settings.odd_trial_ratio * max(comparable[k], 1.0)
         ]
         found += [
-            OddTrial(own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), like[k])
+            OddTrial(
+                own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), comparable[k]
+            )
             for k in odd[: len(own) // 3]
         ]
     return tuple(found)
@@ -104,7 +106,7 @@ def _levels(
     return np.sqrt(np.mean(power, axis=0)) if power else np.zeros(len(rows))
 
 
-def _level_of_like(trial: int, levels: Array, payloads_kg: Array) -> float:
+def _level_of_comparable(trial: int, levels: Array, payloads_kg: Array) -> float:
     """Level of a trial's repetitions; else of all others, where some have less and some more load.
 
     An effect may show at the least or the largest payload alone: infinity there.

@@ -277,7 +277,7 @@ class GapDocument(Document, frozen=True):
     changed_conditions : tuple of ChangedCondition
         Conditions of the trials that no trial of the plant has.
     odd_trials : tuple of OddTrial
-        Trials that were left out, because they differ from the plant far more than their like.
+        Trials that were left out, because they differ from the plant far more than comparable ones.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
         that of the plant as given: 1 where nothing was named.

@@ -27,7 +27,7 @@ def _odd_trials(document: GapDocument) -> str:
     """Trials that were left out, and by how much they differ; empty if none was."""
     rows = "; ".join(
         f"{o.name} ({o.payload_kg:g} kg) differs from the plant by {o.floors:.1f} noise floors, "
-        f"its like by {o.floors_of_like:.1f}"
+        f"comparable trials by {o.floors_of_comparable:.1f}"
         for o in document.odd_trials
     )
     return rows and f"left out: {rows}"
