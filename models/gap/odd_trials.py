@@ -1,4 +1,4 @@
-"""Trials that differ from the plant far more than comparable ones: disturbed, or of a wrong payload.
+"""Trials that differ from the plant far more than comparable ones: disturbed or mislabelled.
 
 An effect shows alike in repetitions, and at a payload between two others no more than at these. A
 trial that lies far above comparable ones is a matter of this trial, not of the robot: no effect is
