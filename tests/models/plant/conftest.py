@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import square_corners_m
 from models.plant.plant import read_plant
 from models.plant.simulation.compiled_model import CompiledModel
@@ -142,3 +143,15 @@ def _markers(plant, values, dof):
         at = at + (segment * (1 + strain))[:, :, None] * up[:, None, :]
         rows.append(at)
     return np.concatenate(rows, axis=1)
+
+
+@pytest.fixture
+def plant_of(tmp_path):
+    """Function (link) -> plant of its file, as `models new` writes it."""
+
+    def plant(link):
+        path = tmp_path / "link.toml"
+        path.write_text(link_toml(link, 1.0, 1.0), encoding="utf-8")
+        return read_plant(path)
+
+    return plant

@@ -10,7 +10,6 @@ import pytest
 
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkServo
-from firmware_py.link.link_file import link_toml
 from models.commands import linearise
 from models.commands.simulate import _cases, _complete_from_link
 from models.plan.planning import PlanRequest, check_request
@@ -27,16 +26,6 @@ SMALL = LinkDescription(
     length_m=0.6, width_m=0.1, pressure_pa=20_700.0, payload_kg=0.1, joints=1,
     servo=LinkServo(model="XM430-W350"),
 )  # fmt: skip
-
-
-@pytest.fixture
-def plant_of(tmp_path):
-    def plant(link):
-        path = tmp_path / "link.toml"
-        path.write_text(link_toml(link, 1.0, 1.0), encoding="utf-8")
-        return read_plant(path)
-
-    return plant
 
 
 def bounds(plant, kind):

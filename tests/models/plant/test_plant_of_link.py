@@ -10,7 +10,6 @@ from firmware_py.link.link_description import (
     LinkGravity,
     LinkServo,
 )
-from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.plant.plant import read_plant
 from models.rig.rig_of_link import rig_of_link
@@ -21,16 +20,6 @@ SMALL = LinkDescription(
     markers=square_layout(0.6, 0.1, rows=3), servo=LinkServo(model="XM430-W350"),
     gravity=LinkGravity(mounting="hanging"),
 )  # fmt: skip
-
-
-@pytest.fixture
-def plant_of(tmp_path):
-    def plant(link):
-        path = tmp_path / "link.toml"
-        path.write_text(link_toml(link, 1.0, 1.0), encoding="utf-8")
-        return read_plant(path)
-
-    return plant
 
 
 def test_the_studys_link_gives_the_studys_plant_and_rig(plant_of):
