@@ -16,15 +16,13 @@ from firmware_py.motion import Motion
 from firmware_py.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
 from models.plant.identification.doubts import ALIKE_M_S2
+from models.plant.identification.trials_link import SAME_SIZE_FRACTION
 from models.plant.simulation.compiled_model import model_inputs
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
 Array = NDArray[np.float64]
-
-ALIKE_M: Final = 1e-3
-"""Largest difference of two sizes that are taken for one: what a ruler tells [assumed]."""
 
 
 def usual_payload_kg(parts: FmuParts) -> float:
@@ -65,7 +63,7 @@ def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, 
 
     for name in ("link_length_m", "link_width_m", "base_offset_m"):
         size_m = getattr(meta, name)
-        if abs(size_m - own(name)) > ALIKE_M:
+        if abs(size_m - own(name)) > SAME_SIZE_FRACTION * meta.link_length_m:
             raise InputError(
                 trial.path,
                 f"is of another link than the FMU: {name} {size_m:g} in place of {own(name):g}",

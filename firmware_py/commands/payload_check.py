@@ -36,8 +36,7 @@ SHORTEST_STEP_S: Final = 1e-3
 """Shortest step of the observer: two samples of a late and of a punctual tick are further apart."""
 LEAST_DIFFERENCE: Final = 0.3
 """Least difference that is told, over the observer's deviation before anything is measured (1 kg
-for the study's link). A plant of one rig was off by 0.06 on rigs with hidden effects, by 0.24 on
-those of another structure, with 0 to 2 kg."""
+for the study's link) [assumed: more than a plant of another structure errs by]."""
 LEAST_DEVIATIONS: Final = 4.0
 """The same in standard deviations of the estimate [assumed: those are of a right plant]."""
 _VARIANCE: Final = "states.covariance_1_1"
