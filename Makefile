@@ -107,7 +107,7 @@ $(READY): requirements/workshop.txt pyproject.toml
 	    { echo "Python's venv is incomplete here: apt install python3-venv, then make again"; exit 1; }; \
 	  echo "setting up .venv (2.2 GB, a minute or two)"; \
 	  $(PYTHON) -m venv .venv && \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes \
 	    -r requirements/workshop.txt && \
 	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
 	    --no-build-isolation -e . ; \
@@ -433,7 +433,7 @@ mutate: $(READY)
 
 bench: build/twin_2dof.fmu
 	$(BIN)/python -m bench.onnx
-	$(BIN)/python -m bench.sdk_loop --bundle build/bundle_2dof --fmu $<
+	$(BIN)/python -m bench.robot.sdk_loop --bundle build/bundle_2dof --fmu $<
 
 fuzz-fmu: $(READY)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
@@ -519,7 +519,7 @@ build/bench/files.json: FORCE | $(READY)
 # Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
 build/bench/live_viewers.json: build/twin_2dof.fmu FORCE
 	@rm -f $@
-	$(BIN)/python -m bench.live_viewers --bundle build/bundle_2dof --fmu $< --out $(@D) >&2 || [ -f $@ ]
+	$(BIN)/python -m bench.robot.live_viewers --bundle build/bundle_2dof --fmu $< --out $(@D) >&2 || [ -f $@ ]
 
 build/bench/mutants.json: FORCE | $(READY)
 	@rm -f $@

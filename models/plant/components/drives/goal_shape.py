@@ -178,9 +178,13 @@ def goal_rate(scope: Scope, joint: int) -> Expr:
 
 
 def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
-    """Phase of the step at which the current is sampled, from the jump of the goal on."""
+    """Phase at which the current is sampled, from the last jump of the goal on, above 0 to 1.
+
+    A sample taken before the delayed jump lies behind that of a step before.
+    """
     delay_s = scope.p("goal_delay_{j}_s", joint)
-    return scope.p("current_phase_{j}", joint) - delay_s / step_s
+    phase = scope.p("current_phase_{j}", joint) - delay_s / step_s
+    return phase - ca.ceil(phase) + 1.0
 
 
 def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:

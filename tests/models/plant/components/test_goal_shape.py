@@ -149,6 +149,22 @@ def test_a_goal_that_takes_effect_late_moves_the_joint_late(pendulum, interpolat
     np.testing.assert_allclose(y["angle_1_rad"][settled], expected[settled], atol=1e-4)
 
 
+@pytest.mark.parametrize("phase, delay_s", [(0.9, 0.004), (0.3, 0.01), (0.1, 0.004)])
+def test_the_current_of_a_late_goal_is_the_earlier_one_also_before_its_jump(
+    pendulum, phase, delay_s
+):
+    goal = sinusoid(300)
+    y = run(pendulum, goal, current_phase_1=phase, goal_delay_1_s=delay_s)
+    earlier = phase - delay_s / STEP_S
+    steps_before = 0 if earlier > 0.0 else 1
+    _, at_phase = integrated(goal, 0.0, earlier + steps_before)
+    _, at_end = integrated(goal, 0.0)
+    settled = slice(60, None)
+    error = (y["current_1_a"][1 + steps_before :] - at_phase[: 300 - steps_before])[settled]
+    moved = (at_phase - at_end)[settled]
+    assert np.sqrt(np.mean(error**2)) < 0.06 * np.sqrt(np.mean(moved**2))
+
+
 @pytest.mark.parametrize("interpolation, phase", [(0.0, 0.7), (0.0, 0.4), (0.5, 0.4), (1.0, 0.2)])
 def test_the_current_is_sampled_at_its_phase(pendulum, interpolation, phase):
     """A line between two ends of steps leaves out the ripple of a goal whose slope has kinks."""

@@ -1,6 +1,6 @@
 """Transmission time of a tick by bus plan: two PH54 at 1 Mbaud and a return delay of 500 µs.
 
-    python -m bench.bus_budget
+    python -m bench.robot.bus_budget
 
 Prints the times as JSON; `dropstitch doctor --bus` shows them for a configured robot.
 """

@@ -6,7 +6,7 @@ one that is refused tries again. Probes of real-time priority on both processors
 own account are the witnesses of the host: a read that took longer than the robot waits for an
 answer, or a slot that was missed, is explained where they saw the host stand still meanwhile.
 
-    python -m bench.live_viewers --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --runs 10
+    python -m bench.robot.live_viewers --bundle build/bundle_1dof --fmu build/twin_1dof.fmu
 
 Writes OUT/live_viewers.json; exit 1 if a read or a slot stays unexplained.
 """
@@ -69,7 +69,7 @@ _PIECE_BYTES: Final = 64
 def main(argv: Sequence[str] | None = None) -> int:
     """Run and judge; or, with --view, be the viewers."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench.live_viewers", description=__doc__,
+        prog="python -m bench.robot.live_viewers", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--bundle", type=Path)
@@ -202,7 +202,7 @@ def _free_port() -> int:
 def _readers(port: int, count: int) -> Iterator[list[int]]:
     """Process with the viewers; yields the numbers of admitted ones that it reports."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "bench.live_viewers", "--view", str(port), "--readers", str(count)],
+        [sys.executable, "-m", __spec__.name, "--view", str(port), "--readers", str(count)],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     admitted: list[int] = []

@@ -1,6 +1,6 @@
 """Size of the wheel and start-up times of the robot image.
 
-    python -m bench.robot_image
+    python -m bench.robot.robot_image
 
 Prints JSON. Times are the best of several fresh processes on this machine.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-ROOT: Final = Path(__file__).parents[1]
+ROOT: Final = Path(__file__).parents[2]
 REPEATS: Final = 7
 
 

@@ -11,7 +11,7 @@ SDK, FIFO      the same with the real-time rights of the robot's loop
 
 Writes OUT/loop.json; exit 1 if the robot's loop misses more slots than the SDK.
 
-    python -m bench.sdk_loop --bundle build/bundle_2dof --fmu build/twin_2dof.fmu --out build/bench
+    python -m bench.robot.sdk_loop --bundle build/bundle_2dof --fmu build/twin_2dof.fmu
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Setting(NamedTuple):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the comparison."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench.sdk_loop", description=__doc__,
+        prog="python -m bench.robot.sdk_loop", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--bundle", type=Path, required=True)

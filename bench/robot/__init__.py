@@ -1,0 +1,1 @@
+"""Measurements of the robot's loop, its bus and its image."""
