@@ -6,12 +6,14 @@ The error of the end effector is given beside that of a rigid link at the measur
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import msgspec
 
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
+from models.plant.identification.doubts import evaluation_doubts
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
@@ -34,6 +36,8 @@ def run(args: argparse.Namespace) -> int:
     refuse_other_links(plant, args.plant, trials)
     result = evaluate_plant(plant, trials)
     emit(args, msgspec.to_builtins(result), evaluation_text(result))
+    for warning in evaluation_doubts(result):
+        print(f"warning: {warning}", file=sys.stderr)
     return DONE
 
 

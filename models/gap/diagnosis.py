@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 from threadpoolctl import threadpool_limits
 
 from firmware_py.errors import InputError
@@ -234,6 +235,12 @@ def diagnose(
             return replace(rest, odd=(*odd, *rest.odd))
         result = search.search()
         decision = decide(search, result)
+    joints_alike = trials[0].meta.dof > 1 and not settings.separate_joints
+    if decision.verdict == "not in the catalogue" and joints_alike:
+        by_joint = msgspec.structs.replace(settings, separate_joints=True)
+        found = diagnose(plant, recorded, report, leave_out, by_joint, given_floor, patterns)
+        if found.named:
+            return found
     result, accepted = decision.result, decision.accepted
     hypotheses = posterior_of(search, result, decision.answers)
     report("tested on what was left out", 1)
@@ -309,7 +316,8 @@ def all_fit_parameters(
         Tuned numbers.
     """
     dof = trials[0].meta.dof
-    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, dof)]
+    separate = settings.separate_joints
+    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, dof, separate)]
     return nuisance_and_variation(plant, trials, settings) + effects
 
 

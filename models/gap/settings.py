@@ -79,6 +79,12 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     frame_variation_m: float = 0.0003
     """Standard deviation of each coordinate of the mocap frame between repetitions [assumed]."""
 
+    # Search over the joints
+    separate_joints: bool = False
+    """Whether every effect has a strength for each joint. Servos of a type have the same effects,
+    so one strength for both comes first; a fault of one servo is looked for where that leaves a gap
+    that no effect of the catalogue explains."""
+
     # Noise floor
     noise_floor_rounds: int = 3
     """Times that floor and trial variation are found in turn [assumed]."""

@@ -6,6 +6,7 @@ Writes OUT/gap.json (results), OUT/plant.json (the improved plant) and OUT/repor
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -57,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words
     from models.gap.settings import GapSettings
+    from models.plant.identification.doubts import evaluation_doubts
+    from models.plant.identification.evaluation import evaluate_plant
 
     if args.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == args.dof)
@@ -77,4 +80,8 @@ def run(args: argparse.Namespace) -> int:
     )
     progress.step("done", 0)
     emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")
-    return NEGATIVE if found.verdict == "not in the catalogue" else DONE
+    if found.verdict != "not in the catalogue":
+        return DONE
+    for warning in evaluation_doubts(evaluate_plant(plant, found.trials)):
+        print(f"warning: {warning}", file=sys.stderr)
+    return NEGATIVE

@@ -108,7 +108,8 @@ class SeparationModel:
         self.rivals, self.settings, self.like = tuple(rivals), settings, trials[0]
         effects = sorted({e for r in rivals for e in r.effects})
         dof = trials[0].meta.dof
-        own = [q for e in effects for q in effect_fit_parameters(plant, e, dof)]
+        separate = settings.separate_joints
+        own = [q for e in effects for q in effect_fit_parameters(plant, e, dof, separate)]
         every = nuisance_and_variation(plant, trials, settings) + own
         residuals = Residuals(plant, trials, every, settings)
         self._estimator = GaussNewton(residuals, noise_floor_for(residuals, patterns))

@@ -16,8 +16,8 @@ def notes_in_words(document: GapDocument) -> list[str]:
         Of a diagnosis.
     """
     notes = (
-        _odd_trials(document), _goal_not_followed(document), _nuisance_bias(document),
-        _rows_fitted(document), _own_error(document), _patterns(document),
+        _odd_trials(document), _separate_joints(document), _goal_not_followed(document),
+        _nuisance_bias(document), _rows_fitted(document), _own_error(document), _patterns(document),
         _amplification(document), *_changed(document), _link(document),
     )  # fmt: skip
     return [text for text in notes if text]
@@ -31,6 +31,13 @@ def _odd_trials(document: GapDocument) -> str:
         for o in document.odd_trials
     )
     return rows and f"left out: {rows}"
+
+
+def _separate_joints(document: GapDocument) -> str:
+    """That effects differ between the joints; empty where they are alike, as tried first."""
+    if not document.settings.separate_joints:
+        return ""
+    return "no effect that is alike in both joints explains the gap: each has its own strength here"
 
 
 def _goal_not_followed(document: GapDocument) -> str:

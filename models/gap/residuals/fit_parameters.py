@@ -182,7 +182,22 @@ def trial_fit_parameters(
     return result
 
 
-def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParameter]:
+def is_alike_in_joints(name: str) -> bool:
+    """Whether an effect's strength is first taken as the same in every joint.
+
+    Parameters
+    ----------
+    name : str
+        Effect of the catalogue.
+    """
+    effect = EFFECTS[name]
+    own = effect.of_each_joint or effect.port in ("bend_torque", "stiffness")
+    return bool(effect.per_joint) and not own
+
+
+def effect_fit_parameters(
+    plant: Plant, name: str, dof: int, separate_joints: bool = False
+) -> list[FitParameter]:
     """Fit parameters of one effect: its strength first, then others that may be fitted.
 
     A servo's effect is the same in every joint, but for offsets (`Effect.of_each_joint`); that of
@@ -197,12 +212,14 @@ def effect_fit_parameters(plant: Plant, name: str, dof: int) -> list[FitParamete
         Effect of the catalogue.
     dof : int
         Number of joints.
+    separate_joints : bool
+        Whether every effect has a strength for each joint.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
     scope = scope_of(plant.drive, plant.load, dof)
     declared = [q.name for q in effect.parameters(scope)]
-    tied = effect.port not in ("bend_torque", "stiffness") and not effect.of_each_joint
+    tied = is_alike_in_joints(name) and not separate_joints
     groups: list[list[str]] = []
     for q in effect.per_joint:
         own = [scope.name(q.name, j) for j in scope.joints]

@@ -18,8 +18,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from models.gap.residuals.fit_parameters import is_alike_in_joints
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
@@ -139,7 +141,17 @@ def null_distribution_of(
         known = measured.get(f"{dof}{WITHOUT_PATTERNS}", known)
     if known is None:
         return assumed
+    if settings.separate_joints:
+        known = _of_separate_joints(known, dof)
     return msgspec.structs.replace(known, threshold=settings.least_threshold)
+
+
+def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
+    """Distribution where each joint has its own strength [assumed: they are independent]."""
+    more = {e: float(np.sqrt(dof)) if is_alike_in_joints(e) else 1.0 for e in EFFECTS}
+    own = (known.standard_deviation, known.unchanged_deviation)
+    changed, unchanged = ({e: s * more.get(e, 1.0) for e, s in one.items()} for one in own)
+    return msgspec.structs.replace(known, standard_deviation=changed, unchanged_deviation=unchanged)
 
 
 def calibrated_null_distribution(

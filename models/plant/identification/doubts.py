@@ -11,10 +11,10 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from models.plant.identification.identification import Identification
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
-from models.plant.provenance import DofEvaluation
+from models.plant.provenance import DofEvaluation, Evaluation
 from models.trials.trial import TrialSet
 
-__all__ = ["check_weight", "doubts"]
+__all__ = ["check_weight", "doubts", "evaluation_doubts"]
 
 LARGE_FRACTION: Final = 0.1
 """Error of the tip, as a fraction of its deflection, beyond which a payload is named [assumed; 10
@@ -46,16 +46,31 @@ def doubts(found: Identification) -> list[str]:
                 "determine it, or the plant lacks something that it stands in for"
             )
     for dof, error in found.held_out.dof.items():
-        plant_m, rigid_m = error.tip_rms_m, error.rigid_tip_rms_m
-        if plant_m is not None and rigid_m is not None and plant_m >= rigid_m:
-            said.append(
-                f"{dof}DOF: the plant misses the tip by {LENGTH.text(plant_m, 2)}, a rigid link by "
-                f"{LENGTH.text(rigid_m, 2)}: check the link's size, mounting and the signs of the "
-                "trials ('models validate')"
-            )
-        else:
-            said += _payloads_missed(dof, error)
+        said += _no_better_than_rigid(dof, error) or _payloads_missed(dof, error)
     return said
+
+
+def evaluation_doubts(found: Evaluation) -> list[str]:
+    """What a user has to look at where a plant is compared with other trials, one sentence each.
+
+    Parameters
+    ----------
+    found : Evaluation
+        Of the plant on the trials.
+    """
+    return [text for dof, error in found.dof.items() for text in _no_better_than_rigid(dof, error)]
+
+
+def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
+    """A plant that misses the tip by as much as a rigid link."""
+    plant_m, rigid_m = error.tip_rms_m, error.rigid_tip_rms_m
+    if plant_m is None or rigid_m is None or plant_m < rigid_m:
+        return []
+    return [
+        f"{dof}DOF: the plant misses the tip by {LENGTH.text(plant_m, 2)}, a rigid link by "
+        f"{LENGTH.text(rigid_m, 2)}: check the link's size, mounting and the signs of the "
+        "trials ('models validate')"
+    ]
 
 
 def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:

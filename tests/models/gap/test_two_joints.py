@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from models.gap.diagnosis import diagnose
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor_fit import (
@@ -10,11 +11,13 @@ from models.gap.estimation.noise_floor_fit import (
     nuisance_and_variation,
     with_noise_floor,
 )
-from models.gap.residuals.fit_parameters import effect_fit_parameters
+from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.null_distribution import null_distribution_of
-from models.gap.settings import DEFAULT_SETTINGS
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.composition.plant_composition import scope_of
+from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant
 
 FRICTION_NM_S_RAD = 4.0
@@ -56,6 +59,34 @@ def test_one_strength_for_both_servos_but_each_goal_has_its_staircase(effect, st
     moved = [set(q.parameters) for q in effect_fit_parameters(read_plant(), effect, 2)]
     assert moved[0] == {strength.format(j) for j in (1, 2)}
     assert all({staircase.format(j)} in moved for j in (1, 2))
+
+
+@pytest.mark.parametrize(
+    "effect, alike", [("coulomb_friction", True), ("position_gain_change", False)]
+)
+def test_joints_by_themselves_have_a_strength_each_and_a_larger_null(effect, alike):
+    plant, by_joint = read_plant(), GapSettings(separate_joints=True)
+    tied, separate = (effect_fit_parameters(plant, effect, 2, own) for own in (False, True))
+    strengths = EFFECTS[effect]().strengths(scope_of(plant.drive, plant.load, 2))
+    assert [set(q.parameters) for q in separate[: len(strengths)]] == [{s} for s in strengths]
+    assert (tied == separate) is not alike
+    shared, own = (null_distribution_of(plant, 2, True, s) for s in (DEFAULT_SETTINGS, by_joint))
+    assert own.least([effect]) == pytest.approx(shared.least([effect]) * (2**0.5 if alike else 1))
+
+
+def test_a_fault_of_one_servo_is_found_in_its_joint(two_joints, trials_of):
+    """With one strength for both joints nothing of the catalogue explains it."""
+    name = "viscous_friction_2_nm_s_rad"
+    value = two_joints.parameters[name].value
+    trials = trials_of(two_joints.with_values({name: value + FRICTION_NM_S_RAD}), 7, (1.0,), dof=2)
+    left_out = [e for e in candidate_effects(two_joints) if e not in ("viscous_friction", "creep")]
+    found = diagnose(two_joints, trials, leave_out=left_out)
+    assert (found.verdict, found.named) == ("closed", ("viscous_friction",))
+    assert found.settings.separate_joints
+    after = found.improved.parameters
+    assert after[name].value - value == pytest.approx(FRICTION_NM_S_RAD, rel=0.1)
+    other = name.replace("_2_", "_1_")
+    assert abs(after[other].value - two_joints.parameters[other].value) < 0.3
 
 
 def test_where_no_patterns_are_known_more_counts_as_noise(two_joints, trials_of):

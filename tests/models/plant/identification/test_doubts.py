@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from models.plant.identification.doubts import doubts
+from models.plant.identification.doubts import doubts, evaluation_doubts
 from models.plant.identification.identification import Identification
 from models.plant.plant import read_plant
 from models.plant.provenance import DofEvaluation, Evaluation, TipError
@@ -45,6 +45,8 @@ def test_a_payload_that_is_badly_missed_is_named(tip_m, rigid_m, named):
 def test_a_plant_no_better_than_a_rigid_link_is_named_once():
     (said,) = doubts(found(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06)))
     assert "a rigid link" in said
+    assert evaluation_doubts(found(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06)).held_out) == [said]
+    assert evaluation_doubts(found().held_out) == []
 
 
 def test_without_motion_capture_nothing_is_said_of_the_tip():
