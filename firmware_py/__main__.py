@@ -5,7 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from firmware_py.console import Command, dispatch
+from firmware_py.commands.early_interrupt import quiet_interrupt
+
+quiet_interrupt("dropstitch")  # before the imports that take time
+
+from firmware_py.console import Command, dispatch  # noqa: E402
 
 COMMANDS = (
     Command("run", "firmware_py.commands.run", "run the control loop", linux_only=True),

@@ -17,12 +17,16 @@ clock differ.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.errors import InputError, SafetyTrip
-from firmware_py.goals.goal_source import GoalSource
+from firmware_py.goals.goal_source import GoalSource, OwnGoals
 from firmware_py.goals.tip_feedback import Correction, NoCorrection
 from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
@@ -31,19 +35,18 @@ from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters, NoCounters
 from firmware_py.realtime.service import NoService, Service
 from firmware_py.realtime.stop_signals import signals_to
+from firmware_py.safety.away_ticks import AwayTicks
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
-from firmware_py.tick_log import Tick, TickLog
+from firmware_py.tick_log import LONGEST_STEP_SLOTS, Tick, TickLog
 
 __all__ = ["ControlLoop"]
 
 _START_DELAY_NS: Final = 2_000_000
 _REPLUG_POLL_NS: Final = 50_000_000
-_LONGEST_STEP_SLOTS: Final = 100
-"""Largest step of an estimator: after a leap of the clock it must not compute for long."""
 
 
 class ControlLoop:
@@ -130,6 +133,7 @@ class ControlLoop:
         self._start_ns: int | None = None
         self._bus_status = BusStatus.OK
         self._replugs = 0
+        self._away = AwayTicks()
 
     def stop(self, reason: str) -> None:
         """Request a controlled stop, also from a signal handler or another thread.
@@ -212,7 +216,9 @@ class ControlLoop:
             return False
         self._supervisor.restart()
         self._get_ready()
+        self._supervisor.resume(self._ahead())
         self._replugs += 1
+        self._away.leave()
         return True
 
     def _run_slots(self) -> None:
@@ -221,8 +227,6 @@ class ControlLoop:
         if self._start_ns is None:
             slots_before = self._supervisor.approach(self._goals.at(0)) + self._goals.lead
             self._start_ns = clock.now_ns() + slots_before * period_ns + _START_DELAY_NS
-        else:
-            self._supervisor.resume()
         start_ns = self._start_ns
         slot = -((start_ns - clock.now_ns()) // period_ns)
         self._previous_slot = slot - 1
@@ -234,8 +238,17 @@ class ControlLoop:
                 continue
             clock.sleep_until(deadline_ns)
             end_ns = self._tick(slot, deadline_ns)
+            running = self._supervisor.state < SafetyState.STOPPING
+            self._away.note(slot, running=running, following=self._supervisor.following)
             # The next slot is the first that has not begun: a missed one is skipped.
             slot = max(slot + 1, -((start_ns - end_ns) // period_ns))
+
+    def _ahead(self) -> Iterator[NDArray[np.float64]]:
+        """Goals from now on, where they are known before their time."""
+        slot = -(((self._start_ns or 0) - self._clock.now_ns()) // self._period_ns)
+        while isinstance(self._goals, OwnGoals):
+            yield self._goals.at(slot) + self._correction.value_rad
+            slot += 1
 
     def _tick(self, slot: int, deadline_ns: int) -> int:
         """Run one tick; return the time of its end."""
@@ -251,7 +264,7 @@ class ControlLoop:
         late_ns = wake_ns - deadline_ns + bus.late_ns
         self._log.start_computing()
 
-        hold, step_s = self._estimator, min(missed + 1, _LONGEST_STEP_SLOTS) * self._period_s
+        hold, step_s = self._estimator, min(missed + 1, LONGEST_STEP_SLOTS) * self._period_s
         estimate = hold.update(bus.angle_rad, bus.current_a, step_s, status.fresh, late_ns * 1e-9)
         estimate_ns = now()
 
@@ -265,7 +278,7 @@ class ControlLoop:
         if missed:
             supervisor.rebase(goals.at(slot - 1) + correction.value_rad)
         desired_rad = goals.at(slot) + correction.update(
-            slot, step_s, status.fresh, bus.current_a, estimate, prediction
+            slot, step_s, status.fresh, bus.current_a, estimate, prediction, supervisor.following
         )
         command_ns = now()
 
@@ -315,9 +328,12 @@ class ControlLoop:
     def _summary(self, released: bool) -> RunSummary:
         supervisor, log = self._supervisor, self._log
         supervisor.conclude(self._bus.alert, released=released)
+        reason = supervisor.reason
+        if self._away.count:
+            reason += f"; for {self._away.count} ticks the goals were not those of the motion"
         return RunSummary(
             ended=Ended.TRIPPED if supervisor.faults else self._ended,
-            reason=supervisor.reason,
+            reason=reason,
             ticks=log.ticks,
             bus_faults=log.bus_faults(),
             out_of_range=log.out_of_range,
@@ -328,4 +344,5 @@ class ControlLoop:
             replugs=self._replugs,
             released=released,
             faults=supervisor.faults,
+            feedback=log.feedback(self._correction.lost_because),
         )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +15,9 @@ from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
 from firmware_py.safety.stop_reason import Fault
 
-__all__ = ["Ended", "RunDocument", "RunSummary", "read_run_summary", "write_run_summary"]
+__all__ = [
+    "Ended", "FeedbackUse", "RunDocument", "RunSummary", "read_run_summary", "write_run_summary",
+]  # fmt: skip
 
 
 class Ended(Enum):
@@ -26,6 +29,41 @@ class Ended(Enum):
     """A signal, like SIGINT; the robot came to a controlled stop."""
     TRIPPED = "tripped"
     """A fault stopped the robot, was seen while it stopped, or a torque was not confirmed off."""
+
+
+class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Use of the feedback of the tip in the motion of a run, approach and stop left out.
+
+    Attributes
+    ----------
+    ticks : int
+        Ticks in which feedback was due; 0 where the run has none.
+    lost_ticks : int
+        Those in which it did not act, or faded out, because the estimated tip was not trusted.
+    reason : str
+        Why trust was lost last; empty where it never was.
+
+    Examples
+    --------
+    >>> FeedbackUse(ticks=550, lost_ticks=381, reason="it is out of range").note
+    'feedback of the tip was lost in 381 of 550 ticks, last because it is out of range'
+    >>> FeedbackUse(ticks=550).note
+    ''
+    """
+
+    ticks: int = 0
+    lost_ticks: int = 0
+    reason: str = ""
+
+    @property
+    def note(self) -> str:
+        """Sentence where feedback was lost; else empty."""
+        if not self.lost_ticks:
+            return ""
+        return (
+            f"feedback of the tip was lost in {self.lost_ticks} of {self.ticks} ticks, last "
+            f"because {self.reason}"
+        )
 
 
 @dataclass(frozen=True)
@@ -58,6 +96,8 @@ class RunSummary:
         Kinds of fault that stopped the robot or were seen while it stopped.
     held_up_ticks : int
         Ticks without fresh data in which the host held up the loop's thread.
+    feedback : FeedbackUse
+        How often feedback of the tip acted.
     """
 
     ended: Ended
@@ -72,8 +112,15 @@ class RunSummary:
     released: bool = True
     faults: frozenset[Fault] = frozenset()
     held_up_ticks: int = 0
+    feedback: FeedbackUse = field(default_factory=FeedbackUse)
 
-    def document(self, log: Path | None, bus_plan: str, payload_note: str = "") -> RunDocument:
+    def document(
+        self,
+        log: Path | None,
+        bus_plan: str,
+        payload_note: str = "",
+        logged_ticks: int | None = None,
+    ) -> RunDocument:
         """Return everything but the records as a document.
 
         Parameters
@@ -82,7 +129,7 @@ class RunSummary:
             Log of the run, where one was written.
         bus_plan : str
             Name of the plan by which the servos were read.
-        payload_note : str
+        payload_note, logged_ticks
             See `RunDocument`.
         """
         return RunDocument(
@@ -90,7 +137,8 @@ class RunSummary:
             ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
             telemetry_drops=self.telemetry_drops, replugs=self.replugs, released=self.released,
             timing=self.timing.summary(), log=str(log) if log else None, bus_plan=bus_plan,
-            held_up_ticks=self.held_up_ticks, payload_note=payload_note,
+            held_up_ticks=self.held_up_ticks, payload_note=payload_note, feedback=self.feedback,
+            logged_ticks=logged_ticks,
         )  # fmt: skip
 
 
@@ -103,6 +151,8 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         Kind of end.
     reason, ticks, bus_faults, out_of_range, telemetry_drops, replugs, released, held_up_ticks
         See `RunSummary`.
+    feedback : FeedbackUse
+        See `RunSummary`.
     timing : TimingSummary
         Durations and misses.
     log : str or None
@@ -110,7 +160,10 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bus_plan : str
         Name of the plan by which the servos were read.
     payload_note : str
-        Sentence where the currents of the run fit another payload than the told one; else empty.
+        Sentence where the currents of the run fit another payload than the told one, or where the
+        estimated payload is beyond those of the plan; else empty.
+    logged_ticks : int or None
+        Ticks that the log holds; None where there is no log, or the recorder did not say.
     """
 
     MADE_BY: ClassVar[str] = "dropstitch run"
@@ -128,6 +181,8 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bus_plan: str
     held_up_ticks: int = 0
     payload_note: str = ""
+    feedback: FeedbackUse = FeedbackUse()
+    logged_ticks: int | None = None
 
 
 def read_run_summary(path: Path) -> RunDocument:

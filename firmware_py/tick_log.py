@@ -19,8 +19,11 @@ from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.realtime.timing import Timing, cause_of_miss
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.states import SafetyState
+from firmware_py.summary import FeedbackUse
 
 Array = NDArray[np.float64]
+LONGEST_STEP_SLOTS: Final = 100
+"""Largest step of an estimator: after a leap of the clock it must not compute for long."""
 _HELD_UP_NS: Final = 1_000_000
 """Delay by the host that can cost an answer: half of what a read leaves for the host. [assumed]"""
 
@@ -106,6 +109,7 @@ class TickLog:
     ) -> None:
         self.timing = Timing()
         self.out_of_range = self.held_up = 0
+        self._with_feedback = self._lost_feedback = 0
         self._period_ns, self._period_s = period_ns, period_ns * 1e-9
         self._telemetry, self._counters = telemetry, counters
         self._statuses: Counter[BusStatus] = Counter()
@@ -132,6 +136,19 @@ class TickLog:
     def bus_faults(self) -> dict[str, int]:
         """Ticks by status of the bus, OK left out."""
         return {s.name.lower(): n for s, n in self._statuses.items()}
+
+    def feedback(self, reason: str) -> FeedbackUse:
+        """Return in how many ticks of the motion feedback of the tip was due, and did not act.
+
+        Parameters
+        ----------
+        reason : str
+            Why trust in the tip was lost last.
+        """
+        lost = self._lost_feedback
+        return FeedbackUse(
+            ticks=self._with_feedback, lost_ticks=lost, reason=reason if lost else ""
+        )
 
     def start(self) -> None:
         """Count the kernel's delays from now on."""
@@ -168,6 +185,9 @@ class TickLog:
             self._statuses[tick.status] += 1
             self.held_up += not tick.status.fresh and sum(delays_ns) > _HELD_UP_NS
         self.out_of_range += not in_range
+        if tick.trust and tick.slot >= 0 and tick.state < SafetyState.STOPPING:
+            self._with_feedback += 1
+            self._lost_feedback += tick.trust is not TrustState.TRUSTED
         self._stages_ns, self._tick = stages_ns, tick
 
     def close(self, end_ns: int) -> None:

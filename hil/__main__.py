@@ -5,7 +5,11 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from firmware_py.console import Command, dispatch
+from firmware_py.commands.early_interrupt import quiet_interrupt
+
+quiet_interrupt("python -m hil")  # before the imports that take time
+
+from firmware_py.console import Command, dispatch  # noqa: E402
 
 COMMANDS = (
     Command("emulate", "hil.commands.emulate", "emulate servos for any Dynamixel program",

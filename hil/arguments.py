@@ -29,7 +29,7 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
-        help="fractions of the status packets that are " + ", ".join(FAULT_KINDS),
+        help="fractions of the packets that are " + ", ".join(FAULT_KINDS),
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
 

@@ -24,6 +24,8 @@ NOISE_M: Final = 1.5e-4
 """Noise of the markers, per coordinate and frame: docs/sources.md, "The link"."""
 ORIGIN_M: Final = np.array([1.2, -0.7, 0.42])
 """Crossing of the joint axes in the capture's frame, z up."""
+RUN_CONDITIONS: Final = ("dof", "payload_kg", "trial", "motion", "period_s", "phase_2_rad")
+"""What the map says of the run."""
 TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
@@ -107,7 +109,7 @@ class WrittenTake:
         trial_table = {
             key: value
             for key, value in trial.meta.document().items()
-            if key in (*LINK_CONDITIONS, "dof", "payload_kg", "trial", "motion", "period_s")
+            if key in (*LINK_CONDITIONS, *RUN_CONDITIONS)
         }
         frame: dict[str, Any] = {"align": self.align, "up": self.files_up}
         if self.align == "none":

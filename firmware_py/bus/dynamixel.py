@@ -261,7 +261,8 @@ class DynamixelBus:
     def torque(self, on: bool) -> BusStatus:
         """Switch the torque of every servo, and arm or disarm its watchdog.
 
-        Every servo is tried, whatever the others answer.
+        Every servo is tried, whatever the others answer. One counts as off where it has confirmed
+        the instruction and then reports that its torque is off.
 
         Parameters
         ----------
@@ -278,7 +279,7 @@ class DynamixelBus:
         self._driven, self._driving = self._driven or on, False
         self._registers.alert = False
         for servo in self._servos:
-            good &= self._registers.put(servo.id, self._table[Register.TORQUE_ENABLE], int(on))
+            good &= self._switch(servo.id, on)
         if Register.BUS_WATCHDOG in self._table:
             for servo in self._servos:
                 good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
@@ -287,6 +288,16 @@ class DynamixelBus:
         if self._registers.alert and self.alert == 0:
             self.alert = self._hardware_errors(self._registers.get)
         return BusStatus.OK if good else BusStatus.TIMEOUT
+
+    def _switch(self, id_: int, on: bool) -> bool:
+        """Switch the torque of one servo; return whether it has confirmed it."""
+        registers, cell = self._registers, self._table[Register.TORQUE_ENABLE]
+        for _ in range(SETUP_ATTEMPTS):
+            if not registers.put(id_, cell, int(on)):
+                return False
+            if on or registers.get(id_, cell) == 0:
+                return True
+        return False
 
     def reopen(self) -> bool:
         """Open the port again after it had gone; nothing is sent to the servos yet."""

@@ -129,13 +129,28 @@ class RegisterAccess:
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
-                result, error = self._packets.writeTxRx(self._port, id_, *cell[:2], data)
+                if (error := self._tell(id_, cell, data)) is None:
+                    continue
             except OSError:
                 self._port.is_using = False
                 return False
-            if result != COMM_SUCCESS:
-                continue
             self.alert |= bool(error & ALERT_BIT)
             if not error & ERROR_NUMBER:
                 return True
         return False
+
+    def _tell(self, id_: int, cell: RegisterField, data: list[int]) -> int | None:
+        """Write once; return the error byte of the answer, None without one.
+
+        The SDK's own `writeTxRx` accepts a late answer to an earlier read, so that a servo passes
+        for switched off that never heard of it. The answer to a write carries no data.
+        """
+        packets, port = self._packets, self._port
+        if packets.writeTxOnly(port, id_, cell.address, cell.size, data) != COMM_SUCCESS:
+            return None
+        while True:
+            packet, result = packets.rxPacket(port, False)
+            if result != COMM_SUCCESS:
+                return None
+            if packet[ID] == id_ and len(packet) == STATUS_OVERHEAD:
+                return int(packet[ERROR])

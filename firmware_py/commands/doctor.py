@@ -3,19 +3,26 @@
 With --bus: the transmission time of a tick of the configured robot, for every plan that its servos
 might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
 period is refused with the numbers.
+
+With --joints: asks, torque off, to turn each joint by hand, and says which angle changed. Exchanged
+ids show in no other check.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from firmware_py.bus.bus_plan import Plan
+from firmware_py.commands.joint_check import turn_joints
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.display_units import DELAY, DURATION
 from firmware_py.errors import InputError
+from firmware_py.realtime.clock import DeadlineClock
 from firmware_py.realtime.doctor_checks import Severity, examine
+from firmware_py.robot import open_bus
 
 EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 
@@ -26,11 +33,16 @@ _MARKS = {Severity.GOOD: "  ", Severity.NOTE: "? ", Severity.SPOILS: "! ",
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--bus", action="store_true", help="print the bus's time budget instead")
-    parser.add_argument("--config", type=Path, metavar="ROBOT.toml", help="configuration for --bus")
+    parser.add_argument(
+        "--joints", action="store_true", help="ask for a turn of each joint by hand, torque off"
+    )
+    parser.add_argument(
+        "--config", type=Path, metavar="ROBOT.toml", help="configuration for --bus or --joints"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks; the verdict is negative where a setting spoils the timing.
+    """Run the checks; the verdict is negative where a setting is bad or ids are exchanged.
 
     Parameters
     ----------
@@ -40,10 +52,18 @@ def run(args: argparse.Namespace) -> int:
     Raises
     ------
     InputError
-        If --bus and --config are not given together, or the configuration is refused.
+        If --bus or --joints and --config are not given together, the configuration is refused, or
+        no joint is turned.
     """
-    if args.bus != (args.config is not None):
-        raise InputError("doctor", "needs --bus and --config together", f"like '{EXAMPLE}'")
+    if args.bus and args.joints:
+        raise InputError("doctor", "is given --bus and --joints", "run one after the other")
+    if (args.bus or args.joints) != (args.config is not None):
+        raise InputError(
+            "doctor", "needs --bus and --config together, or --joints and --config",
+            f"like '{EXAMPLE}'",
+        )  # fmt: skip
+    if args.joints:
+        return _joints(args, read_config(args.config))
     return _bus(args, read_config(args.config)) if args.bus else _machine(args)
 
 
@@ -61,6 +81,21 @@ def _machine(args: argparse.Namespace) -> int:
     lines.append(f"{said}; not checked: {', '.join(missing)}" if missing else said)
     rows = [finding._asdict() | {"verdict": finding.verdict.value} for finding in findings]
     emit(args, {"good": good, "not_checked": missing, "findings": rows}, "\n".join(lines))
+    return DONE if good else NEGATIVE
+
+
+def _joints(args: argparse.Namespace, config: RobotConfig) -> int:
+    clock = DeadlineClock()
+    ids = tuple(servo.id for servo in config.servos)
+    with open_bus(config, clock) as bus:
+        bus.connect()
+        turns = turn_joints(
+            bus, clock, config.bus.reply_timeout_s,
+            lambda request: print(f"dropstitch: {request}", file=sys.stderr),
+        )  # fmt: skip
+    good = all(turn.found == turn.joint for turn in turns)
+    rows = [turn._asdict() for turn in turns]
+    emit(args, {"good": good, "turns": rows}, "\n".join(turn.told(ids) for turn in turns))
     return DONE if good else NEGATIVE
 
 

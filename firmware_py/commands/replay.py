@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,28 @@ from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
 from firmware_py.log.logged_run import LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
+from firmware_py.safety.states import SafetyState
 from firmware_py.signals import DI, PAYLOAD, tip_names
+from firmware_py.tick_log import LONGEST_STEP_SLOTS
 
 EXAMPLE = "dropstitch replay logs/20261121T093000Z_sinusoid.mcap --bundle build/bundle_1dof"
 
 _COMPARED = (DI.name, PAYLOAD.name, *tip_names("predicted_"))
+
+
+class Seams(NamedTuple):
+    """Rows of a log that do not continue the row before.
+
+    Attributes
+    ----------
+    restarted : ndarray of bool, shape (n,)
+        Rows at which the robot started again after its port had gone: the loop discards its past.
+    missing : int
+        Ticks that ran and that the log does not hold.
+    """
+
+    restarted: NDArray[np.bool_]
+    missing: int
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -61,13 +78,15 @@ def run(args: argparse.Namespace) -> int:
     log = read_recording(args.log)
     bundle = ModelBundle.load(args.bundle or _bundle_of(args.log, log))
     differences = compare(log, bundle)
-    worst = max(differences.values())
+    worst, seams = max(differences.values()), find_seams(log)
     agree = worst <= TOLERANCE
     result: dict[str, Any] = {
         "log": str(args.log),
         "bundle": str(bundle.directory),
         "ticks": len(log.columns["tick"]),
         "complete": log.complete,
+        "missing_ticks": seams.missing,
+        "restarts": int(seams.restarted.sum()),
         "agree": agree,
         "largest_difference": differences,
     }
@@ -76,6 +95,11 @@ def run(args: argparse.Namespace) -> int:
         f"{result['ticks']} ticks{'' if log.complete else ' of a log that was cut off'} "
         + ("agree" if agree else f"differ by more than {TOLERANCE:g}")
     )
+    if seams.missing:
+        lines.append(
+            f"the log lacks {seams.missing} ticks that ran: from the first of them on the estimate "
+            "may differ though the bundle is the right one"
+        )
     emit(args, result, "\n".join(lines))
     return DONE if agree else NEGATIVE
 
@@ -85,6 +109,26 @@ def _bundle_of(path: Path, log: Recording) -> Path:
     if not directory.is_dir():
         raise InputError(path, f"its bundle {directory} is missing", "name one with --bundle")
     return directory
+
+
+def find_seams(log: Recording) -> Seams:
+    """Find the rows at which a run began again, and the ticks that the log lacks.
+
+    Parameters
+    ----------
+    log : Recording
+        Log of a run.
+    """
+    columns = log.columns
+    count = len(columns["missed"])
+    state = columns.get("state", np.zeros(count))
+    restarted = np.zeros(count, dtype=bool)
+    # Only a port that is back leads out of a stop, see `firmware_py.safety.states`.
+    restarted[1:] = (state[:-1] >= SafetyState.STOPPING) & (state[1:] < state[:-1])
+    slot = columns.get("tick", np.cumsum(columns["missed"] + 1))
+    apart = np.diff(slot) - 1 - columns["missed"][1:]
+    lacking = np.nan_to_num(np.where(restarted[1:], 0, apart))
+    return Seams(restarted, int(np.maximum(lacking, 0).sum()))
 
 
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
@@ -120,7 +164,7 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     facts = logged_run(log)
     if facts.period_s is None:
         raise InputError(log.path, "its metadata give no period_s", "name another log")
-    step_s = facts.period_s * (columns["missed"] + 1)
+    step_s = facts.period_s * np.minimum(columns["missed"] + 1, LONGEST_STEP_SLOTS)
     recorded = np.column_stack([columns[name] for name in _COMPARED])
     replayed = np.empty_like(recorded)
     bundle.assume_payload(facts.assumed_payload_kg)
@@ -131,7 +175,10 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     late_s = np.nan_to_num(columns.get("sample_late_ns", np.zeros(len(replayed)))) * 1e-9
     slot = columns.get("tick", np.zeros(len(replayed)))
     told = int(np.argmax(slot >= 0)) if facts.probed else -1
+    restarted = find_seams(log).restarted
     for k, (angle, current) in enumerate(zip(angle_rad, current_a, strict=True)):
+        if restarted[k]:
+            hold.reset()
         estimate = hold.update(angle, current, float(step_s[k]), bool(fresh[k]), float(late_s[k]))
         tip_m = bundle.predictor.predict(
             angle, current, estimate.di, estimate.signals, hold.age_s

@@ -34,6 +34,7 @@ from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
+from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
@@ -140,10 +141,12 @@ def run(args: argparse.Namespace) -> int:
             print(f"dropstitch: {sentence}", file=sys.stderr)
         summary = loop.run()
     doubt = contradicted_payload(bundle, config.payload_kg, config.period_s, summary, log)
-    document = summary.document(log, bus.plan.name, doubt)
+    if plan is not None:
+        doubt = doubt or payload_beyond_plan(plan, config.payload_kg, summary)
+    document = summary.document(log, bus.plan.name, doubt, telemetry.logged)
     if log is not None:
         _write_summary(log.with_suffix(".timing.json"), document)
-    _tell(args, document, f"{describe(summary, log)}\nservos were read by {bus.plan.name}")
+    _tell(args, document, describe(summary, document))
     if doubt:
         print(f"warning: {doubt}", file=sys.stderr)
     if summary.ended is Ended.TRIPPED:
@@ -269,15 +272,15 @@ def _telemetry(
         yield telemetry, log
 
 
-def describe(summary: RunSummary, log: Path | None) -> str:
+def describe(summary: RunSummary, document: RunDocument) -> str:
     """Return the summary of a run as text.
 
     Parameters
     ----------
     summary : RunSummary
         The run.
-    log : Path or None
-        Its log, where one was written.
+    document : RunDocument
+        Its document.
     """
     busy, own = (summary.timing.stages[name].summary() for name in ("busy", "own"))
     faults = ", ".join(f"{n} {name}" for name, n in summary.bus_faults.items()) or "none"
@@ -292,6 +295,12 @@ def describe(summary: RunSummary, log: Path | None) -> str:
         lines.append(f"continued {summary.replugs} times after the port had gone")
     if summary.out_of_range:
         lines.append(f"{summary.out_of_range} ticks outside the predictor's training range")
-    if log is not None:
-        lines.append(f"log: {log} ({summary.telemetry_drops} ticks dropped)")
-    return "\n".join(lines)
+    if summary.feedback.note:
+        lines.append(summary.feedback.note)
+    if document.log is not None:
+        logged = document.logged_ticks
+        known = "number of ticks unknown: the recorder did not end as it should"
+        if logged is not None:
+            known = f"{logged} of {summary.ticks} ticks"
+        lines.append(f"log: {document.log} ({known})")
+    return "\n".join([*lines, f"servos were read by {document.bus_plan}"])

@@ -45,6 +45,7 @@ MOST_JSON_LISTS: Final = 500_000
 """Most lists and objects of a JSON document: 64 to 230 bytes each."""
 LONGEST_LINE: Final = 1_000_000
 """Characters of the longest line of a table."""
+_UTF_16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MOST_KEY_DOTS: Final = 500
 """Dots between separators of a TOML file; tomllib needs quadratic time for a dotted key."""
 _TOML_SEPARATOR: Final = re.compile(rb"[,\[\]{}=\n]")
@@ -138,7 +139,7 @@ def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
 
 
 def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
-    """Lines of a UTF-8 table one by one, with their ends.
+    """Lines of a table one by one, with their ends: UTF-8, or UTF-16 with a byte order mark.
 
     Parameters
     ----------
@@ -150,17 +151,21 @@ def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
     InputError
         As `read_text`, and if a line is longer than `LONGEST_LINE`.
     """
-    with io.TextIOWrapper(
-        open_bounded(path, remedy), encoding="utf-8-sig", newline=""
-    ) as file:  # fmt: skip
+    encoding = "utf-8-sig"
+    with open_bounded(path, remedy) as data:
         try:
+            if data.read(2) in _UTF_16_MARKS:  # Excel and Motive write it
+                encoding = "utf-16"
+            data.seek(0)
+            file = io.TextIOWrapper(data, encoding=encoding, newline="")
             while line := file.readline(LONGEST_LINE + 1):
                 if len(line) > LONGEST_LINE:
                     what = f"has a line of more than {LONGEST_LINE} characters"
                     raise InputError(path, what, "write one sample per line")
                 yield line
-        except UnicodeDecodeError as error:
-            raise InputError(path, f"is not UTF-8 text ({error})", "save it as UTF-8") from None
+        except UnicodeError as error:
+            what = f"is not {encoding.removesuffix('-sig').upper()} text ({error})"
+            raise InputError(path, what, "save it as UTF-8") from None
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
 
@@ -200,7 +205,7 @@ def read_toml(
 
 def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> InputError:
     """Sentence for text in another encoding."""
-    is_utf_16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    is_utf_16 = data.startswith(_UTF_16_MARKS)
     what = "is UTF-16 text" if is_utf_16 else f"is not UTF-8 text ({error})"
     return InputError(path, what, "save it as UTF-8")
 

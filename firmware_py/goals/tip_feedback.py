@@ -2,11 +2,13 @@
 
 The error of the estimated tip passes a filter, whose output is the rate of the correction; the
 correction is its integral, so its bounds of size and rate are at the integrator itself and nothing
-winds up behind them. Filters for the payloads of the plan run side by side, and their rates are
-interpolated like the goals. Where the payload is known, the stiffness of the link is estimated as
-well (`firmware_py.goals.stiffness_estimate`): goals and the estimated tip take it over at the start
-of each run of the plan, where the arm rests. A probing motion before the first run
-(`firmware_py.goals.probe_estimate`) tells stiffness and payload; where it is certain, both stay.
+winds up behind them. While the goals blend into the plan, after a replug or missed slots, the tip
+is not meant to be on the path: the integral is held. Filters for the payloads of the plan run side
+by side, and their rates are interpolated like the goals. Where the payload is known, the stiffness
+of the link is estimated as well (`firmware_py.goals.stiffness_estimate`): goals and the estimated
+tip take it over at the start of each run of the plan, where the arm rests. A probing motion before
+the first run (`firmware_py.goals.probe_estimate`) tells stiffness and payload; where it is certain,
+both stay.
 """
 
 from __future__ import annotations
@@ -46,6 +48,8 @@ class Correction(Protocol):
         Correction of the latest tick.
     trust : TrustState
         Whether the estimate is trusted.
+    lost_because : str
+        Why trust was lost last; empty where it never was.
     stop_reason : str
         Why the robot must stop; empty where it need not.
     """
@@ -58,13 +62,18 @@ class Correction(Protocol):
         ...
 
     @property
+    def lost_because(self) -> str:
+        """Why trust was lost last; empty where it never was."""
+        ...
+
+    @property
     def stop_reason(self) -> str:
         """Why the robot must stop; empty where it need not."""
         ...
 
     def update(
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
-        prediction: Prediction,
+        prediction: Prediction, following: bool = True,
     ) -> Array:  # fmt: skip
         """Return the correction of a tick, shape (dof,).
 
@@ -82,6 +91,8 @@ class Correction(Protocol):
             Of the estimator.
         prediction : Prediction
             Of the predictor.
+        following : bool
+            Whether the goals are those of the source: no blend, no stop.
         """
         ...
 
@@ -96,14 +107,14 @@ class NoCorrection:
     """
 
     trust: TrustState = TrustState.NONE
-    stop_reason = ""
+    stop_reason = lost_because = ""
 
     def __init__(self, dof: int) -> None:
         self.value_rad = np.zeros(dof)
 
     def update(
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
-        prediction: Prediction,
+        prediction: Prediction, following: bool = True,
     ) -> Array:  # fmt: skip
         """Return zeros."""
         return self.value_rad
@@ -184,6 +195,11 @@ class TipFeedback:
         return self._trust.losses
 
     @property
+    def lost_because(self) -> str:
+        """Why trust was lost last; empty where it never was."""
+        return self._trust.reason
+
+    @property
     def stop_reason(self) -> str:
         """Why the robot must stop; empty where it need not."""
         if not self._trust.stops:
@@ -192,7 +208,7 @@ class TipFeedback:
 
     def update(
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
-        prediction: Prediction,
+        prediction: Prediction, following: bool = True,
     ) -> Array:  # fmt: skip
         """Return the correction of a tick; see `Correction.update`."""
         if self._probing is not None:
@@ -210,7 +226,7 @@ class TipFeedback:
         row = slot % self._rows
         if row == 0 and self.found is None:
             self.stiffness = self._estimate.value
-        if trust.state is TrustState.TRUSTED and not doubt:
+        if trust.state is TrustState.TRUSTED and not doubt and following:
             self._follow(row, step_s, current_a, prediction.tip_m)
         elif trust.state is TrustState.LOST:
             self._integral[:] = 0.0

@@ -7,7 +7,8 @@
 
 The kernel queues only a few packets for a socket (`net.unix.max_dgram_qlen`, often 10), so one
 thread only receives: a slow disk fills the memory of this process and drops no ticks. The process
-ends when the loop's end of the socket closes, for whatever reason, and leaves a complete file.
+ends when the loop's end of the socket closes, for whatever reason, and leaves a complete file. Its
+last word through the socket is how many ticks the file holds.
 Started as `python -m firmware_py.log.recorder`, it reads its task from stdin.
 """
 
@@ -105,7 +106,7 @@ def recording(
     Yields
     ------
     SocketTelemetry
-        Telemetry for the loop.
+        Telemetry for the loop; after the block it says how many ticks the file holds.
 
     Raises
     ------
@@ -124,11 +125,15 @@ def recording(
     )  # fmt: skip
     process = _spawned(theirs)
     theirs.close()
+    telemetry = None
     try:
         _hand_over(task, process)
         _await_start(ours)
-        yield SocketTelemetry(ours)
+        telemetry = SocketTelemetry(ours)
+        yield telemetry
     finally:
+        if telemetry is not None:
+            telemetry.logged = _await_end(ours)
         ours.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(_STOP_TIMEOUT_S)
@@ -174,6 +179,17 @@ def _await_start(ours: socket.socket) -> None:
         raise InputError(*msgspec.json.decode(answer, type=tuple[str, str, str]))
 
 
+def _await_end(ours: socket.socket) -> int | None:
+    """End the log; return how many ticks it holds, None where the recorder does not say."""
+    with contextlib.suppress(OSError):  # it has ended already, and may have said so
+        ours.shutdown(socket.SHUT_WR)
+    try:
+        ours.settimeout(_STOP_TIMEOUT_S)
+        return msgspec.json.decode(ours.recv(_ANSWER_BYTES) or b"null", type=int | None)
+    except (OSError, msgspec.MsgspecError):
+        return None
+
+
 def main() -> int:
     """Pass one run on until the loop closes its end; return 1 if a file could not be finished."""
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM):
@@ -196,7 +212,11 @@ def _record() -> int:
     packets: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     end.send(_READY)
     threading.Thread(target=_receive, args=(end, packets), daemon=True).start()
-    return _pass_on(packets, sinks, TickEncoder(task.dof, task.start_ns), scene)
+    code = _pass_on(packets, list(sinks), TickEncoder(task.dof, task.start_ns), scene)
+    ticks = next((sink.ticks for sink in sinks if sink.ticks is not None), None)
+    with contextlib.suppress(OSError):  # the loop was killed
+        end.send(msgspec.json.encode(ticks))
+    return code
 
 
 def _sinks(task: RecorderTask) -> Iterator[Sink]:

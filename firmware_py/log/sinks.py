@@ -5,6 +5,7 @@ Their packages are imported when a sink is made, in the recorder process only.
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import math
 import os
@@ -44,6 +45,10 @@ class Sink(Protocol):
 
     def finish(self) -> None:
         """Complete the output after the last tick."""
+
+    @property
+    def ticks(self) -> int | None:
+        """Ticks that the output holds; None where it keeps none."""
 
 
 class TickEncoder:
@@ -88,18 +93,35 @@ class McapSink:
     Raises
     ------
     InputError
-        If the file exists or cannot be written.
+        If the file exists or cannot be written; a file that it has begun is removed.
+
+    Attributes
+    ----------
+    ticks : int
+        Ticks that the file holds: those of the chunks that are on the disk.
     """
 
     def __init__(self, path: str, dof: int, metadata: dict[str, str]) -> None:
-        from mcap.writer import CompressionType, Writer
-
         try:
             self._stream = open(path, "xb")  # noqa: SIM115 (open until finish)
         except OSError as error:
             raise InputError(
                 path, f"cannot be written ({error.strerror})", "name another file for the log"
             ) from None
+        try:
+            self._begin(dof, metadata)
+        except OSError as error:  # a full disk
+            self._remove(path)
+            raise InputError(
+                path, f"cannot be written ({error.strerror})",
+                "make room on its disk, or name another file for the log",
+            ) from None  # fmt: skip
+
+    def _begin(self, dof: int, metadata: dict[str, str]) -> None:
+        """Write what stands before the first tick."""
+        from mcap.writer import CompressionType, Writer
+
+        self.ticks = self._taken = 0
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="", library="dropstitch")
         self._writer.add_metadata(METADATA, metadata)
@@ -112,10 +134,18 @@ class McapSink:
         self._sequence = 0
         self._flush()
 
+    def _remove(self, path: str) -> None:
+        """Leave no empty file, which would stand in the way of the next log of this name."""
+        with contextlib.suppress(OSError):
+            self._stream.close()  # it tries to write once more
+        with contextlib.suppress(OSError):
+            os.remove(path)
+
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
         """Add one message."""
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns, self._sequence)
         self._sequence += 1
+        self._taken += topic == TOPIC
         if self._stream.tell() != self._flushed:  # a chunk was written
             self._flush()
 
@@ -129,6 +159,7 @@ class McapSink:
         self._stream.flush()
         os.fsync(self._stream.fileno())
         self._flushed = self._stream.tell()
+        self.ticks = self._taken
 
 
 class LiveSink:
@@ -153,12 +184,16 @@ class LiveSink:
     ----------
     url : str
         Address for the viewer.
+    ticks : None
+        It keeps none.
 
     Raises
     ------
     InputError
         If the address cannot be listened at.
     """
+
+    ticks = None
 
     def __init__(
         self,

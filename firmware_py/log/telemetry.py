@@ -18,9 +18,12 @@ class Telemetry(Protocol):
     ----------
     drops : int
         Records that were not delivered.
+    logged : int or None
+        Ticks that the log holds, once it is complete; None where nobody says.
     """
 
     drops: int
+    logged: int | None
 
     def put(self, record: memoryview) -> None:
         """Take one record; never blocks, never raises.
@@ -37,6 +40,7 @@ class NoTelemetry:
     """Telemetry that discards the records."""
 
     drops = 0
+    logged: int | None = None
 
     def put(self, record: memoryview) -> None:
         """Do nothing."""
@@ -55,6 +59,7 @@ class SocketTelemetry:
         end.setblocking(False)
         self._send = end.send
         self.drops = 0
+        self.logged: int | None = None
 
     def put(self, record: memoryview) -> None:
         """Send one record, or count it as dropped if the recorder is behind or gone."""

@@ -1,4 +1,7 @@
-"""Reason of a stop: its cause, then the faults that were seen while the robot stopped."""
+"""Reason of a stop: its cause, then the faults that were seen while the robot stopped.
+
+A robot that starts again keeps what had stopped it, so that the end of the run tells it.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +37,8 @@ class StopReason:
         Whether the cause is a fault, not a request.
     faults : set of Fault
         Kinds of fault that caused the stop or were seen later.
+    earlier_faults : set of Fault
+        Those of the stops before, after which the robot has started again.
 
     Examples
     --------
@@ -43,11 +48,35 @@ class StopReason:
     >>> reason.add(Fault.DATA, "no fresh data for 4 ticks")  # known
     >>> reason.text, reason.tripped, reason.faults == {Fault.DATA}
     ('the motion is over; then no fresh data for 3 ticks', False, True)
+    >>> reason.restart("the port was back")
+    >>> reason.begin("the motion is over")
+    >>> reason.whole.count("the motion is over"), reason.earlier_faults == {Fault.DATA}
+    (2, True)
     """
 
     def __init__(self) -> None:
         self.text, self.tripped = "", False
         self.faults: set[Fault] = set()
+        self.earlier_faults: set[Fault] = set()
+        self._earlier: list[str] = []
+
+    @property
+    def whole(self) -> str:
+        """Text of the stops before, once each, and of this one; empty before a stop."""
+        return "; then ".join([*self._earlier, self.text]) if self.text else ""
+
+    def restart(self, cause: str) -> None:
+        """Keep this stop as an earlier one: the robot starts again.
+
+        Parameters
+        ----------
+        cause : str
+            Why it may.
+        """
+        if self.text not in self._earlier:
+            self._earlier += [self.text, cause]
+        self.earlier_faults |= self.faults
+        self.text, self.tripped, self.faults = "", False, set()
 
     def begin(self, text: str, fault: Fault | None = None) -> None:
         """Set the cause of a stop.

@@ -9,7 +9,7 @@ of the arm. Goals never jump, they blend (`firmware_py.safety.blend`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,27 +71,29 @@ class SafetySupervisor:
         self._velocity = [0.0] * dof
         self._angle = [0.0] * dof
         self._blend = Blend(limits, dof, period_s)
-        self._violations = 0
-        self._missed_slots = 0
+        self._violations = self._missed_slots = 0
         self._hold_ticks = 0
         self._reason = StopReason()
 
     @property
     def reason(self) -> str:
-        """Cause of the stop, then the faults seen while it stopped; empty before."""
-        return self._reason.text
+        """Cause of the stop, then faults seen while it stopped, behind earlier stops; or empty."""
+        return self._reason.whole
 
     @property
     def tripped(self) -> bool:
-        """Whether a fault, not a request, stopped the robot."""
+        """Whether a fault, not a request, caused the latest stop."""
         return self._reason.tripped
 
     @property
     def faults(self) -> frozenset[Fault]:
-        """Kinds of fault that stopped the robot or were seen while it stopped."""
-        return frozenset(self._reason.faults)
+        """Kinds of fault that stopped the robot or were seen while it stopped, at any time."""
+        return frozenset(self._reason.faults | self._reason.earlier_faults)
 
-    # Transitions -------------------------------------------------------------------------------
+    @property
+    def following(self) -> bool:
+        """Whether the goals are those of the motion: no stop, no blend."""
+        return self.state in (SafetyState.RUNNING, SafetyState.DEGRADED) and not self._blend.active
 
     def _enter(self, state: SafetyState) -> None:
         if (self.state, state) not in ALLOWED:
@@ -127,12 +129,11 @@ class SafetySupervisor:
         self._enter(SafetyState.RUNNING)
 
     def restart(self) -> None:
-        """Restart after the port has come back: OFF → STARTING."""
+        """Restart after the port has come back: OFF → STARTING; what had stopped it is kept."""
         self._enter(SafetyState.STARTING)
-        self._reason = StopReason()
+        self._reason.restart("the port was back")
         self.stale_ticks = self._violations = self._missed_slots = 0
-        for joint in range(self._dof):
-            self._velocity[joint] = 0.0
+        self._velocity[:] = [0.0] * self._dof  # it stands
 
     def request_stop(self, reason: str) -> None:
         """Begin a controlled stop that no fault causes (end of the motion, a signal)."""
@@ -149,10 +150,8 @@ class SafetySupervisor:
 
         Parameters
         ----------
-        alert : int
-            Alert bits of the servos.
-        released : bool
-            Whether every servo confirmed torque off.
+        alert, released
+            Alert bits of the servos; whether every servo confirmed torque off.
         """
         if alert:
             self._reason.add(Fault.ALERT, _alert_reason(alert))
@@ -176,8 +175,6 @@ class SafetySupervisor:
         self._enter(SafetyState.STOPPING)
         self._hold_ticks = max(1, math.ceil(self._limits.hold_s / self._period_s))
 
-    # In every tick -----------------------------------------------------------------------------
-
     def check(
         self,
         status: BusStatus,
@@ -198,10 +195,8 @@ class SafetySupervisor:
             Alert bits of the servos, see `firmware_py.bus.registers.describe_alert`.
         angle_rad, current_a : ndarray, shape (dof,)
             Latest valid measurement.
-        tip_m : ndarray, shape (3,)
-            Predicted tip.
-        di : float
-            Estimated Deformation Index.
+        tip_m, di : ndarray, shape (3,), and float
+            Predicted tip; estimated Deformation Index.
         missed : int
             Slots missed since the previous tick.
 
@@ -211,9 +206,7 @@ class SafetySupervisor:
             State after the check.
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
-        self._missed_slots = (
-            self._missed_slots + missed if missed else max(self._missed_slots - 1, 0)
-        )
+        self._missed_slots = max(self._missed_slots + (missed or -1), 0)
         if self.state is SafetyState.RUNNING and self.stale_ticks:
             self._enter(SafetyState.DEGRADED)
         elif self.state is SafetyState.DEGRADED and not self.stale_ticks:
@@ -243,8 +236,6 @@ class SafetySupervisor:
         if violation and self._violations >= self._limits.persistence_ticks:
             self._stop(Fault.MEASUREMENT, violation, ends_hold=True)
 
-    # Goals -------------------------------------------------------------------------------------
-
     def approach(self, start_rad: Array) -> int:
         """Start the approach to the first goal of the motion; return its duration in ticks.
 
@@ -266,9 +257,15 @@ class SafetySupervisor:
         """
         self._blend.absorb(self._goal, desired_before_rad.tolist())
 
-    def resume(self) -> None:
-        """Blend from rest into the motion, wherever it is, after a replug."""
-        self._blend.join(self._goal)
+    def resume(self, ahead: Iterable[Array] = ()) -> None:
+        """Blend from rest into the motion, wherever it is, after a replug.
+
+        Parameters
+        ----------
+        ahead : iterable of ndarray, optional
+            Goals of the motion from the next tick on, where they are known.
+        """
+        self._blend.join(self._goal, (row.tolist() for row in ahead))
 
     def admit(self, desired_rad: Array) -> Array:
         """Return the goal to send: the desired one if it is permitted, else one that stops.

@@ -210,6 +210,7 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
         lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
     if environment.goals_note:
         lines.append(environment.goals_note)
+    lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
     lines += _error_lines(timing.prediction_error)
     lines += [
         f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "

@@ -67,7 +67,7 @@ class Line:
     latency_s : float
         Period of the adapter's latency timer; 0 hands every byte over at once.
     faults : FaultPlan, optional
-        Faults of the status packets, from the moment that a servo's torque is on: a line on which
+        Faults of the packets, from the moment that a servo's torque is on: a line on which
         no robot starts shows nothing about the loop.
     """
 
@@ -119,6 +119,8 @@ class Line:
         arrivals: list[Arrival] = []
         for packet in self._parser.feed(data):
             faults = self.faults if self.bus.driven else _NO_FAULTS
+            if faults.loses(packet):
+                continue
             for reply in self.bus.execute(packet, heard_ns):
                 self._free_ns += reply.servo.return_delay_ns
                 byte_ns = _byte_ns(reply.servo.baud)

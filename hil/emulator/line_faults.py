@@ -1,7 +1,8 @@
-"""Faults of the line at given rates: status packets lost, late or damaged, by a seed.
+"""Faults of the line at given rates: status packets lost, late or damaged, instructions lost.
 
-Rates are fractions of the packets that the servos send. A packet has at most one fault, so that
-the rates add up. The campaign over all faults of the robot is in `hil.faults`.
+Rates are fractions of the packets that the servos send; of those that the host sends, "unheard".
+A packet has at most one fault, so that the rates add up. The seed says which have one. The campaign
+over all faults of the robot is in `hil.faults`.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from collections.abc import Iterable
 from typing import Final
 
 from firmware_py.errors import InputError
+from hil.emulator.packets import Packet
 
 __all__ = ["FAULT_KINDS", "FaultPlan", "parse_rates"]
 
-FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise")
+UNHEARD: Final = "unheard"
+"""Kind of fault of an instruction: no servo receives it."""
+FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
 LATE_NS: Final = 12_000_000
 """Delay of a late packet: after the deadline of its exchange, before the next but one."""
 
@@ -45,6 +49,7 @@ class FaultPlan:
 
     def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
         self.rates = dict(rates or {})
+        self._unheard = self.rates.pop(UNHEARD, 0.0)
         self.injected: Counter[str] = Counter()
         self._random = random.Random(seed)
 
@@ -68,6 +73,19 @@ class FaultPlan:
         damaged = bytearray(frame)
         damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
         return [(0, bytes(damaged))]
+
+    def loses(self, packet: Packet) -> bool:
+        """Return whether no servo receives an instruction.
+
+        Parameters
+        ----------
+        packet : Packet
+            The instruction.
+        """
+        if self._unheard <= 0.0 or self._random.random() >= self._unheard:
+            return False
+        self.injected[UNHEARD] += 1
+        return True
 
     def _draw(self) -> str | None:
         if not self.rates:

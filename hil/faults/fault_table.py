@@ -25,6 +25,7 @@ from typing import Final
 
 from firmware_py.bus.registers import HARDWARE_ERRORS, Register
 from firmware_py.safety.stop_reason import UNRELEASED
+from hil.emulator.line_faults import UNHEARD
 from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.feedback_rows import FEEDBACK
 from hil.faults.goal_rows import GOALS
@@ -128,7 +129,9 @@ def _unfit_bundle(damage: str, reason: str) -> FaultRow:
 
 _KILLED: Final = Expectation("killed")
 _UNLOGGED: Final = Expectation("finished", lost=0, unlogged=True)
-_BACK: Final = Expectation("finished", within=1, reason="the motion is over", replugs=1)
+_BACK: Final = Expectation(  # a fault was seen: no success, but it goes on to its end
+    "tripped", within=1, reason="then the port was back; then the motion is over", replugs=1
+)
 
 LINE: Final = (
     *_unheard("lost reply", "lost", lines=BOTH),
@@ -274,15 +277,15 @@ TOGETHER: Final = (
 
 
 def _while_stopping(
-    fault: str, how: str, reason: str, injection: Injection, joints: int = 1
+    fault: str, how: str, reason: str, *injections: Injection, joints: int = 1
 ) -> FaultRow:
-    """Fault that begins five ticks after the request of a controlled stop.
+    """Faults that begin five ticks after the request of a controlled stop.
 
     The emulated line is sound where no servo is driven: with one servo it confirms the second try.
     """
-    request, later = Injection("request"), injection._replace(after=5)
+    later = (injection._replace(after=5) for injection in injections)
     must = _tripped(f"a request; then {reason}", 1)
-    return FaultRow(fault, how, must, (request, later), joints=joints)
+    return FaultRow(fault, how, must, (Injection("request"), *later), joints=joints)
 
 
 STOPPING: Final = (
@@ -294,6 +297,8 @@ STOPPING: Final = (
         Injection("current", FOREVER, 12.0)),
     _while_stopping("lost replies while stopping", "for good",
         f"{_STALE} (TIMEOUT); then {UNRELEASED}", Injection("lost", FOREVER), joints=2),
+    _while_stopping("torque off unheard, late replies", "the first to each servo", _STALE,
+        Injection("late", FOREVER, 12e-3), Injection(UNHEARD, 1)),
     _while_stopping("unplug while stopping", "for good",
         f"{_STALE} (PORT_GONE); then {UNRELEASED}", Injection("port", FOREVER, math.inf)),
 )  # fmt: skip

@@ -19,6 +19,7 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.display_units import TICK_TIME
 from firmware_py.realtime.timing import Cause
 from firmware_py.safety.estimate_trust import FADE_S
+from firmware_py.safety.stop_reason import UNRELEASED
 from hil.faults.fault_row import FaultRow
 from hil.faults.observation import TOLD_NOTHING, CaseObservation
 from hil.verdict import JUnitCase, Verdict, junit_xml
@@ -117,6 +118,8 @@ def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
         )
     if seen.live and (seen.watched or seen.ended == "finished"):
         complaints.append("a servo still drives in the end")
+    elif seen.live and seen.ended in ("tripped", "signalled") and UNRELEASED not in seen.reason:
+        complaints.append("a servo still drives although the run says that it is released")
     if seen.ended == "refused" and seen.told != TOLD_NOTHING:
         complaints.append(f"the torque was on although it was refused: {seen.told}")
     if seen.live and seen.drift_rad > HELD_RAD:

@@ -6,11 +6,12 @@ An exchange is one synchronous read of the loop, counted from the moment that th
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
 from hil.emulator import packets
-from hil.emulator.line_faults import FaultPlan
+from hil.emulator.line_faults import UNHEARD, FaultPlan
 from hil.faults.servo_log import LoggedServo
 
 FOREVER: Final = 1_000_000
@@ -30,9 +31,10 @@ class Injection(NamedTuple):
     Attributes
     ----------
     kind : str
-        Key of `LINE_FAULTS` or `SERVO_FAULTS`, or a fault of the host (`hil.faults.host_faults`).
+        Key of `LINE_FAULTS` or `SERVO_FAULTS`, `UNHEARD`, or a fault of the host
+        (`hil.faults.host_faults`).
     times : int
-        Exchanges in a row.
+        Exchanges in a row; of `UNHEARD`, writes to each servo that it does not hear.
     value : float
         Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind.
     joint : int or None
@@ -138,6 +140,8 @@ class FaultSchedule(FaultPlan):
         self.began_ns: int | None = None
         self._injections = tuple(injections)
         self._line = [i for i in injections if i.kind in LINE_FAULTS]
+        self._unheard_writes = [i for i in injections if i.kind == UNHEARD]
+        self._writes: Counter[int] = Counter()
 
     def first(self, injection: Injection) -> int:
         """Exchange in which an injection begins."""
@@ -177,6 +181,14 @@ class FaultSchedule(FaultPlan):
             for joint, servo in enumerate(servos):
                 if injection.joint in (None, joint):
                     change(servo, injection.value, self.exchange == first)
+
+    def loses(self, packet: packets.Packet) -> bool:
+        """Return whether no servo receives an instruction; only writes to one servo are lost."""
+        due = [i for i in self._unheard_writes if self.exchange >= self.first(i)]
+        if not due or packet.instruction != packets.Instruction.WRITE:
+            return False
+        self._writes[packet.id] += 1
+        return self._writes[packet.id] <= max(i.times for i in due)
 
     def apply(self, frame: bytes) -> Arrivals:
         """Return what arrives in place of a status packet."""

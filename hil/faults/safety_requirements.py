@@ -116,10 +116,11 @@ REQUIREMENTS: Final = (
         "SR-08", "A run is a success only where no fault was seen and every torque confirmed off.",
         (
             f"{_T}/test_loop_ends.py::test_a_servo_that_does_not_confirm_torque_off_is_no_success",
+            f"{_T}/bus/test_torque_off.py::test_a_late_answer_to_a_read_confirms_no_torque_off",
             f"{_T}/test_robot_commands.py::test_a_trip_is_reported_and_is_a_negative_verdict",
         ),
         (_REASON, _SUPERVISOR),
-        ("* while stopping",),
+        ("* while stopping", "torque off unheard, late replies", "unplug and replug"),
     ),
     SafetyRequirement(
         "SR-09", "An alert, a measurement beyond a limit or a lost port ends the hold of a stop.",

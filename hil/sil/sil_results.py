@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
@@ -81,6 +82,8 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
             faults_injected=result.outcome.faults,
             telemetry_drops=summary.telemetry_drops,
             programme_s=programme,
+            feedback=summary.feedback,
+            payload_note=_payload_note(result, options),
         ),
         reference_jitter=reference,
         probe_jitter=jitter if result.reference else None,
@@ -102,6 +105,11 @@ def _interrupted(result: SilResult, options: SilOptions) -> str:
     in_motion = result.records["state"] < SafetyState.STOPPING
     ran = max(int(result.records["tick"][in_motion].max(initial=-1)) + 1, 0)
     return f"{summary.reason} ended the run after {ran} of {options.slots} slots"
+
+
+def _payload_note(result: SilResult, options: SilOptions) -> str:
+    told_kg = options.payload_kg if options.payload_known else None
+    return payload_beyond_plan(options.plan, told_kg, result.summary) if options.plan else ""
 
 
 def _moves(result: SilResult, plan: TipPlan) -> tuple[MoveFigures, ...]:

@@ -11,6 +11,7 @@ from typing import ClassVar
 import msgspec
 
 from firmware_py.documents import read_document, write_document
+from firmware_py.summary import FeedbackUse
 from hil.timing.processors import HostEnvironment
 from hil.timing.reference_jitter import ReferenceJitter
 from hil.timing.tick_budget import PlanTimes, TickBudget
@@ -95,6 +96,10 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Ticks that the recorder did not get.
     programme_s : dict of str to float
         Durations of the parts that the run repeats: rest, motion, glide.
+    feedback : FeedbackUse
+        How often feedback of the tip acted.
+    payload_note : str
+        Sentence where the estimated payload is beyond those of the plan; else empty.
     """
 
     ended: str
@@ -104,6 +109,8 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     faults_injected: dict[str, int]
     telemetry_drops: int
     programme_s: dict[str, float]
+    feedback: FeedbackUse = FeedbackUse()
+    payload_note: str = ""
 
 
 class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from firmware_py.console import BAD_INPUT, DONE, emit
-from firmware_py.display_units import DURATION
+from firmware_py.display_units import ANGLE, DURATION, LENGTH
 from firmware_py.errors import InputError
 from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
@@ -36,7 +36,7 @@ from models.trials.importers.robot_log import motion_rows, with_log_conditions
 from models.trials.importers.table_file import read_scalars
 from models.trials.takes import Take, find_takes
 from models.trials.trial_files import check_trial_name, read_trial, write_trial
-from models.trials.verdict.finding import ImportFinding
+from models.trials.verdict.finding import OFFSET_M, ImportFinding
 from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.inspected_import import Source, inspect_import
 from models.trials.verdict.verdict_page import clock_text, write_verdict
@@ -196,7 +196,11 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         "occluded_share": None if mapping.signals else float(np.mean(np.isnan(trial.markers_m))),
         "cut_off": cut_off,
     }
-    clock = verdict.clock
+    pose, clock = verdict.pose, verdict.clock
+    judged = mapping.frame.align != "none" or any(f.cause == "tilt" for f in verdict.findings)
+    if pose is not None and not judged and pose.tip_aside_m > OFFSET_M[0]:
+        lean, aside = ANGLE.text(pose.tilt_rad), LENGTH.text(pose.tip_aside_m, 0)
+        result["lean"] = f"at rest the link leans by {lean}, {aside} at its tip"
     if servo is not None and clock is not None:
         result |= {"offset_s": clock.offset_s, "clock": clock_text(clock)}
         if clock.by != "option":
@@ -230,6 +234,8 @@ def _described(result: dict[str, Any]) -> str:
         text += f", {result['occluded_share']:.1%} of the marker cells empty"
     if "clock" in result:
         text += f"; {result['clock']}"
+    if "lean" in result:
+        text += f"; {result['lean']} (a prebend, or a tilted frame)"
     for name in result["cut_off"]:
         text += f"; {name} was cut off: read up to its last whole chunk"
     warned = len(result["findings"])

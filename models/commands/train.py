@@ -92,9 +92,7 @@ def run(args: argparse.Namespace) -> int:
             "mount the link upright, or train on trials of it as it is",
         )  # fmt: skip
     if args.study_only and args.candidate:
-        raise InputError(
-            "--candidate", "changes nothing with --study-only", "leave out one of them"
-        )
+        raise InputError("--candidate", "changes nothing with --study-only", "leave out one")
     check_output_directory(args.out)
     check_bundle_directory(args.out)
     everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
@@ -102,7 +100,8 @@ def run(args: argparse.Namespace) -> int:
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
     further = [t for where in args.motions for t in _of_directory(where, args)]
     tests = name_tests(training, (*held_out, *unseen))
-    refuse_mixed_steps((*training, *held_out, *unseen, *further))
+    every = (*training, *held_out, *unseen, *further)
+    refuse_mixed_steps(every)
     refuse_trained(further, (*held_out, *unseen))
 
     from models.plant.identification.trials_link import refuse_other_links
@@ -118,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
     from models.tip.candidates.candidate_list import CANDIDATES
     from models.tip.candidates.own_candidate import own_candidate
     from models.tip.tip_training import train_tip
-    from models.trials.verdict.trial_check import judge_pressures
+    from models.trials.verdict.trial_check import judge_doubled, judge_pressures
 
     candidates = CANDIDATES
     for path in args.candidate:
@@ -138,7 +137,8 @@ def run(args: argparse.Namespace) -> int:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
     doubts = doubts_of_di(study.document)
-    doubts += [f"{f.text}; {f.remedy}" for f in judge_pressures((*training, *further))]
+    found = [*judge_pressures((*training, *further)), *judge_doubled(every)]
+    doubts += [f"{f.text}; {f.remedy}" for f in found]
     data = {"bundle": str(args.out), "parity": parity, "warnings": doubts}
     _report(args, study.document, tip, data)
     return DONE

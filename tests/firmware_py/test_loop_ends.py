@@ -1,6 +1,7 @@
 """Ends of the loop in simulated time: stops, signals, errors, clocks that leap, ports that go."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended
 from tests.firmware_py.simulated_loop import (
@@ -25,6 +26,8 @@ from tests.firmware_py.simulated_loop import (
     leaning,
     make,
 )
+
+GONE = "no fresh data for 3 ticks (PORT_GONE)"
 
 
 def test_a_controlled_stop_holds_the_last_goal_before_the_torque_goes_off():
@@ -90,7 +93,8 @@ def test_a_port_that_goes_on_the_way_to_the_motion_lets_the_robot_go_on():
     loop, bus, *_ = leaning(0.35, slots=600, bus=PluggedBus, replug_s=2.0)
     bus.away, bus.script = 5, dict.fromkeys(range(20, 1000), BusStatus.PORT_GONE)
     summary = loop.run()
-    assert (summary.ended, summary.replugs) == (Ended.FINISHED, 1)
+    assert summary.reason.startswith(f"{GONE}; then the port was back; then the motion is over")
+    assert summary.replugs == 1
     goals = np.array([goal[0] for _, goal in bus.sent])
     assert np.abs(np.diff(goals)).max() < 0.02
 
@@ -139,16 +143,36 @@ def test_a_port_that_comes_back_lets_the_robot_go_on_from_where_it_stands():
     loop, bus, _, supervisor, _ = make(slots=600, bus=PluggedBus, replug_s=2.0)
     bus.away, bus.script = 5, dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
     summary = loop.run()
-    assert (summary.ended, summary.replugs, supervisor.state) == (
-        Ended.FINISHED,
-        1,
-        SafetyState.OFF,
-    )
+    assert (summary.replugs, supervisor.state) == (1, SafetyState.OFF)
+    assert (summary.ended, summary.faults) == (Ended.TRIPPED, {Fault.DATA}), "a fault was seen"
+    away = int(re.search(r"for (\d+) ticks the goals were not those", summary.reason)[1])
+    goals, ticks = summary.records["goal_1_rad"], summary.records["tick"]
+    own = np.isclose(goals, GOALS[np.maximum(ticks, 0) % len(GOALS), 0], rtol=0, atol=1e-12)
+    joined = ticks[np.flatnonzero(~own & (ticks < 600))[-1]] + 1
+    assert joined - 102 == pytest.approx(away, abs=2)
+    assert away * 0.017 < 6.0, "from wherever the limits are, it would take 6 s"
     assert bus.calls == ["connect", "torque on", "connect", "torque on", "torque off"]
     goals = np.array([goal[0] for _, goal in bus.sent])
     assert np.abs(np.diff(goals)).max() < 0.02
     assert summary.records["missed"].max() == 0, "slots without a port are not missed"
     assert np.all(np.diff(summary.records["tick"]) >= 1)
+
+
+def test_ports_that_go_twice_are_told_once_and_the_last_stop_last():
+    loop, bus, *_ = make(slots=600, bus=PluggedBus, replug_s=2.0)
+    connect = bus.connect
+
+    def flaky():
+        connect()
+        start = bus.reads + (100, 150, 200)[bus.connects - 1]
+        bus.script = dict.fromkeys(range(start, start + 50), BusStatus.PORT_GONE)
+        bus.away = 5 if bus.connects < 3 else 500
+
+    bus.connect = flaky
+    summary = loop.run()
+    assert summary.replugs == 2
+    assert summary.reason.startswith(f"{GONE}; then the port was back; then {GONE}; for ")
+    assert (summary.ended, summary.faults) == (Ended.TRIPPED, {Fault.DATA})
 
 
 @pytest.mark.parametrize(("away", "replug_s"), [(0, 0.0), (50, 2.0)])

@@ -12,14 +12,17 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.goals.goal_source import GoalTable
+from firmware_py.goals.tip_feedback import NoCorrection
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.motion import Motion
 from firmware_py.realtime.clock import SimClock
 from firmware_py.realtime.kernel_counters import NoCounters
+from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.signals import STAGES
+from firmware_py.summary import FeedbackUse
 from tests.firmware_py.simulated_loop import (
     PERIOD_NS,
     StillPredictor,
@@ -122,3 +125,34 @@ def test_lost_data_is_the_hosts_where_it_held_the_thread_up():
     delayed = summary.records["preempted_ns"] > 1_000_000
     assert (stale.sum(), delayed.sum(), (stale & delayed).sum()) == (2, 2, 1)
     assert summary.held_up_ticks == 1
+
+
+class Doubting(NoCorrection):
+    """Feedback that is not trusted in some slots, before slot 0 and during the stop too."""
+
+    lost_because = "it is out of range"
+
+    def __init__(self, dof, lost):
+        super().__init__(dof)
+        self._lost = lost
+
+    def update(self, slot, *_):
+        self.trust = self._lost.get(slot, TrustState.TRUSTED)
+        return self.value_rad
+
+
+def test_ticks_in_which_feedback_was_due_and_did_not_act_are_counted():
+    lost = {50: TrustState.FADING, 51: TrustState.LOST, -1: TrustState.LOST}
+    lost |= dict.fromkeys(range(100, 140), TrustState.LOST)  # of a stop after the motion
+    loop, *_ = make(slots=100, correction=Doubting(1, lost))
+    used = loop.run().feedback
+    assert used == FeedbackUse(ticks=100, lost_ticks=2, reason="it is out of range")
+    assert used.note == (
+        "feedback of the tip was lost in 2 of 100 ticks, last because it is out of range"
+    )
+
+
+def test_feedback_that_always_acted_and_none_at_all_say_nothing():
+    assert make(slots=100, correction=Doubting(1, {}))[0].run().feedback == FeedbackUse(ticks=100)
+    assert make(slots=100)[0].run().feedback == FeedbackUse()
+    assert FeedbackUse().note == FeedbackUse(ticks=100).note == ""

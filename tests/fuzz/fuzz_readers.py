@@ -184,6 +184,11 @@ def _recordings():
             f"trial {file[4:]}", trial, one(file, mutation), lambda f: read_trial(f / "run.csv")
         )
     yield imported("table csv", "table", "a.csv", csv, one_of(of_text, of_text, of_bytes))
+    servo_map = map_.replace(b"[columns", b"[servo_columns")
+    yield FuzzReader(
+        "table qtm", {"a.tsv": valid_files.qtm(), "map.toml": servo_map, "servo.csv": csv},
+        one("a.tsv", of_text), importing("table", "a.tsv", "servo.csv"),
+    )  # fmt: skip
     entry = map_.replace(b'"stamp"', b'"entries[].stamp"')
     json = FuzzReader(
         "table json", {"a.json": valid_files.json_of(columns), "map.toml": entry},

@@ -60,6 +60,17 @@ def table():
     return columns, tomli_w.dumps(document).encode()
 
 
+def qtm():
+    """Marker export of QTM with the header rows that precede its columns."""
+    places_mm = 1e3 * np.column_stack([np.sin(WAVE), 0 * WAVE, np.cos(WAVE)])
+    rows = [
+        f"{k + 1}\t{t:.5f}\t" + "\t".join(f"{v:.3f}" for v in mm)
+        for k, (t, mm) in enumerate(zip(TIME_S, places_mm, strict=True))
+    ]
+    facts = [f"NO_OF_FRAMES\t{len(rows)}", "FREQUENCY\t100", "MARKER_NAMES\ttip"]
+    return "\n".join([*facts, "Frame\tTime\ttip X\ttip Y\ttip Z", *rows]).encode()
+
+
 def takes():
     """Two takes with their conditions in names and table."""
     map_ = (

@@ -57,8 +57,15 @@ def outside_goals(
     Raises
     ------
     InputError
-        If the map does not fit the robot or is for another link, or nobody connects.
+        If the map does not fit the robot or is for another link, the robot is to go on after its
+        port was gone, or nobody connects.
     """
+    if config.bus.replug_s > 0:  # the program's goals and the arm would part meanwhile, unnoticed
+        raise InputError(
+            "bus.replug_s", f"is {config.bus.replug_s:g}, but another program sends the goals, and "
+            "it does not know what the arm did while the port was gone",
+            "set it to 0 for runs with --goals; the robot then stays stopped",
+        )  # fmt: skip
     goal_map, note = None, ""
     if map_path is not None:
         goal_map = _fitting(map_path, config)

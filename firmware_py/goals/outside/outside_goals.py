@@ -127,12 +127,8 @@ class OutsideGoals:
         if slot < 0 or slot <= self._slot:
             return self._goal if slot == self._slot else self._before
         steps, self._slot = min(slot - self._slot, 100), slot
-        message = None if self.trouble or self.ended else self._newest(slot)
-        if message is not None:
-            self._missing = 0
-            self._take(message)
-        elif not (self.trouble or self.ended):
-            self._miss(slot, steps)
+        if not (self.trouble or self.ended):
+            self._hear(slot, steps)
         self._goal[:] = self._shaped(steps)
         return self._goal
 
@@ -148,32 +144,39 @@ class OutsideGoals:
         )))  # fmt: skip
         self._told = tick.slot
 
-    def _newest(self, slot: int) -> GoalMessage | None:
-        """Newest message of this tick; sets `trouble` or `ended` where there is none to follow."""
+    def _hear(self, slot: int, steps: int) -> None:
+        """Take the messages of this tick: each is checked, the newest goals are followed."""
         found = self._channel.receive(MOST_IN_A_TICK + 1)
         if len(found) > MOST_IN_A_TICK:
             self._refuse(f"sends more than {MOST_IN_A_TICK} goals in a tick")
-            return None
-        newest: GoalMessage | None = None
+            return
+        newest: list[float] | None = None
+        ends = False
         for data in found:
             message = decode_goal(data, self.dof)
             if isinstance(message, str):
                 self._refuse(f"sends a message that {message}")
-                return None
+                return
             if not self._answered <= message.tick <= self._told:
                 told = f"after {self._answered} of {self._told}"
                 self._refuse(f"answers status {message.tick}, {told}")
-                return None
-            self._answered, newest = message.tick, message
-            if message.end:
-                self.ended = "the program that sends the goals has ended the run"
-                return None
-        if newest is None and self._channel.gone:
+                return
+            self._answered, ends = message.tick, message.end
+            if ends:
+                break
+            if (newest := self._permitted(message)) is None:
+                return
+        if newest is not None and slot - self._answered > self._limits.stale_ticks:
+            self._refuse(f"sends goals that are {slot - self._answered} ticks old")
+        elif newest is not None:
+            self._missing = 0
+            self._take(newest)
+        elif not ends and self._channel.gone:
             self._refuse("has gone")
-        elif newest is not None and slot - newest.tick > self._limits.stale_ticks:
-            self._refuse(f"sends goals that are {slot - newest.tick} ticks old")
-            return None
-        return newest
+        elif not ends:
+            self._miss(slot, steps)
+        if ends and not self.trouble:
+            self.ended = "the program that sends the goals has ended the run"
 
     def _refuse(self, what: str) -> None:
         self.trouble = f"the program that sends the goals {what}"
@@ -194,28 +197,33 @@ class OutsideGoals:
         pairs = zip(self._wanted, self._rate, strict=True)
         self._wanted = [min(max(at + ahead_s * rate, low), high) for at, rate in pairs]
 
-    def _take(self, message: GoalMessage) -> None:
-        """Check the goals of a message and follow them."""
+    def _permitted(self, message: GoalMessage) -> list[float] | None:
+        """Goals of a message; None, with `trouble`, where no arm may go there."""
         goals = list(message.joint_rad or ())
         if message.tip_m is not None:
             if self._rest is None:
                 self._refuse("sends places of the tip, but there is no map (--map)")
-                return
+                return None
             found = self._rest.goals_rad(message.tip_m, self.payload_kg)
             if found is None:
                 place = ", ".join(f"{v:g}" for v in message.tip_m)
                 self._refuse(f"wants the tip at ({place}) m, which is out of reach")
-                return
+                return None
             goals = found
         low, high = self._limits.angle_rad
+        for joint, value in enumerate(goals):
+            if not low <= value <= high:
+                what = f"at {value:g} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
+                self._refuse(f"wants joint {joint + 1} {what}")
+                return None
+        return goals
+
+    def _take(self, goals: list[float]) -> None:
+        """Follow goals, unless the way to them is too fast."""
         most = self._limits.rate_rad_s
         rates = []
         for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):
             rate = (value - before) / self._period_s
-            if not low <= value <= high:
-                what = f"at {value:g} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
-                self._refuse(f"wants joint {joint + 1} {what}")
-                return
             if not abs(rate) <= most * _ROUNDING:
                 what = f"at {rate:.4g} rad/s, the limit is {most:g} rad/s (limits.rate_rad_s)"
                 self._refuse(f"moves joint {joint + 1} {what}")

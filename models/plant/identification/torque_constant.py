@@ -28,6 +28,10 @@ lies within some per cent of its model's; on rigs with the right one it came wit
 SURE_DEVIATIONS: Final = 5.0
 """The same in standard deviations [assumed: errors of the equations count for more than noise]."""
 
+LEAST_INVERSE: Final = 0.1
+"""Share of the expected growth of the current with the payload below which no constant explains
+it [assumed: a servo of ten times the torque per ampere is another servo]."""
+
 
 def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     """One sentence for each joint whose torque constant is another one, by one step of a fit.
@@ -56,7 +60,15 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     for name in constants:
         k, value = free.index(name), known[name].value
         if abs(step[k]) > max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
-            better = value / max(1 - step[k] / value, 0.1)  # the current is linear in its inverse
+            inverse = 1 - step[k] / value  # the current is linear in the constant's inverse
+            if inverse < LEAST_INVERSE:
+                said.append(
+                    f"the current of joint {name.split('_')[2]} does not grow with the payload as "
+                    "its weight does: check the sign and the unit of the current, and the declared "
+                    "payloads"
+                )
+                continue
+            better = value / inverse
             said.append(
                 f"the payloads speak for {name} of about {better:.2g} N.m/A, not "
                 f"{value:.3g}: give that of your servo in link.toml, or fit it (role = "

@@ -45,16 +45,16 @@ LEAST_SAMPLES: Final = 100
 
 
 class ClockDrift(NamedTuple):
-    """Change of the offset from the first half of the motion to the second.
+    """Change of the offset from the first half of the motion to the second, or over sync edges.
 
     Attributes
     ----------
     change_s : float
-        Offset of the second half minus that of the first.
+        Offset of the second half minus that of the first, or at the last edge minus at the first.
     deviation_s : float
         Its standard error.
     over_s : float
-        Time between the middles of the halves.
+        Time between the middles of the halves, or between those edges.
     """
 
     change_s: float

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from models.trials.clock.offset_fit import ClockDrift
 from models.trials.trial import Array
 
 LEAST_SWING_V: Final = 0.5
@@ -18,6 +19,8 @@ JITTER_S: Final = 2e-4
 """Error of a time stamp [assumed]."""
 DRIFT: Final = 3e-5
 """Difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
+LEAST_PAIRS: Final = 4
+"""Pairs of edges from which a drift is fitted [assumed]."""
 LEAST_SHARED: Final = 0.5
 """Part of the edges of the file with fewer that must have a partner."""
 
@@ -31,11 +34,14 @@ class EdgeOffset(NamedTuple):
         To be added to the servo's times.
     shared : int
         Pairs of edges.
+    drift : ClockDrift or None
+        Change of the offset from the first pair to the last; None with fewer than `LEAST_PAIRS`.
     """
 
     low_s: float
     high_s: float
     shared: int
+    drift: ClockDrift | None = None
 
     @property
     def offset_s(self) -> float:
@@ -101,5 +107,24 @@ def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
         low_s = float(np.max(mocap[:, 0] - servo[:, 1])) - slack_s
         high_s = float(np.min(mocap[:, 1] - servo[:, 0])) + slack_s
         if low_s <= high_s:
-            found.append(EdgeOffset(low_s, high_s, shared))
+            found.append(EdgeOffset(low_s, high_s, shared, _drift(servo, mocap)))
     return sorted(found, key=lambda fit: -fit.shared)
+
+
+def _drift(servo_s: Array, mocap_s: Array) -> ClockDrift | None:
+    """Change of the offset over pairs of edges, by a line through the middles of their intervals.
+
+    Each edge lies anywhere between its two samples: its variance is a twelfth of their distance's
+    square.
+    """
+    if len(servo_s) < LEAST_PAIRS:
+        return None
+    time_s = mocap_s.mean(axis=1)
+    offset_s = time_s - servo_s.mean(axis=1)
+    centred_s = time_s - time_s.mean()
+    slope = float(centred_s @ offset_s / (centred_s @ centred_s))
+    widths_s = [np.median(edges[:, 1] - edges[:, 0]) for edges in (servo_s, mocap_s)]
+    deviation_s = np.hypot(np.linalg.norm(widths_s) / np.sqrt(12.0), JITTER_S)
+    over_s = float(time_s[-1] - time_s[0])
+    slope_deviation = float(deviation_s / np.linalg.norm(centred_s))
+    return ClockDrift(slope * over_s, slope_deviation * over_s, over_s)

@@ -32,6 +32,7 @@
 
     [frame]                            # mocap frame -> world frame
     up = "y"                           # axis of the file along which the link points at zero angle
+    mirror = "x"                       # axis of a left-handed file that is turned round
     align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
     origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
     yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
@@ -86,6 +87,7 @@ class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Orientation and origin of the motion capture's frame in the world; see the module's text."""
 
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    mirror: Literal["x", "y", "z"] | None = None
     align: Literal["rest", "base", "none"] = "none"
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw_deg: float = 0.0

@@ -37,7 +37,7 @@ def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) 
 
 
 def world_rotation(frame: MocapFrame, default_up: str) -> Array:
-    """Rotation from the file's axes to the world's, shape (3, 3).
+    """Rotation from the file's axes to the world's, shape (3, 3); a reflection with `mirror`.
 
     Parameters
     ----------
@@ -48,7 +48,9 @@ def world_rotation(frame: MocapFrame, default_up: str) -> Array:
     """
     up = frame.up or default_up
     upward = _TO_Z_UP[up.removeprefix("-")]
-    return np.asarray(_about_z(frame.yaw_deg) @ (_OVER @ upward if up != up[-1] else upward))
+    turned = _about_z(frame.yaw_deg) @ (_OVER @ upward if up != up[-1] else upward)
+    signs = [-1.0 if axis == frame.mirror else 1.0 for axis in "xyz"]
+    return np.asarray(turned * signs)  # of the file's axes
 
 
 def _about_z(yaw_deg: float) -> Array:

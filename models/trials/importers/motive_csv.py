@@ -165,7 +165,7 @@ def _samples(
         if len(row) < width or len(row) >= 1.5 * width:
             raise InputError(
                 path, f"line {number} has {len(row)} cells, the header {width}",
-                cells_remedy(len(row), width),
+                cells_remedy(row, width),
             )  # fmt: skip
         if len(numbers) > MOST_CELLS:
             raise InputError(path, f"holds more than {MOST_CELLS} numbers", "export less of it")

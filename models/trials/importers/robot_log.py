@@ -3,8 +3,10 @@
 The robot has no motion capture. Its predicted tip is kept under its own name (`predicted_tip_x_m`
 …); the tip and the markers come from a second file or stay empty. Ticks without fresh data are
 left out of the measured series, so that held values are not taken for samples; goals are known in
-every tick. Samples of a second read are late: angle and current are interpolated to the time of
-their row. Rows from an alert or an early stop on are no part of the motion.
+every tick. Goals begin with the motion, at time zero: a trial, whose first rows are at rest, holds
+neither the approach nor a probing motion, but the clock of motion capture is found with both.
+Samples of a second read are late: angle and current are interpolated to the time of their row. Rows
+from an alert or an early stop on are no part of the motion.
 """
 
 from __future__ import annotations
@@ -79,9 +81,11 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
     elif stale := int(np.nan_to_num(columns["stale_ticks"][row])):
         reason += f", without fresh data for {stale} ticks"
     text = (
-        f"what {log.path.name} holds from sample {row + 1} ({columns['time_s'][row]:.2f} s) on is "
-        f"left out: {reason}"
+        f"what {log.path.name} holds from tick {int(columns['tick'][row])} on, "
+        f"{columns['time_s'][row]:.2f} s after its motion began, is left out: {reason}"
     )
+    if not columns["tick"][row] >= 0:
+        text = f"{log.path.name} holds no motion: {reason} during the approach"
     left = {name: column[:row] for name, column in columns.items()}
     goals = _motion_goals(replace(log, columns=left))
     if len(goals) == 0 or len(goals) - rows_at_rest(goals) < LEAST_MOVING_ROWS:
@@ -102,7 +106,8 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
     Returns
     -------
     list of Series
-        One series, or goals and measured signals apart where some ticks have no fresh data.
+        One series, or goals and measured signals apart where some ticks have no fresh data, or the
+        arm approaches the first goal.
 
     Raises
     ------
@@ -119,10 +124,12 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
     predicted = (*tip_names("predicted_"), *_HALF_WIDTHS)
     measured = sampled | {name: columns[name] for name in predicted}
     measured[f"estimated_{PAYLOAD.name}"] = columns[PAYLOAD.name]
-    if fresh.all():  # one series, which keeps its samples as they are
+    begun = columns["tick"] >= 0
+    if fresh.all() and begun.all():  # one series, which keeps its samples as they are
         return [Series(time_s, goals | measured, path)]
     held = {name: column[fresh] for name, column in measured.items()}
-    return [Series(time_s, goals, path), Series(time_s[fresh], held, path)]
+    goals = {name: column[begun] for name, column in goals.items()}
+    return [Series(time_s[begun], goals, path), Series(time_s[fresh], held, path)]
 
 
 def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:

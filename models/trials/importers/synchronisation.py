@@ -16,7 +16,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.shared.kinematics import pointing_angles_rad
 from models.trials.clock.bending_lag import BendRatio, nominal_bend_ratio
-from models.trials.clock.offset_fit import OffsetFit, fit_offset
+from models.trials.clock.offset_fit import ClockDrift, OffsetFit, fit_offset
 from models.trials.clock.offset_search import SEPARATION_S, ClockSignal, Peak, find_peaks
 from models.trials.clock.sync_channel import EdgeOffset, edge_offsets, rising_edges_s
 from models.trials.importers.mapping import BASE_MARKERS
@@ -59,6 +59,8 @@ class Synchronisation:
         What gave the offset: the motion, a hardware signal, or the user.
     fit : OffsetFit or None
         Residuals, for a picture.
+    edges_drift : ClockDrift or None
+        Change of the offset over the edges of a hardware signal.
     """
 
     offset_s: float
@@ -69,6 +71,13 @@ class Synchronisation:
     second_correlation: float = np.nan
     by: Literal["motion", "sync", "option"] = "motion"
     fit: OffsetFit | None = None
+    edges_drift: ClockDrift | None = None
+
+    @property
+    def drifts(self) -> list[ClockDrift]:
+        """Changes of the offset that edges and motion tell."""
+        told = (self.edges_drift, self.fit.drift if self.fit is not None else None)
+        return [drift for drift in told if drift is not None]
 
 
 def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
@@ -91,7 +100,7 @@ def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Sy
     """
     by_edges = _by_edges(servo, mocap)
     if len(by_edges) == 1 and by_edges[0].error_s <= FINE_S:
-        return Synchronisation(by_edges[0].offset_s, np.nan, by_edges[0].error_s, by="sync")
+        return _of_edges(by_edges[0])
     if by_edges:
         return _edge_with_motion(by_edges, servo, mocap, meta)
     return _by_motion(servo, mocap, meta)
@@ -123,6 +132,37 @@ def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Syn
         fit.offset_s, fit.correlation, fit.error_s, fit.lag_s,
         second.offset_s if second else np.nan, second.correlation if second else np.nan, fit=fit,
     )  # fmt: skip
+
+
+def offset_near(
+    servo: list[Series], mocap: list[Series], meta: TrialMeta, given_s: float
+) -> Synchronisation | None:
+    """Offset that signal or motion give, to compare one given by hand with it.
+
+    Parameters
+    ----------
+    servo, mocap, meta
+        As for `synchronise`.
+    given_s : float
+        Offset given by hand: where the motion repeats itself, it is fitted near this one.
+
+    Returns
+    -------
+    Synchronisation or None
+        None where the files do not tell it.
+    """
+    try:
+        return synchronise(servo, mocap, meta)
+    except InputError:
+        pass
+    try:
+        angle = _angle(servo, meta.dof)
+        fit = fit_offset(angle, *_direction(mocap, meta), given_s)
+    except (InputError, ValueError, IndexError):  # too little of the motion is in both
+        return None
+    if not fit.correlation >= MIN_CORRELATION:
+        return None
+    return Synchronisation(fit.offset_s, fit.correlation, fit.error_s, fit.lag_s, fit=fit)
 
 
 def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
@@ -158,7 +198,8 @@ def _by_edges(servo: list[Series], mocap: list[Series]) -> list[EdgeOffset]:
             owners[0].path,
             f"its {SYNC} has {len(edges[0])} rising edges, that of {owners[-1].path} "
             f"{len(edges[1])}, and they do not fit together",
-            f"map the same signal in both files, or leave {SYNC} out",
+            "map the same signal in both files, correct the unit and rate of their times, or leave "
+            f"{SYNC} out",
         )
     return found
 
@@ -171,7 +212,7 @@ def _edge_with_motion(
         motion = _by_motion(servo, mocap, meta)
     except InputError as error:
         if len(edges) == 1:
-            return Synchronisation(edges[0].offset_s, np.nan, edges[0].error_s, by="sync")
+            return _of_edges(edges[0])
         raise InputError(
             servo[0].path,
             f"its {SYNC} repeats itself and fits at {edges[0].offset_s:.3f} s and at "
@@ -181,9 +222,13 @@ def _edge_with_motion(
     nearest = min(edges, key=lambda edge: abs(edge.offset_s - motion.offset_s))
     inside_s = float(np.clip(motion.offset_s, nearest.low_s, nearest.high_s))
     if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal counts, not the motion
-        return Synchronisation(nearest.offset_s, np.nan, nearest.error_s, by="sync")
+        return _of_edges(nearest)
     error_s = min(nearest.error_s, motion.error_s)
-    return replace(motion, offset_s=inside_s, error_s=error_s, by="sync")
+    return replace(motion, offset_s=inside_s, error_s=error_s, by="sync", edges_drift=nearest.drift)
+
+
+def _of_edges(edge: EdgeOffset) -> Synchronisation:
+    return Synchronisation(edge.offset_s, np.nan, edge.error_s, by="sync", edges_drift=edge.drift)
 
 
 def _angle(servo: list[Series], dof: int) -> ClockSignal:
@@ -255,7 +300,8 @@ def _check_reading(
             servo[0].path,
             f"{_other_reading(other)}: so read, it fits the motion in {mocap[0].path} with a "
             f"correlation of {other.correlation:.4f}, as mapped with {best:.4f}",
-            "check joint order, signs (scale = -1.0) and [frame] in MAP.toml",
+            "check joint order, signs (scale = -1.0) and [frame] in MAP.toml, with mirror for a "
+            "left-handed file",
         )
     if not best >= MIN_CORRELATION:
         raise _unlike(servo, mocap, best, at_s)

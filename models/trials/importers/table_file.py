@@ -16,6 +16,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_json
 from firmware_py.signals import TIME, unit_of
+from models.trials.importers.headers.capture_header import with_capture_columns
 from models.trials.importers.json_path import json_values
 from models.trials.importers.mapping import RecordingMap, Scalar
 from models.trials.importers.matlab_file import matlab_columns, matlab_scalars
@@ -38,7 +39,7 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
     path : Path
         CSV, TSV, JSON or MATLAB file.
     mapping : RecordingMap
-        With `[columns]`.
+        With `[columns]`; a marker export (QTM, TRC) needs `[markers]` only.
 
     Raises
     ------
@@ -46,6 +47,8 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
         If the file cannot be read, a mapped column is missing, a cell is not a number, or nothing
         is mapped to `time_s`.
     """
+    if path.suffix.lower() not in (".json", ".mat"):
+        mapping = with_capture_columns(path, mapping)
     sources = {column.source for column in mapping.columns.values()}
 
     def kept(name: str) -> bool:

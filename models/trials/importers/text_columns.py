@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -14,9 +14,13 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_lines
+from models.trials.importers.headers.capture_header import without_capture_header
 from models.trials.trial import Array
 from models.trials.trial_columns import MOST_COLUMNS
 
+_SPLIT_NUMBER: Final = re.compile(r"(^|,)\s*[-+]?\d+,\d+(,|$)")
+"""Two cells of a row that a decimal comma made of one number: neither has a point."""
+_TIME_STAMP: Final = re.compile(r"(\d{4}-\d\d-\d\d([T ].*)?)|(\d{1,2}:\d\d(:.*)?)")
 _DECIMAL_COMMA: Final = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
@@ -26,7 +30,8 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
     Parameters
     ----------
     path : Path
-        UTF-8 text with a header; the commonest of `,`, `;` and tabulator in it separates.
+        Text with a header; the commonest of `,`, `;` and tabulator in it separates. The header rows
+        of a marker export (QTM, TRC) are skipped.
     wanted : callable
         Whether a column of this name is read; cells of others may be anything.
 
@@ -43,7 +48,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
         If the file cannot be read, a name stands twice, a row has another number of cells, or a
         wanted cell is not a number, or infinite.
     """
-    lines = read_lines(path, "name an existing table")
+    lines, above = without_capture_header(path, read_lines(path, "name an existing table"))
     first = next(lines, "")
     delimiter = max(",;\t", key=first.count)
     header = [name.strip() for name in _split(path, first, delimiter)]
@@ -61,8 +66,8 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
             number += 1
             if len(row) != len(header):
                 raise InputError(
-                    path, f"row {number} has {len(row)} cells, the header {len(header)}",
-                    cells_remedy(len(row), len(header)),
+                    path, f"row {above + number} has {len(row)} cells, the header {len(header)}",
+                    cells_remedy(row, len(header), delimiter),
                 )  # fmt: skip
             if number * len(chosen) > MOST_CELLS:
                 raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
@@ -95,17 +100,23 @@ def refuse_doubled(path: Path, names: list[str]) -> None:
         seen.add(name)
 
 
-def cells_remedy(found: int, header: int) -> str:
+def cells_remedy(row: Sequence[str], header: int, delimiter: str = ",") -> str:
     """Remedy for a row of another length than the header; decimal commas nearly double it.
 
     Parameters
     ----------
-    found, header : int
-        Numbers of cells.
+    row : sequence of str
+        Its cells.
+    header : int
+        Cells of the header.
+    delimiter : str
+        What separates the cells.
     """
-    if found >= 1.5 * header:
+    if len(row) < header:
+        return "the file is truncated or damaged: export it again"
+    if len(row) >= 1.5 * header and delimiter == "," and _SPLIT_NUMBER.search(",".join(row)):
         return "it seems to have decimal commas: export it with decimal points"
-    return "the file is truncated or damaged: export it again"
+    return "remove rows that stand above the header, or export it again"
 
 
 def has_decimal_comma(cell: object) -> bool:
@@ -136,6 +147,8 @@ def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
     remedy = "correct the cell or leave it empty"
     if has_decimal_comma(cell):
         remedy = "the file has decimal commas: export it with decimal points"
+    elif _TIME_STAMP.fullmatch(str(cell).strip()):
+        remedy = "convert time stamps to seconds"
     return InputError(
         path, f"sample {sample}, column {column!r}: {str(cell)[:80]!r} is not a number", remedy
     )

@@ -13,8 +13,8 @@ Level = Literal["refused", "warning"]
 
 OFFSET_M: Final = (0.008, 0.025)
 """Distance of the joint axes' crossing from the origin."""
-TILT_RAD: Final = (0.035, 0.087)
-"""Tilt of the link at rest: 2° and 5°."""
+TILT_RAD: Final = (0.0262, 0.087)
+"""Tilt of the link at rest: 1.5° and 5°."""
 YAW_RAD: Final = (0.035, 0.105)
 """Turn about the vertical, by the corners or by the direction of motion: 2° and 6°."""
 SCALE: Final = (0.015, 0.05)
@@ -37,6 +37,8 @@ CLOCK_DRIFT_S: Final = 0.002
 """Change of the clock's offset between the halves of the motion: warned of only."""
 DRIFT_DEVIATIONS: Final = 3.0
 """Standard errors that such a change must exceed."""
+GIVEN_CLOCK_S: Final = 0.002
+"""Difference of an offset given by hand from the one found, beyond three half widths: warned of."""
 STUCK_RAD: Final = (0.03, 0.1)
 """Way of a goal during which the angle keeps one and the same value: a servo that sticks lags by
 less, an encoder's step is 1.5 mrad at most."""

@@ -17,6 +17,7 @@ from models.trials.verdict.finding import (
     CLOCK_DRIFT_S,
     CLOCK_ERROR_S,
     DRIFT_DEVIATIONS,
+    GIVEN_CLOCK_S,
     ImportFinding,
 )
 from models.trials.verdict.rest_pose import RestPose
@@ -75,17 +76,44 @@ class ImportVerdict:
                     "map m01 to m08, record more motion, or record a sync signal in both files",
                 )
             )  # fmt: skip
+        for drift in self.clock.drifts:
+            if abs(drift.change_s) > max(CLOCK_DRIFT_S, DRIFT_DEVIATIONS * drift.deviation_s):
+                self.findings.append(
+                    ImportFinding(
+                        "warning", "clock",
+                        f"the two clocks drift apart by {DURATION.text(abs(drift.change_s))} in "
+                        f"{drift.over_s:.1f} s",
+                        "correct the frame rate of the motion capture, or record shorter takes",
+                    )
+                )  # fmt: skip
+                break
 
-        drift = self.clock.fit.drift if self.clock.fit is not None else None
-        if drift is not None and abs(drift.change_s) > max(
-            CLOCK_DRIFT_S, DRIFT_DEVIATIONS * drift.deviation_s
-        ):
+    def check_given_offset(
+        self, given_s: float, found: Synchronisation | None, apart_s: float
+    ) -> None:
+        """Add a finding where an offset given by hand is not the one that the files show.
+
+        Parameters
+        ----------
+        given_s : float
+            As given.
+        found : Synchronisation or None
+            By a signal or by the motion; None where the files do not tell it.
+        apart_s : float
+            Added to both for the message: clocks may count from an epoch.
+        """
+        if found is None:
+            return
+        differs_s = abs(given_s - found.offset_s)
+        if differs_s > 3 * found.error_s + GIVEN_CLOCK_S:
+            by = "sync signal" if found.by == "sync" else "motion"
             self.findings.append(
                 ImportFinding(
                     "warning", "clock",
-                    f"the two clocks drift apart by {DURATION.text(abs(drift.change_s))} in "
-                    f"{drift.over_s:.1f} s",
-                    "correct the frame rate of the motion capture, or record shorter takes",
+                    f"the offset given by hand, {given_s + apart_s:.4f} s, differs by "
+                    f"{DURATION.text(differs_s)} from that of the {by}, "
+                    f"{found.offset_s + apart_s:.4f} s ± {DURATION.text(found.error_s, 2)}",
+                    "leave out --offset (offset_s in a table of takes), or correct it",
                 )
             )  # fmt: skip
 
@@ -117,6 +145,7 @@ class ImportVerdict:
             said["rest_pose"] = {
                 "offset_m": self.pose.offset_m.tolist(),
                 "tilt_rad": self.pose.tilt_rad,
+                "tip_aside_m": self.pose.tip_aside_m,
                 "yaw_rad": self.pose.yaw_rad,
                 "scale": self.pose.scale,
                 "largest_misfit_m": float(self.pose.misfit_m.max()),

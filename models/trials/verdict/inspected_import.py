@@ -16,6 +16,7 @@ from models.trials.importers.mocap_frame import to_world
 from models.trials.importers.series import Series, marker_columns
 from models.trials.importers.synchronisation import (
     Synchronisation,
+    offset_near,
     shift_clock,
     synchronise,
     without_sync,
@@ -137,7 +138,7 @@ def _merged(
 ) -> list[Series]:
     """Series of both files on one clock; their epochs lie `apart_s` apart."""
     try:
-        clock = _clock(servo, series, source, mapping, apart_s)
+        clock = _clock(servo, series, source, mapping, verdict, apart_s)
     except InputError:
         _judge_whole_files(servo, series, verdict)
         verdict.refuse(source.file)
@@ -163,7 +164,8 @@ def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
     """Markers of a table in the world frame; the other readers do it themselves."""
     names = [n for n in mapping.known_markers if _has(series, n)]
     frame = mapping.frame
-    if not names or (frame.up in (None, "z") and not frame.yaw_deg and not any(frame.origin_m)):
+    moved = frame.up not in (None, "z") or frame.yaw_deg or any(frame.origin_m) or frame.mirror
+    if not names or not moved:
         return series
     world_m = to_world({n: series.position_m(n) for n in names}, mapping.frame, "z")
     return Series(series.time_s, series.columns | marker_columns(world_m), series.path)
@@ -267,9 +269,14 @@ def _clock(
     series: list[Series],
     source: Source,
     mapping: RecordingMap,
+    verdict: ImportVerdict,
     apart_s: float = 0.0,
 ) -> Synchronisation:
     """Offset after both clocks were set to start near zero, by `apart_s` differently."""
-    if source.offset_s is not None:
-        return Synchronisation(source.offset_s - apart_s, np.nan, by="option")
-    return synchronise(servo, series, mapping.meta(0))
+    if source.offset_s is None:
+        return synchronise(servo, series, mapping.meta(0))
+    given_s = source.offset_s - apart_s
+    if not mapping.signals:
+        found = offset_near(servo, series, mapping.meta(0), given_s)
+        verdict.check_given_offset(given_s, found, apart_s)
+    return Synchronisation(given_s, np.nan, by="option")

@@ -197,7 +197,8 @@ def _reading(direction: Array, angle: Array) -> list[ImportFinding]:
             "refused", "sign",
             f"joint {j + 1} counts the other way: its angle and the link's direction correlate by "
             f"{fit[j, j]:.2f}",
-            f"set scale = -1.0 for angle_{j + 1}_rad and its goal",
+            f"set scale = -1.0 for angle_{j + 1}_rad and its goal, or mirror under [frame] for a "
+            "left-handed file",
         )
         for j in range(dof)
         if fit[j, j] < -ALIKE
@@ -248,8 +249,10 @@ def _goal_findings(trial: Trial) -> list[ImportFinding]:
                     f"correct the sign or unit of goal_{j + 1}_rad",
                 )
             )  # fmt: skip
-    reach = float(np.max(np.abs(goal - goal[0])))
     declared = trial.meta.amplitude_rad
+    # A motion may begin beside zero, and a servo may count from elsewhere.
+    reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
+    reach = min(reaches, key=lambda own: abs(own - declared))
     if reach > LEAST_MOTION_RAD and abs(reach - declared) > AMPLITUDE * max(reach, declared):
         found.append(
             ImportFinding(

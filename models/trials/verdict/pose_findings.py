@@ -35,7 +35,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
     default_up : str
         Upward axis of the format where the map does not give it.
     """
-    found = _names(pose)
+    found = _names(pose, mapping, default_up)
     level = level_of(pose.scale - 1, SCALE)
     if level and not found:
         found.append(
@@ -97,10 +97,30 @@ def judge_base(pose: RestPose) -> list[ImportFinding]:
     ]  # fmt: skip
 
 
-def _names(pose: RestPose) -> list[ImportFinding]:
+def _names(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
     if not pose.order:
         return []
-    return [ImportFinding("refused", "swapped", pose.order, "correct [markers] in MAP.toml")]
+    if pose.mirrored is None:
+        return [ImportFinding("refused", "swapped", pose.order, "correct [markers] in MAP.toml")]
+    order = f"the {pose.order}, the other way round"
+    if mapping.frame.mirror:
+        return [
+            ImportFinding(
+                "refused", "swapped",
+                f'with mirror = "{mapping.frame.mirror}" the axes are left-handed, or {order}',
+                "leave mirror out of [frame], or correct [markers] in MAP.toml",
+            )
+        ]  # fmt: skip
+    in_file = np.abs(world_rotation(mapping.frame, default_up).T @ pose.mirrored)
+    axis = "xyz"[int(np.argmax(in_file))]
+    return [
+        ImportFinding(
+            "refused", "swapped",
+            f"the file's axes are left-handed (one axis is mirrored), or {order}",
+            f'set mirror = "{axis}" under [frame]; correct [markers] only where the names really '
+            "are in that order",
+        )
+    ]  # fmt: skip
 
 
 def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
@@ -125,36 +145,54 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
                 "refused", "sign",
                 f"the link leans by {ANGLE.text(pose.tilt_rad)} against its angles at rest, and "
                 "not at all against these with the other sign: the servo counts the other way",
-                "set scale = -1.0 for the angle and its goal, or correct up and yaw_deg",
+                "set scale = -1.0 for the angle and its goal, or correct up, mirror and yaw_deg",
             )
         )  # fmt: skip
-    elif level:
+    elif level or _is_tilt(pose):
         found.append(
             ImportFinding(
-                level, "tilt",
-                f"the link leans by {ANGLE.text(pose.tilt_rad)} at rest",
-                "level the motion capture's frame, or align by the base's markers",
+                level or "warning", "tilt",
+                f"the link leans by {ANGLE.text(pose.tilt_rad)} at rest, which puts its tip "
+                f"{LENGTH.text(pose.tip_aside_m, 0)} aside: a prebend of the link, or a tilted "
+                "frame",
+                "level the motion capture's frame, or map markers of the base and set "
+                'align = "base"',
             )
         )  # fmt: skip
-    distance = float(np.linalg.norm(pose.offset_m))
+    return found + _origin(pose, mapping)
+
+
+def _is_tilt(pose: RestPose) -> bool:
+    """Whether a lean through the origin, and no shift of it, puts the lowest markers aside."""
+    aside_m, shift_m = (float(np.hypot(*v[:2])) for v in (pose.offset_m, pose.crossing_m))
+    return shift_m < OFFSET_M[0] < min(aside_m, pose.tip_aside_m)
+
+
+def _origin(pose: RestPose, mapping: RecordingMap) -> list[ImportFinding]:
+    tilted = _is_tilt(pose)
+    x, y, z = offset = np.array([0.0, 0.0, pose.offset_m[2]]) if tilted else pose.offset_m
+    distance = float(np.linalg.norm(offset))
     level = level_of(distance, OFFSET_M)
-    if level:
-        x, y, z = pose.offset_m
-        where = []
-        if abs(z) > OFFSET_M[0] / 2:
-            where.append(f"{abs(z):.3f} m too {'low' if z > 0 else 'high'}")
-        if np.hypot(x, y) > OFFSET_M[0] / 2:
-            where.append(f"{np.hypot(x, y):.3f} m aside ({-x:+.3f}, {-y:+.3f})")
-        about_z = world_rotation(msgspec.structs.replace(mapping.frame, up="z"), "z")
-        new = np.array(mapping.frame.origin_m) + about_z.T @ pose.offset_m
-        place = ", ".join(f"{v:.3f}" for v in new)
-        found.append(
-            ImportFinding(
-                level, "origin", f"the origin is {' and '.join(where) or f'{distance:.3f} m off'}",
-                f"set origin_m = [{place}] under [frame], or correct base_offset_m",
-            )
-        )  # fmt: skip
-    return found
+    if not level:
+        return []
+    where = []
+    if abs(z) > OFFSET_M[0] / 2:
+        where.append(f"{abs(z):.3f} m too {'low' if z > 0 else 'high'}")
+    if np.hypot(x, y) > OFFSET_M[0] / 2:
+        where.append(f"{np.hypot(x, y):.3f} m aside ({-x:+.3f}, {-y:+.3f})")
+    upright = msgspec.structs.replace(mapping.frame, up="z", mirror=None)
+    new = np.array(mapping.frame.origin_m) + world_rotation(upright, "z").T @ offset
+    place = ", ".join(f"{v:.3f}" for v in new)
+    remedy = f"set origin_m = [{place}] under [frame], or correct base_offset_m"
+    moved_m = np.hypot(*(pose.offset_m - pose.crossing_m)[:2])
+    if not tilted and moved_m > OFFSET_M[0]:  # the lean moves it as much
+        remedy = "correct the tilt first, then origin_m under [frame]"
+    return [
+        ImportFinding(
+            level, "origin", f"the origin is {' and '.join(where) or f'{distance:.3f} m off'}",
+            remedy,
+        )
+    ]  # fmt: skip
 
 
 def _upward_axis(pose: RestPose, mapping: RecordingMap, default_up: str) -> ImportFinding:

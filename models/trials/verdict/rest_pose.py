@@ -35,6 +35,8 @@ _BETTER: Final = 0.35
 """Fraction to which another order of the names must bring the misfit to be believed [assumed]."""
 _PER_RAD_M: Final = 0.001
 """What a turn costs against misfit: it decides between orders that fit within 3 mm [assumed]."""
+_SAME_PLACE_M: Final = 0.002
+"""Distance up to which two corners are one place."""
 _FAR_M: Final = 0.015
 """Misfit of a marker from which other orders of the names are tried."""
 
@@ -51,6 +53,10 @@ class RestPose:
         Means at rest, and nominal places at the angle of the rest, with the sag of a lying link.
     offset_m : ndarray, shape (3,)
         Crossing of the joint axes, as the markers show it.
+    crossing_m : ndarray, shape (3,)
+        The same where the whole tilt is one of the frame and none of the link.
+    tip_aside_m : float
+        Distance of the highest markers' centre from its nominal place, across the vertical.
     tilt_rad, yaw_rad : float
         Of the link against the nominal one; yaw about z.
     tilt_turned_rad : float
@@ -67,12 +73,17 @@ class RestPose:
         Sag of the tip of a nominal link under its weight.
     order : str
         Order of the names that fits, in words; "" if the names fit as they are.
+    mirrored : ndarray, shape (3,), or None
+        Direction of the one axis that is mirrored, where that order is the same reflection of the
+        section in every row, or the rows are reversed and below the origin.
     """
 
     names: tuple[str, ...]
     measured_m: Array
     nominal_m: Array
     offset_m: Array
+    crossing_m: Array
+    tip_aside_m: float
     tilt_rad: float
     yaw_rad: float
     tilt_turned_rad: float
@@ -82,6 +93,7 @@ class RestPose:
     row_heights_m: Array
     sag_m: float
     order: str
+    mirrored: Array | None
 
 
 def rest_pose(
@@ -123,11 +135,15 @@ def rest_pose(
     heights = [
         measured[rows == r, 2].mean() if (rows == r).any() else np.nan for r in range(layout.rows)
     ]
+    highest = placed[:, 2] >= placed[:, 2].max() - 0.05
+    aside = (measured - placed @ _about_z(rotation).T)[highest].mean(axis=0)
     return RestPose(
         names,
         measured,
         nominal,
         _origin_m(measured, placed, rotation, shift),
+        shift,
+        float(np.hypot(aside[0], aside[1])),
         tilt,
         float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])),
         _tilt_rad(rotation @ turn @ turn),
@@ -137,6 +153,7 @@ def rest_pose(
         np.array(heights),
         float(np.linalg.norm(sag, axis=1).max()),
         wording,
+        _mirrored(upright, order, layout, rotation @ turn, measured),
     )
 
 
@@ -166,12 +183,35 @@ def _origin_m(measured: Array, nominal: Array, rotation: Array, shift: Array) ->
     """
     if rotation[2, 2] < np.cos(np.radians(5.0)):
         return shift
-    yaw = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
-    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+    about_z = _about_z(rotation)
     lowest = nominal[:, 2] <= nominal[:, 2].min() + 0.05
     apart = (measured - nominal @ about_z.T)[lowest].mean(axis=0)
     up = (measured - nominal @ about_z.T)[:, 2].mean()
     return np.array([apart[0], apart[1], up])
+
+
+def _about_z(rotation: Array) -> Array:
+    """Part of a rotation about the vertical."""
+    yaw = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
+    return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
+
+
+def _mirrored(
+    upright: Array, order: Order, layout: MarkerLayout, turn: Array, measured: Array
+) -> Array | None:
+    """Axis of the reflection that an order of the names is; None if it is none."""
+    if layout.rows == 1:
+        return None
+    if (upright[order, 2] != upright[:, 2]).any():  # rows: mirrored if the link is then below
+        return turn[:, 2] if measured[:, 2].max() < 0 else None
+    named, placed = upright[:, :2], upright[order, :2]
+    u, _, vt = np.linalg.svd(placed.T @ named)
+    reflection = u @ vt  # placed = reflection named
+    left = np.abs(named @ reflection.T - placed).max()
+    if np.linalg.det(reflection) > 0 or left > _SAME_PLACE_M:
+        return None
+    values, vectors = np.linalg.eigh(0.5 * (reflection + reflection.T))
+    return np.asarray(turn[:, :2] @ vectors[:, int(np.argmin(values))])
 
 
 def _misfit(measured: Array, nominal: Array) -> float:

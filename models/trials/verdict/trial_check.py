@@ -26,7 +26,9 @@ from models.trials.verdict.signal_findings import check_common_clock, judge_sign
 from models.trials.verdict.whole_run.run_findings import judge_run
 from models.trials.verdict.whole_run.zero_markers import without_zeros
 
-__all__ = ["check_trial", "check_trials", "judge_pressures", "refuse_mixed_links"]
+__all__ = [
+    "check_trial", "check_trials", "judge_doubled", "judge_pressures", "refuse_mixed_links",
+]  # fmt: skip
 
 LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
 """Conditions that all trials of one link share."""
@@ -91,7 +93,7 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
         Of the link.
     """
     found = [*_judge_links(trials), *judge_pressures(trials)]
-    found += [*_doubled(trials), *judge_payloads(list(trials))]
+    found += [*judge_doubled(trials), *judge_payloads(list(trials))]
     _, held_out = trials.split()
     if not len(held_out):
         found.append(
@@ -153,6 +155,37 @@ def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
     ]  # fmt: skip
 
 
+def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
+    """Findings on trials of one recording, or with the same angles: they are no test of each other.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        That are used together.
+    """
+    of_angles: dict[bytes, Trial] = {}
+    of_recording: dict[str, Trial] = {}
+    found = []
+    for trial in trials:
+        what, other = "hold the same angles", of_angles.setdefault(trial.angle_rad.tobytes(), trial)
+        if not trial.angle_rad.std() > 0:
+            other = trial
+        recording = trial.meta.recording_sha256
+        if recording and of_recording.setdefault(recording, trial) is not trial:
+            what, other = "are of one recording", of_recording[recording]
+        if other is not trial:
+            first, second = other.name, trial.name
+            if first == second:
+                first, second = str(other.path), str(trial.path)
+            found.append(
+                ImportFinding(
+                    "warning", "doubled", f"{first} and {second} {what}",
+                    "import each recording once; a copy is no test",
+                )
+            )  # fmt: skip
+    return found
+
+
 def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Findings on trials of several links: sizes, mounting, markers."""
     found: list[ImportFinding] = []
@@ -181,24 +214,6 @@ def _worded(value: Any) -> str:
     if isinstance(value, MarkerLayout):
         return f"{value.rows} rows of {value.corners}, the first at {value.rows_m[0]:g} m"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _doubled(trials: TrialSet) -> list[ImportFinding]:
-    """Findings on trials that hold the same samples, which then are no test of each other."""
-    first: dict[bytes, str] = {}
-    found = []
-    for trial in trials:
-        samples = trial.angle_rad.tobytes()
-        if samples in first and trial.angle_rad.std() > 0:
-            found.append(
-                ImportFinding(
-                    "warning", "doubled",
-                    f"{first[samples]} and {trial.name} hold the same angles",
-                    "import each recording once; a copy is no test",
-                )
-            )  # fmt: skip
-        first.setdefault(samples, trial.name)
-    return found
 
 
 def _collinear(trial: Trial) -> bool:

@@ -86,6 +86,7 @@ def _measures(verdict: ImportVerdict) -> list[tuple[str, str]]:
         rows += [
             ("offset of the origin, x, y, z", f"{x}, {y}, {z} {LENGTH.name}"),
             ("tilt at rest", ANGLE.text(pose.tilt_rad)),
+            ("tip beside the vertical at rest", LENGTH.text(pose.tip_aside_m)),
             ("yaw by the corners", ANGLE.text(pose.yaw_rad)),
             ("distances, measured over nominal", f"{pose.scale:.4f}"),
             ("largest distance of a marker from its place", LENGTH.text(pose.misfit_m.max())),

@@ -104,6 +104,20 @@ def test_a_line_without_end_is_refused(tmp_path):
     assert "a line of more than" in sentence(lambda p: list(read_lines(p, "")), path)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_lines_of_a_table_are_read_by_their_byte_order_mark(tmp_path, encoding):
+    path = tmp_path / "a.csv"
+    path.write_text("ä,b\r\n1,2\r\n", encoding=encoding, newline="")
+    assert list(read_lines(path, "")) == ["ä,b\r\n", "1,2\r\n"]
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfea\x00b", "ä,b".encode("latin-1")])
+def test_lines_in_another_encoding_or_cut_off_are_refused(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    assert sentence(lambda p: list(read_lines(p, "")), path).endswith("save it as UTF-8.")
+
+
 def test_a_name_with_a_nul_is_refused():
     with pytest.raises(InputError, match="is no file name"):
         read_text("a\0b", "name a file")

@@ -50,13 +50,14 @@ def feedback_of(plan, **options):
 
 
 def tick(
-    feedback, tip_m, slot=0, fresh=True, in_range=1.0, half_m=0.01, innovation=0.1, current=0.0
-):
+    feedback, tip_m, slot=0, fresh=True, in_range=1.0, half_m=0.01, innovation=0.1, current=0.0,
+    following=True,
+):  # fmt: skip
     prediction = Prediction(np.array([tip_m, 0.0, 1.0]), np.array([in_range]), np.full(3, half_m))
     estimate = Estimate(0.0, 1.0, np.array([innovation]))
-    return float(
-        feedback.update(slot, PERIOD_S, fresh, np.array([current]), estimate, prediction)[0]
-    )
+    return float(feedback.update(
+        slot, PERIOD_S, fresh, np.array([current]), estimate, prediction, following
+    )[0])  # fmt: skip
 
 
 def test_a_steady_error_is_integrated_away():
@@ -73,6 +74,17 @@ def test_corrections_are_bounded_in_size_and_rate_and_do_not_wind_up():
     assert np.max(np.abs(np.diff(values))) <= RATE * PERIOD_S + 1e-12
     back = [tick(feedback, 0.5) for _ in range(2)]
     assert back[0] < SIZE, "the integral stood at its bound, not behind it"
+
+
+def test_nothing_is_integrated_while_the_goals_blend_into_the_plan():
+    """Far from the path on purpose, not by an error."""
+    feedback, before = feedback_of(plan_with()), 0.0
+    for _ in range(20):
+        before = tick(feedback, 0.001)
+    assert before < 0.0
+    assert {tick(feedback, -0.2, following=False) for _ in range(300)} == {before}
+    assert feedback.trust is TrustState.TRUSTED
+    assert tick(feedback, 0.001) < before, "it goes on from there"
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_what_the_loop_sends_is_read_back_to_the_bit(tmp_path, dof):
     assert log.complete
     assert log.metadata == {"dof": str(dof), "config": "{}"}
     assert_same(log.columns, records)
-    assert telemetry.drops == 0
+    assert (telemetry.drops, telemetry.logged) == (0, len(records))
 
 
 def test_only_the_first_ticks_are_read_where_that_is_asked(tmp_path):
@@ -253,6 +253,61 @@ def test_a_log_that_cannot_be_written_is_refused_before_the_start(tmp_path, capf
     ):
         pytest.fail("the loop must not start")
     assert capfd.readouterr().err == "", "the sentence is the error's"
+
+
+LIMITED = """
+import resource
+from pathlib import Path
+from firmware_py.errors import InputError
+from firmware_py.log.recorder import recording
+from firmware_py.log.recording import read_recording
+from tests.firmware_py.log.test_recorder import put_all, ticks
+resource.setrlimit(resource.RLIMIT_FSIZE, ({most}, {most}))
+path = Path({path!r})
+try:
+    with recording(path, 2, 10**18, {{}}) as telemetry:
+        put_all(telemetry, ticks(200))
+    print(telemetry.logged, len(read_recording(path).columns["tick"]))
+except InputError as error:
+    print(error, path.exists())
+"""
+
+
+def limited(path, most):
+    """What a log comes to where no file may be larger: as on a full disk, a write fails."""
+    code = LIMITED.format(path=str(path), most=most)
+    return subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+def test_a_disk_that_is_full_at_the_start_is_told_and_keeps_no_empty_file(tmp_path):
+    ended = limited(tmp_path / "run.mcap", 0)
+    assert ended.stdout.startswith(f"{tmp_path / 'run.mcap'}: cannot be written (File too large)")
+    assert "make room on its disk" in ended.stdout
+    assert ended.stdout.endswith("False\n"), "the name is free again"
+    assert ended.stderr == "", "no traceback of the recorder"
+
+
+def test_a_disk_that_fills_during_the_run_leaves_a_count_of_what_the_log_holds(tmp_path):
+    ended = limited(tmp_path / "run.mcap", 60_000)
+    logged, readable = map(int, ended.stdout.split())
+    assert 0 < logged == readable < 200
+    assert ended.stderr == "recorder: the log ends here (File too large)\n"
+
+
+def test_a_recorder_that_was_killed_says_no_number(tmp_path, monkeypatch):
+    spawned, start = [], subprocess.Popen
+
+    def spawn(*arguments, **options):
+        spawned.append(start(*arguments, **options))
+        return spawned[0]
+
+    monkeypatch.setattr(subprocess, "Popen", spawn)
+    with recording(tmp_path / "run.mcap", 2, 10**18, {}) as telemetry:
+        spawned[0].kill()
+        spawned[0].wait()
+    assert telemetry.logged is None
 
 
 @pytest.mark.parametrize("package", ["mcap", "lz4"])

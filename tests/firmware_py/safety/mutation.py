@@ -62,6 +62,11 @@ EQUIVALENT = {
     "self._from_rest, self._tick, self._ticks = False, 0, 0": "there is no offset to blend",
     "self._anchor = [0.0] * dof": "written before it is read, by every way from rest",
     "self._offset = [0.0] * dof": "written before it is read, by absorb",
+    "distance = 0.0": "a millirad takes no tick",
+    "before, velocity = list(self._anchor)": "the room is wider than a rate of 1 mrad/s",
+    "ticks += max(ticks // 4, 1)": "it says how finely durations are tried",
+    "for tick, row in enumerate(rows, 1)": "the room is wider than what one tick changes",
+    "while ticks < len(rows)": "what goes beyond is cut two lines later",
 }
 """Lines whose mutants no test can tell from the original, and why."""
 

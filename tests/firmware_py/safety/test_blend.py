@@ -91,6 +91,63 @@ def test_a_slot_missed_while_a_motion_is_taken_up_begins_that_anew():
     assert supervisor.state is SafetyState.RUNNING
 
 
+def joining(stands, motion, limits=LIMITS):
+    """Goals of a join into a motion that is known, and the ticks that it takes."""
+    supervisor = started(limits, at=stands)
+    supervisor.resume(np.array([value]) for value in motion)
+    goals = [stands]
+    while not supervisor.following:
+        goals.append(first_goal_after(supervisor, motion[len(goals) - 1]))
+        assert supervisor.state is SafetyState.RUNNING, supervisor.reason
+    return np.array(goals), len(goals) - 1
+
+
+@given(angles, st.floats(0.05, 0.4), st.integers(0, 1023), st.sampled_from([0.5, 1.0, 2.0]))
+def test_a_join_takes_as_long_as_its_distance_needs(stands, amplitude, slot, rate):
+    limits = msgspec.structs.replace(LIMITS, rate_rad_s=rate)
+    motion = amplitude * np.sin(2 * np.pi * (np.arange(3000) + slot) / 1024)
+    goals, ticks = joining(stands, motion, limits)
+    farthest = np.abs(motion[:ticks] - stands).max()
+    needed = max(1.0, 7.5 * farthest / rate) / EXACT_S
+    longest = max(1.0, 7.5 * (0.5 + abs(stands)) / rate) / EXACT_S
+    assert ticks <= math.ceil(longest)
+    assert ticks >= min(needed, longest) - 1
+    own = np.abs(np.diff(motion[: ticks + 1])).max()
+    assert np.abs(np.diff(goals)).max() <= own + 0.25 * rate * EXACT_S * 1.001
+    assert abs(goals[1] - stands) < 1e-4
+
+
+@pytest.mark.parametrize(("distance", "ticks"), [(0.0, 64), (0.1, 64), (0.2, 96), (0.4, 192)])
+def test_a_motion_that_waits_nearby_is_joined_sooner(distance, ticks):
+    assert joining(-0.1, np.full(900, distance - 0.1))[1] == ticks
+
+
+@pytest.mark.parametrize("slot", [16, 64, 144])
+def test_a_join_leaves_room_beside_a_motion_that_is_almost_at_the_limit(slot):
+    """Blend and motion add up; where a slower blend leaves room for both, it is taken."""
+    limits = msgspec.structs.replace(LIMITS, angle_rad=(-1.0, 1.0))
+    motion = 0.95 * np.sin(2 * np.pi * np.arange(3000) / 256) / (2 * np.pi / 4)
+    goals, ticks = joining(0.0, motion[slot:], limits)
+    longest = 480  # 7.5 rad over 1 rad/s
+    assert ticks == longest or np.abs(np.diff(goals)).max() <= 0.9 * EXACT_S * (1 + 1e-9)
+
+
+def test_the_last_tick_of_a_join_counts_for_its_distance():
+    motion = np.full(900, 0.129)
+    motion[63:] += 0.008
+    assert joining(0.0, motion)[1] == math.ceil(7.5 * 0.137 * 64)
+
+
+def test_a_join_that_never_finds_its_distance_takes_no_longer_than_one_in_the_dark():
+    supervisor, blind = started(at=0.1), started(at=0.1)
+    supervisor.resume(np.array([0.5 * (-1.0) ** (k // 9)]) for k in range(4000))
+    blind.resume()
+    for _ in range(4000):
+        first_goal_after(supervisor, 0.1)
+        first_goal_after(blind, 0.1)
+        assert supervisor.following == blind.following
+
+
 @pytest.mark.parametrize(("at", "desired"), [(0.3, -0.4), (-0.3, 0.4)])
 def test_a_motion_far_away_is_taken_up_slowly(at, desired):
     supervisor = started(at=at)

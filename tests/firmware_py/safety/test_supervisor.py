@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.safety.states import TRANSITIONS, SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor
 from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
 
@@ -210,6 +210,45 @@ def test_a_robot_whose_port_is_back_starts_with_a_clean_slate():
     supervisor.start()
     for _ in range(12):
         assert check(supervisor, angle=0.3, missed=1) is SafetyState.RUNNING
+
+
+def stopped_by_data(supervisor):
+    for _ in range(3):
+        check(supervisor, status=BusStatus.PORT_GONE)
+    while supervisor.state is not SafetyState.OFF:
+        supervisor.admit(np.zeros(1))
+
+
+def test_what_stopped_a_robot_that_starts_again_is_told_in_the_end():
+    supervisor, gone = started(), "no fresh data for 3 ticks (PORT_GONE)"
+    for _ in range(2):
+        stopped_by_data(supervisor)
+        assert supervisor.reason.endswith(gone)
+        supervisor.restart()
+        assert (supervisor.reason, supervisor.tripped) == ("", False)
+        assert supervisor.faults == {Fault.DATA}
+        supervisor.arm(np.zeros(1))
+        supervisor.start()
+    supervisor.request_stop("the motion is over")
+    assert not supervisor.tripped
+    supervisor.conclude(1, released=True)
+    assert supervisor.faults == {Fault.DATA, Fault.ALERT}
+    assert supervisor.reason == (
+        f"{gone}; then the port was back; then the motion is over; then a servo raises an alert "
+        "(input voltage)"
+    )
+
+
+def test_goals_are_those_of_the_motion_but_in_a_blend_and_in_a_stop():
+    supervisor = started(at=0.1, desired=0.0)  # blends for 64 ticks
+    for _ in range(64):
+        assert not supervisor.following
+        first_goal_after(supervisor, 0.0)
+    assert supervisor.following
+    check(supervisor, status=BusStatus.TIMEOUT)
+    assert supervisor.state is SafetyState.DEGRADED and supervisor.following
+    supervisor.request_stop("enough")
+    assert not supervisor.following
 
 
 def test_the_machine_makes_no_step_that_is_not_drawn():

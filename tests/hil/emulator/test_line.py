@@ -134,6 +134,22 @@ def test_a_virtual_run_is_the_same_twice(bus_of):
     assert run() == run()
 
 
+def test_an_instruction_that_is_not_heard_changes_nothing_and_is_not_answered(bus_of):
+    clock = SimClock()
+    line = Line(bus_of(54025))
+    bus = bus_on(VirtualTransport(line, clock), clock, ids=(1,))
+    bus.connect()
+    bus.torque(True)
+    line.faults = FaultPlan({"unheard": 1.0})
+    assert bus.read(clock.now_ns() + 8 * MS) is BusStatus.TIMEOUT
+    assert bus.torque(False) is BusStatus.TIMEOUT
+    assert line.bus.driven
+    assert set(line.faults.injected) == {"unheard"}
+    line.faults = FaultPlan()
+    assert bus.torque(False) is BusStatus.OK
+    assert not line.bus.driven
+
+
 @pytest.mark.parametrize("kind", ["lost", "late", "truncated", "corrupt", "duplicated", "noise"])
 def test_each_fault_changes_its_packets_and_never_becomes_data(bus_of, kind):
     clock = SimClock()

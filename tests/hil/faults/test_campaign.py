@@ -13,6 +13,7 @@ import pytest
 
 from firmware_py.bus import feedback
 from firmware_py.bus.dynamixel import DynamixelBus
+from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
@@ -100,6 +101,26 @@ def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(robot, monkeypatch
     judged = run(robot, row)
     assert judged.verdict == "fail"
     assert any("old data for fresh" in words for words in judged.safety_violations)
+
+
+def test_a_bus_that_takes_any_answer_for_a_confirmation_is_found_out(robot, monkeypatch):
+    def put(registers, id_, cell, raw):
+        registers._port.deadline_ns = registers._clock.now_ns() + 50_000_000
+        packets_, data = registers._packets, list(cell.encode(raw))
+        result, _ = packets_.writeTxRx(registers._port, id_, *cell[:2], data)
+        return result == 0
+
+    monkeypatch.setattr(RegisterAccess, "put", put)
+    monkeypatch.setattr(
+        DynamixelBus, "_switch",
+        lambda bus, id_, on: put(
+            bus._registers, id_, bus._table[Register.TORQUE_ENABLE], int(on)
+        ),
+    )  # fmt: skip
+    judged = run(robot, row_named("torque off unheard, late replies", "the first to each servo"),
+                 LEGACY)  # fmt: skip
+    assert judged.verdict == "fail"
+    assert any("says that it is released" in words for words in judged.safety_violations)
 
 
 @pytest.mark.parametrize("row", [r for r in VIRTUAL if r.must is RECOVERED], ids=str)

@@ -20,6 +20,7 @@ from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from hil.__main__ import main
+from hil.commands.sil import describe_sil
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
@@ -53,6 +54,13 @@ class Unsurprised(NoEstimator):
 
     def update(self, angle_rad, current_a, step_s):
         return Estimate(0.0, 0.0, np.zeros(1))
+
+
+class Heavy(NoEstimator):
+    """Estimates more than the plan holds, and is surprised by every current."""
+
+    def update(self, angle_rad, current_a, step_s):
+        return Estimate(0.0, 2.0, np.full(1, 9.0))
 
 
 @pytest.fixture(scope="module")
@@ -140,6 +148,21 @@ def test_corrections_of_a_wrong_estimate_stay_within_their_bounds(options, plan)
     assert set(own["trust"]) == {TrustState.TRUSTED}
     assert 1e-3 < np.max(np.abs(added)) <= plan.feedback.size_rad + 1e-9
     assert np.max(np.abs(np.diff(added))) <= plan.feedback.rate_rad_s * PERIOD_S + 1e-9
+
+
+def test_a_payload_beyond_the_plan_and_lost_feedback_are_told(options, bundle, plan, tmp_path):
+    heavy = ModelBundle(
+        bundle.directory, msgspec.structs.replace(bundle.manifest, estimator="observer"),
+        Heavy(), bundle.predictor, bundle.manifest_sha256,
+    )  # fmt: skip
+    chosen = options(bundle=heavy, payload_known=False, open_loop=False)
+    timing = write_results(run_sil(chosen), chosen)
+    told = describe_sil(timing, tmp_path).splitlines()
+    assert "at 2.00 kg, the plan holds 0.5 to 1.5 kg" in timing.run.payload_note
+    used = timing.run.feedback
+    assert (used.ticks, used.lost_ticks) == (plan.rows, plan.rows - 1), "two bad ticks end trust"
+    assert {timing.run.payload_note, used.note} <= set(told)
+    assert used.note.endswith("last because its innovation is 9.00 A")
 
 
 def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):

@@ -104,11 +104,11 @@ def test_a_place_for_no_bundle_is_refused_before_the_trials_are_read(
     assert (tmp_path / "full" / "notes.txt").read_text() == "kept"
 
 
-def test_trials_of_several_pressures_are_doubted_in_training(toy_trials, tmp_path, capsys):
+def test_several_pressures_and_one_recording_are_doubted_in_training(toy_trials, tmp_path, capsys):
     for trial in toy_trials(1, amplitudes_deg=(30,)):
         meta = trial.meta
         if meta.payload_kg == 2.0:
-            meta = msgspec.structs.replace(meta, pressure_pa=20e3)
+            meta = msgspec.structs.replace(meta, pressure_pa=20e3, recording_sha256="a" * 64)
         size = {"link_length_m": 0.95, "link_width_m": 0.15, "base_offset_m": 0.06}
         write_trial(replace(trial, meta=msgspec.structs.replace(meta, **size)), tmp_path / "trials")
     arguments = ["train", str(tmp_path / "trials"), "--dof", "1", "--out", str(tmp_path / "out")]
@@ -118,3 +118,4 @@ def test_trials_of_several_pressures_are_doubted_in_training(toy_trials, tmp_pat
     told = "warning: pressure_pa differs between the trials: 20000 to 41300 Pa"
     assert told in output.err
     assert told.removeprefix("warning: ") in " ".join(json.loads(output.out)["warnings"])
+    assert "are of one recording; import each recording once; a copy is no test" in output.err

@@ -55,7 +55,23 @@ def test_a_program_ends_the_run_without_a_fault():
     assert not summary.faults
 
 
+def end(status):
+    return {"tick": status["tick"], "end": True}
+
+
 FAULTS = {
+    "angle, then end": (
+        lambda status: [goal(status, 0.7), end(status)],
+        r"wants joint 1 at 0\.7 rad, outside -0\.6",
+    ),
+    "rate, then end": (
+        lambda status: [goal(status, 0.3), end(status)],
+        r"moves joint 1 at .* rad/s, the limit is 2",
+    ),
+    "angle, then sane": (
+        lambda status: [goal(status, 0.7), swinging(status)],
+        r"wants joint 1 at 0\.7 rad, outside -0\.6",
+    ),
     "silent": (lambda status: [], r"has sent none for 3 ticks"),
     "vanished": (lambda status: [None], r"has gone"),
     "flooding": (

@@ -25,6 +25,17 @@ def test_a_wrong_constant_is_told(trials):
     assert "not 6.83" in said
 
 
+def test_a_current_that_falls_with_the_payload_is_no_constant(trials):
+    """Recordings in which the load's part of the current was turned."""
+    light, heavy = trials(6.83, (0.0, 1.5))
+    of_payload = heavy.columns["current_1_a"] - light.columns["current_1_a"]
+    turned = light.columns["current_1_a"] - of_payload
+    heavy = replace(heavy, columns=heavy.columns | {"current_1_a": turned})
+    (said,) = torque_constant_doubts(read_plant(), [light, heavy])
+    assert "of joint 1" in said and "check the sign" in said
+    assert "N.m/A" not in said
+
+
 @pytest.mark.parametrize(
     ("constant_nm_a", "payloads"),
     [(6.83, (0.0, 1.5)), (6.6, (0.0, 1.5)), (4.8, (1.5,))],

@@ -100,3 +100,20 @@ def test_edges_between_samples_leave_an_interval_that_holds_the_offset():
     assert found.low_s < -1.234 < found.high_s and found.error_s < 0.006  # 8.5 + 4.2 of one edge
     (lost,) = edge_offsets(edges_s(0.017, 6.0)[2:] + 1.234, edges_s(1 / 120))
     assert lost.low_s < -1.234 < lost.high_s
+
+
+@pytest.mark.parametrize(("rate_error", "step_s"), [(0.0, 0.001), (3e-4, 0.001), (-2e-4, 0.001)])
+def test_edges_tell_how_far_the_clocks_drift_apart(rate_error, step_s):
+    rises_s = np.cumsum([0.3, 0.7, 0.45, 0.9, 0.61, 1.3, 0.52, 0.83, 0.71, 1.1, 0.66])
+
+    def edges(own_rate):
+        time_s = np.arange(0, 10, step_s) * own_rate
+        true_s = time_s / own_rate
+        high = np.any([(true_s >= rise) & (true_s < rise + 0.1) for rise in rises_s], axis=0)
+        return rising_edges_s(time_s, 5.0 * high)
+
+    (found,) = edge_offsets(edges(1 + rate_error), edges(1.0))
+    over_s = rises_s[-1] - rises_s[0]
+    assert found.drift.over_s == pytest.approx(over_s, abs=2 * step_s)
+    assert found.drift.change_s == pytest.approx(-rate_error * over_s, abs=4e-4)
+    assert 1e-4 < found.drift.deviation_s < 6e-4

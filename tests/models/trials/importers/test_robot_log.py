@@ -169,7 +169,8 @@ def test_rows_from_an_early_end_on_are_left_out_with_a_word(tmp_path, import_, n
     assert len(trial) == row
     assert trial.columns["goal_1_rad"].tobytes() == records["goal_1_rad"][:row].tobytes()
     (said,) = [f["text"] for f in result["findings"] if f["cause"] == "stop"]
-    assert said.startswith("what run.mcap holds from sample 201 (3.40 s) on is left out: ")
+    began = "what run.mcap holds from tick 200 on, 3.40 s after its motion began, is left out: "
+    assert said.startswith(began)
     assert reason in said
 
 
@@ -193,7 +194,7 @@ def test_an_alert_before_the_motion_leaves_no_trial(tmp_path, capsys):
     words = f"import {path} --as recording --map {tmp_path}/map.toml --out {tmp_path}/out"
     assert main(words.split()) == 2
     said = capsys.readouterr().err
-    assert "from sample 71 (1.19 s) on is left out: a servo raises an alert (overload)" in said
+    assert "from tick 70 on, 1.19 s after its motion began, is left out: a servo raises" in said
     assert said.endswith("and hardly any motion is left; record it again.\n")
     assert not list((tmp_path / "out").glob("*.csv"))
 
@@ -209,3 +210,67 @@ def test_goals_from_outside_tell_their_duration_and_reach(tmp_path, import_, mor
     assert meta.amplitude_rad == np.abs(records["goal_1_rad"]).max()
     assert meta.period_s == pytest.approx(PERIOD_S * (COUNT - 60))
     assert not [f for f in result["findings"] if "amplitude_rad" in f["text"]]
+
+
+APPROACH = 120
+
+
+def after_an_approach(**columns):
+    """The same swing by an arm that leaned by 0.3 rad, and the ticks that lead it to rest."""
+    records = np.zeros(APPROACH + COUNT, tick_dtype(1))
+    records[APPROACH:] = swinging()
+    lead = np.arange(APPROACH)
+    records["tick"][:APPROACH] = lead - APPROACH
+    records["time_s"][:APPROACH] = PERIOD_S * (lead - APPROACH)
+    records["goal_1_rad"][:APPROACH] = -0.15 * (1 + np.cos(np.pi * lead / APPROACH))
+    records["angle_1_rad"] = records["goal_1_rad"]
+    for name, values in columns.items():
+        records[name] = values
+    return records
+
+
+def test_a_trial_begins_with_its_motion_not_with_the_approach(tmp_path, import_):
+    motion = json.dumps(
+        {"motion": "swing", "period_s": 4.1, "amplitude_rad": 0.2, "phase_2_rad": 0.0}
+    )
+    records = after_an_approach()
+    trial, result = import_(log_of(tmp_path / "run.mcap", records, 1, motion=motion))
+    assert (len(trial), trial.meta.rest_samples) == (COUNT, 60)
+    for name in ("goal_1_rad", "angle_1_rad", "current_1_a", "predicted_tip_x_m"):
+        assert trial.columns[name].tobytes() == records[name][APPROACH:].tobytes(), name
+    assert result["findings"] == []
+
+
+def test_the_time_of_an_early_end_is_one_of_the_trial(tmp_path, import_):
+    state = np.zeros(APPROACH + COUNT, int)
+    state[APPROACH + 200 :] = SafetyState.STOPPING
+    log = log_of(tmp_path / "run.mcap", after_an_approach(state=state), 1, slots="571")
+    trial, result = import_(log)
+    assert len(trial) == 200
+    (said,) = [f["text"] for f in result["findings"] if f["cause"] == "stop"]
+    assert "from tick 200 on, 3.40 s after its motion began" in said
+    assert trial.time_s[-1] == pytest.approx(3.40 - PERIOD_S)
+
+
+def test_a_stop_during_the_approach_leaves_no_trial(tmp_path, capsys):
+    state = np.zeros(APPROACH + COUNT, int)
+    state[60:] = SafetyState.STOPPING
+    path = log_of(tmp_path / "run.mcap", after_an_approach(state=state), 1, slots="571")
+    (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
+    words = f"import {path} --as recording --map {tmp_path}/map.toml --out {tmp_path}/out"
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert "run.mcap holds no motion: the robot stops before the end of its motion during" in said
+
+
+def test_goals_that_begin_beside_zero_have_the_amplitude_of_their_plan(tmp_path, import_):
+    """A plan says its largest goal; from a first one of the other sign it is twice as far."""
+    records = swinging()
+    records["goal_1_rad"] = records["angle_1_rad"] = 0.1 * np.cos(
+        np.maximum(records["time_s"] - 60 * PERIOD_S, 0.0)
+    )
+    for amplitude_rad, fits in ((0.1, True), (0.2, True), (0.4, False)):
+        known = {"motion": "plan_line", "period_s": 4.0, "amplitude_rad": amplitude_rad}
+        path = log_of(tmp_path / f"{amplitude_rad}.mcap", records, 1, motion=json.dumps(known))
+        found = [f["text"] for f in import_(path)[1]["findings"] if f["cause"] == "amplitude"]
+        assert fits == (not found), amplitude_rad

@@ -170,7 +170,11 @@ def test_a_left_handed_file_mirrors_all_rows_however_few_there_are(rows, gravity
     mirrored_m = noisy(places_m) * [1.0, -1.0, 1.0]
     pose = rest_pose(dict(zip(layout.names, mirrored_m, strict=True)), meta)
     found = judge_pose(pose, RecordingMap(), "z")
-    assert [f.text for f in found] == ["corners are named in the order 3, 4, 1, 2"]
+    (finding,) = found
+    assert finding.level == "refused"
+    assert finding.text.startswith("the file's axes are left-handed")
+    assert "corners are named in the order 3, 4, 1, 2" in finding.text
+    assert finding.remedy.startswith('set mirror = "y" under [frame]')
 
 
 @pytest.mark.parametrize("pair", [(0, 4), (1, 2)])

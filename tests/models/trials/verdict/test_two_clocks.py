@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
+from models.trials.clock.offset_fit import ClockDrift
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series, marker_columns
-from models.trials.importers.synchronisation import synchronise
+from models.trials.importers.synchronisation import Synchronisation, synchronise
 from models.trials.trial import TrialMeta
 from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.inspected_import import Source, inspect_import
@@ -76,17 +77,27 @@ def test_clocks_that_drift_apart_are_told(rate_error, count, rigid_markers, tmp_
     assert ["drift apart" in f.text for f in verdict.findings] == [True] * count
 
 
-def test_the_next_best_offset_is_on_the_same_clocks_as_the_best(rigid_markers, tmp_path):
+@pytest.mark.parametrize(("change_s", "count"), [(0.0015, 0), (0.0025, 1), (-0.0025, 1)])
+def test_a_drift_over_the_edges_of_a_signal_is_told(change_s, count):
+    drift = ClockDrift(change_s, 2e-4, 7.8)
+    clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", edges_drift=drift)
+    verdict = ImportVerdict("take", clock=clock)
+    verdict.check_clock()
+    assert ["drift apart by 2.5" in f.text for f in verdict.findings] == [True] * count
+
+
+def inspected(path, rigid_markers, servo_epoch_s, offset_s=None):
+    """Verdict on a take whose motion capture's clock starts at 100 s."""
     time_s = np.arange(0, 10, 1 / 120)
     markers_m = rigid_markers(np.pad(swing(time_s)[:, None], ((0, 0), (0, 1))))
     mocap = {"time_s": time_s + 100.0} | marker_columns(
         {f"m{k + 1:02d}": markers_m[:, k] for k in range(16)}
     )
-    log = servo_log(tmp_path)
-    files = {"mocap": mocap, "servo": {"time_s": log.time_s + 1.7643e9} | log.columns}
+    log = servo_log(path)
+    files = {"mocap": mocap, "servo": {"time_s": log.time_s + servo_epoch_s} | log.columns}
     for name, columns in files.items():
         np.savetxt(
-            tmp_path / f"{name}.csv", np.column_stack(list(columns.values())), "%.7f", ",",
+            path / f"{name}.csv", np.column_stack(list(columns.values())), "%.7f", ",",
             header=",".join(columns), comments="",
         )  # fmt: skip
     trial = {
@@ -95,8 +106,30 @@ def test_the_next_best_offset_is_on_the_same_clocks_as_the_best(rigid_markers, t
         "link_width_m": 0.15,
     }  # fmt: skip
     verdict = ImportVerdict("take")
-    source = Source(tmp_path / "mocap.csv", "table", tmp_path / "servo.csv")
+    source = Source(path / "mocap.csv", "table", path / "servo.csv", offset_s)
     inspect_import(source, RecordingMap(trial=trial), verdict)
+    return verdict
+
+
+def test_the_next_best_offset_is_on_the_same_clocks_as_the_best(rigid_markers, tmp_path):
+    verdict = inspected(tmp_path, rigid_markers, 1.7643e9)
     assert verdict.clock is not None
     assert verdict.clock.offset_s == pytest.approx(100.0 - 1.7643e9, abs=1e-3)
     assert abs(verdict.clock.second_offset_s - verdict.clock.offset_s) < 10.0
+
+
+@pytest.mark.parametrize("epoch_s", [0.0, 1.7643e9])
+@pytest.mark.parametrize(("late_s", "differs"), [(0.0005, ""), (0.02, "20.0"), (-0.5, "500.0")])
+def test_an_offset_by_hand_is_compared_with_the_motion(
+    epoch_s, late_s, differs, rigid_markers, tmp_path
+):
+    true_s = 100.0 - epoch_s
+    verdict = inspected(tmp_path, rigid_markers, epoch_s, true_s + late_s)
+    assert verdict.clock.offset_s == pytest.approx(true_s + late_s, abs=1e-6)  # taken as it is
+    told = [f.text for f in verdict.findings if f.cause == "clock"]
+    assert len(told) == bool(differs)
+    if differs:
+        assert float(told[0].split("differs by ")[1].split("\xa0")[0]) == pytest.approx(
+            float(differs), abs=0.5
+        )
+        assert f"{true_s:.2f}"[:-2] in told[0]

@@ -1,6 +1,7 @@
 """Wrong units, doubled and stuck signals, wrong conditions and payloads are told by their cause."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ from models.rig.rig_parameters import read_parameters
 from models.rig.study_protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial, TrialMeta, TrialSet
-from models.trials.verdict.trial_check import check_trial, check_trials
+from models.trials.verdict.trial_check import check_trial, check_trials, judge_doubled
 
 STEP_S, REST = 0.017, 60
 KG_A = 2.0
@@ -130,6 +131,24 @@ def test_a_recording_that_was_imported_twice_is_told():
     again = replace(once, name="again", meta=msgspec.structs.replace(once.meta, trial=2))
     found = check_trials(TrialSet((once, again)))
     assert [(f.level, f.cause) for f in found] == [("warning", "doubled")]
+
+
+@pytest.mark.parametrize(("own", "told"), [("a" * 64, True), ("b" * 64, False), ("", False)])
+def test_a_near_copy_is_told_by_its_recording(own, told):
+    """Angles differ in the last digits, as after another import of the same file."""
+    first, other = swung(number=1), swung(number=2)
+    near = other.columns["angle_1_rad"] + 1e-9
+    first = replace(first, meta=msgspec.structs.replace(first.meta, recording_sha256="a" * 64))
+    other = changed(other, angle_1_rad=near)
+    other = replace(other, meta=msgspec.structs.replace(other.meta, recording_sha256=own))
+    found = [f.text for f in judge_doubled((first, other))]
+    assert found == ([f"{first.name} and {other.name} are of one recording"] if told else [])
+
+
+def test_copies_of_one_name_are_told_apart_by_their_files():
+    one = replace(swung(number=1), path=Path("a") / "x.csv")
+    (found,) = judge_doubled((one, replace(one, path=Path("b") / "x.csv")))
+    assert str(Path("a") / "x.csv") in found.text and str(Path("b") / "x.csv") in found.text
 
 
 @pytest.mark.parametrize("pressure_pa, told", [(41300.0, False), (42000.0, False), (20700.0, True)])

@@ -1,0 +1,148 @@
+"""Turn of each joint by hand, torque off: whether its servo is the one that robot.toml names.
+
+Exchanged ids show nowhere else: both servos answer, and the predicted tip is off by the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.display_units import ANGLE
+from firmware_py.errors import InputError
+from firmware_py.realtime.clock import Clock
+
+__all__ = ["JointTurn", "turn_joints"]
+
+Array = NDArray[np.float64]
+
+LEAST_TURN_RAD: Final = 0.087
+"""Turn that is taken for one by hand: 5°, far beyond the play of a gear [assumed]."""
+STILL_RAD: Final = 0.009
+"""Change within `STILL_S` up to which a joint stands still [assumed]."""
+STILL_S: Final = 1.0
+PATIENCE_S: Final = 60.0
+"""Longest wait for a hand."""
+_POLL_NS: Final = 50_000_000
+
+
+class JointTurn(NamedTuple):
+    """Joint that was to be turned, and what its servos showed.
+
+    Attributes
+    ----------
+    joint : int
+        Number of the joint that was asked for, from 1.
+    found : int
+        Number of the joint whose angle changed most.
+    change_rad : float
+        Change of that angle, with its sign.
+    """
+
+    joint: int
+    found: int
+    change_rad: float
+
+    def told(self, ids: Sequence[int]) -> str:
+        """Return the finding as a sentence.
+
+        Parameters
+        ----------
+        ids : sequence of int
+            Ids of the servos in joint order.
+
+        Examples
+        --------
+        >>> JointTurn(1, 2, 0.1).told((4, 7)).endswith("correct the order of [[servos]]")
+        True
+        """
+        change = ANGLE.text(self.change_rad)
+        if self.found == self.joint:
+            return (
+                f"joint {self.joint} was turned: its angle changed by {change} "
+                f"(servo {ids[self.joint - 1]})"
+            )
+        return (
+            f"joint {self.joint} was turned, and the angle of joint {self.found} (servo "
+            f"{ids[self.found - 1]}) changed by {change}: the servos are exchanged; correct the "
+            "order of [[servos]]"
+        )
+
+
+def turn_joints(
+    bus: ServoBus, clock: Clock, timeout_s: float, ask: Callable[[str], None]
+) -> tuple[JointTurn, ...]:
+    """Ask for a turn of each joint by hand; tell which angle changed.
+
+    Parameters
+    ----------
+    bus : ServoBus
+        Connected, torque off.
+    clock : Clock
+        The machine's clock.
+    timeout_s : float
+        Longest wait for the servos in a read.
+    ask : callable
+        Shows a request to the person at the robot.
+
+    Raises
+    ------
+    InputError
+        If nothing is turned, or the joints do not stand still, for `PATIENCE_S`.
+    """
+    watch = _Watch(bus, clock, timeout_s)
+    turns = []
+    for joint in range(1, bus.dof + 1):
+        start_rad = watch.still()
+        ask(f"turn joint {joint} by hand, by {ANGLE.text(LEAST_TURN_RAD, 0)} or more, no other")
+        change_rad = watch.turned(start_rad)
+        found = int(np.argmax(np.abs(change_rad)))
+        turns.append(JointTurn(joint, found + 1, float(change_rad[found])))
+    return tuple(turns)
+
+
+class _Watch:
+    """Angles as a hand changes them."""
+
+    def __init__(self, bus: ServoBus, clock: Clock, timeout_s: float) -> None:
+        self._bus, self._clock = bus, clock
+        self._timeout_ns = round(timeout_s * 1e9)
+
+    def _angles(self) -> Array | None:
+        """Next measurement; None where the servos gave none."""
+        self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
+        status = self._bus.read(self._clock.now_ns() + self._timeout_ns)
+        return self._bus.angle_rad.copy() if status.fresh else None
+
+    def still(self) -> Array:
+        """Wait until no joint moves; return the angles."""
+        first, since_ns = None, self._clock.now_ns()
+        deadline_ns = since_ns + round(PATIENCE_S * 1e9)
+        while self._clock.now_ns() < deadline_ns:
+            now = self._angles()
+            if now is None:
+                continue
+            if first is None or np.abs(now - first).max() > STILL_RAD:
+                first, since_ns = now, self._clock.now_ns()
+            elif self._clock.now_ns() - since_ns >= STILL_S * 1e9:
+                return now
+        raise InputError(
+            "doctor", f"found no second in which the joints stand still within {PATIENCE_S:g} s",
+            "check cabling and power of the servos, hold the arm still and repeat",
+        )  # fmt: skip
+
+    def turned(self, start_rad: Array) -> Array:
+        """Wait until a joint has turned; return the changes."""
+        deadline_ns = self._clock.now_ns() + round(PATIENCE_S * 1e9)
+        while self._clock.now_ns() < deadline_ns:
+            now = self._angles()
+            if now is not None and np.abs(now - start_rad).max() >= LEAST_TURN_RAD:
+                return np.asarray(now - start_rad)
+        raise InputError(
+            "doctor", f"saw no joint turn by {ANGLE.text(LEAST_TURN_RAD, 0)} in {PATIENCE_S:g} s",
+            "turn it further, or check that its servo is one of [[servos]]",
+        )  # fmt: skip

@@ -1,0 +1,55 @@
+"""Payload that a robot estimated during a plan, compared with the payloads that the plan holds.
+
+A known payload beyond them is refused before the run; an estimated one shows only in the run, whose
+goals are then those of the nearest payload.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.safety.states import SafetyState
+from firmware_py.summary import RunSummary
+
+__all__ = ["payload_beyond_plan"]
+
+TOLERANCE: Final = 0.05
+"""Excess that is told, over the largest payload of the plan, or in kg where that is none [assumed:
+the estimate of a payload at the end of the grid may exceed it by as much]."""
+
+
+def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummary) -> str:
+    """Return a sentence where the estimated payload stayed outside of the plan's, or "".
+
+    What counts is the median over the second half of the motion, by when the estimate has settled.
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan.
+    told_kg : float or None
+        Payload that the robot was told; then nothing was estimated.
+    summary : RunSummary
+        The run.
+    """
+    if told_kg is not None:
+        return ""
+    records = summary.records
+    moving = (records["tick"] >= 0) & (records["state"] < SafetyState.STOPPING)
+    estimated_kg = records["payload_kg"][moving & np.isfinite(records["payload_kg"])]
+    settled_kg = estimated_kg[len(estimated_kg) // 2 :]
+    if not len(settled_kg):
+        return ""
+    payload_kg = float(np.median(settled_kg))
+    low, high = float(plan.grid_kg[0]), float(plan.grid_kg[-1])
+    nearest = min(max(payload_kg, low), high)
+    if abs(payload_kg - nearest) <= TOLERANCE * (high or 1.0):
+        return ""
+    return (
+        f"the payload is estimated at {payload_kg:.2f} kg, the plan holds {low:g} to {high:g} kg: "
+        f"its goals were those for {nearest:g} kg, and the tip is further off its path than the "
+        "plan expects; plan again with --payloads that enclose it"
+    )

@@ -1,0 +1,1 @@
+"""Headers of text exports of motion capture that precede their columns."""

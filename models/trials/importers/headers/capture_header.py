@@ -1,0 +1,178 @@
+"""Header of a marker export as text: QTM's TSV, and the TRC of OpenSim and other programs.
+
+Both are tables below rows of facts. QTM writes `KEY<tab>value`, with the names in `MARKER_NAMES`,
+and may leave out the columns `Frame` and `Time` and their header row. TRC has five header rows, the
+names over every third column. The columns are called `Frame`, `Time`, `NAME X`, `NAME Y`, `NAME Z`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_lines
+from firmware_py.signals import TIME
+from models.trials.importers.mapping import ColumnSource, RecordingMap
+from models.trials.trial_columns import MOST_COLUMNS
+
+_KEY: Final = re.compile(r"[A-Z_]+")
+_MOST_FACTS: Final = 100
+"""Rows in which the facts of QTM end; it writes ten to twelve."""
+_TIMES: Final = ("Frame", "Time")
+
+
+class CaptureHeader(NamedTuple):
+    """What precedes the samples of a marker export.
+
+    Attributes
+    ----------
+    markers : tuple of str
+        Names, in order.
+    unit : str
+        Of their positions.
+    rows : int
+        Rows of the header.
+    rate_hz : float or None
+        Rate of rows without a time; None where they have one.
+    """
+
+    markers: tuple[str, ...]
+    unit: str
+    rows: int
+    rate_hz: float | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of all columns."""
+        return [*_TIMES, *(f"{name} {axis}" for name in self.markers for axis in "XYZ")]
+
+
+def without_capture_header(path: Path, lines: Iterator[str]) -> tuple[Iterator[str], int]:
+    """Lines of a table with one header row, and how many rows stood above it.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    lines : iterator of str
+        Of a text file; those of another table are returned as they are.
+
+    Raises
+    ------
+    InputError
+        If the header of a marker export lacks names or rate.
+    """
+    header, lines = _header(path, lines)
+    if header is None:
+        return lines, 0
+    names = "\t".join(header.columns) + "\n"
+    return itertools.chain([names], _rows(header, lines)), header.rows - 1
+
+
+def with_capture_columns(path: Path, mapping: RecordingMap) -> RecordingMap:
+    """Map in which time and `[markers]` of a marker export have their columns and unit.
+
+    Parameters
+    ----------
+    path : Path
+        Text file; for any other table the map is returned as it is.
+    mapping : RecordingMap
+        Its `[columns]` go before.
+
+    Raises
+    ------
+    InputError
+        As `without_capture_header`.
+    """
+    header, _ = _header(path, read_lines(path, "name an existing table"))
+    if header is None:
+        return mapping
+    columns = {TIME.name: ColumnSource(source="Time", unit="s")}
+    for name in header.markers:
+        marker = mapping.marker_of(name)
+        for axis in "xyz" if marker else "":
+            source = ColumnSource(source=f"{name} {axis.upper()}", unit=header.unit)
+            columns[f"{marker}_{axis}_m"] = source
+    return msgspec.structs.replace(mapping, columns=columns | mapping.columns)
+
+
+def _header(path: Path, lines: Iterator[str]) -> tuple[CaptureHeader | None, Iterator[str]]:
+    """Header of a marker export, or None, and the lines after it."""
+    first = next(lines, "")
+    cells = _cells(first)
+    if cells[0] == "NO_OF_FRAMES":
+        return _qtm(path, cells, lines)
+    if cells[0] == "PathFileType":
+        return _trc(path, lines), lines
+    return None, itertools.chain([first], lines) if first else lines
+
+
+def _qtm(path: Path, cells: list[str], lines: Iterator[str]) -> tuple[CaptureHeader, Iterator[str]]:
+    facts: dict[str, list[str]] = {}
+    line = ""
+    while _KEY.fullmatch(cells[0]) and len(facts) < _MOST_FACTS:
+        facts[cells[0]] = cells[1:]
+        line = next(lines, "")
+        cells = _cells(line)
+    names = _names(path, facts.get("MARKER_NAMES", []))
+    if not names:
+        raise InputError(path, "is a QTM export without MARKER_NAMES", "export labelled 3D data")
+    rows = len(facts)
+    if cells[0] == "Frame":
+        return CaptureHeader(names, "mm", rows + 1), lines
+    lines = itertools.chain([line], lines)
+    if len(cells) != 3 * len(names):
+        return CaptureHeader(names, "mm", rows), lines
+    return CaptureHeader(names, "mm", rows, _rate_hz(path, facts.get("FREQUENCY", []))), lines
+
+
+def _names(path: Path, cells: list[str]) -> tuple[str, ...]:
+    names = tuple(filter(None, cells))
+    if 3 * len(names) > MOST_COLUMNS:
+        what = f"has {len(names)} markers, more than {MOST_COLUMNS // 3}"
+        raise InputError(path, what, "leave out what is not needed")
+    return names
+
+
+def _rate_hz(path: Path, cells: list[str]) -> float:
+    try:
+        rate_hz = float(cells[0])
+    except (IndexError, ValueError):
+        rate_hz = 0.0
+    if not 0 < rate_hz < float("inf"):
+        raise InputError(path, "has neither times nor FREQUENCY", "export it with its time data")
+    return rate_hz
+
+
+def _trc(path: Path, lines: Iterator[str]) -> CaptureHeader:
+    keys, values, named, _ = (_cells(next(lines, "")) for _ in range(4))
+    names = _names(path, named[2:])
+    if named[0] != "Frame#" or not names:
+        raise InputError(path, "is a TRC file without names of markers", "export it again")
+    facts = dict(zip(keys, values, strict=False))
+    return CaptureHeader(names, facts.get("Units") or "mm", 5)
+
+
+def _rows(header: CaptureHeader, lines: Iterator[str]) -> Iterator[str]:
+    """Rows with a time, without empty cells beyond the header's."""
+    width, number = len(header.columns), 0
+    for line in lines:
+        cells = line.rstrip("\r\n").split("\t")
+        if not any(cells):
+            continue
+        if header.rate_hz is not None:
+            cells = [str(number + 1), repr(number / header.rate_hz), *cells]
+        while len(cells) > width and not cells[-1].strip():
+            cells.pop()
+        number += 1
+        yield "\t".join(cells) + "\n"
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.rstrip("\r\n").split("\t")]
