@@ -206,7 +206,9 @@ class SafetySupervisor:
             State after the check.
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
-        self._missed_slots = max(self._missed_slots + (missed or -1), 0)
+        self._missed_slots = (
+            self._missed_slots + missed if missed else max(self._missed_slots - 1, 0)
+        )
         if self.state is SafetyState.RUNNING and self.stale_ticks:
             self._enter(SafetyState.DEGRADED)
         elif self.state is SafetyState.DEGRADED and not self.stale_ticks:
