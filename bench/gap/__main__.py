@@ -22,10 +22,19 @@ from pathlib import Path
 
 from bench.gap.bench_kind import cases_of_run
 from bench.gap.benchmark_run import run_benchmark
-from bench.gap.cases import DEFAULT_RIG, MOTIONS, PAYLOAD_SETS, BenchCase, draw_cases, mixed_cases
+from bench.gap.cases import (
+    DEFAULT_RIG,
+    MOTIONS,
+    PAYLOAD_SETS,
+    BenchCase,
+    draw_cases,
+    in_one_servo,
+    mixed_cases,
+)
 from bench.gap.scores.rig_table import rig_table_text
 from bench.gap.scores.summary_files import write_bench_summary
 from firmware_py.errors import InputError
+from hil.campaign.engines.engine import Engine
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_structure import named_structures
 
@@ -62,6 +71,7 @@ def main() -> None:
         help="payloads of the trials: study, or between those that the plant was identified on",
     )  # fmt: skip
     add("--same-link", action="store_true", help="the link that the plant was identified on")
+    add("--one-servo", action="store_true", help="with two joints, effects of one servo alone")
     add("--told", action="store_true", help="tell the diagnosis that the link is the same")
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
@@ -71,6 +81,8 @@ def main() -> None:
         parser.error("give one of --plant, --rigs and --like")
     if (args.motions, args.payloads) != (["study"], "study") and not args.no_sealed:
         parser.error("sealed trials have motions and payloads of their own: give --no-sealed")
+    if args.one_servo and args.joints != 2:
+        parser.error("--one-servo goes with --joints 2")
     if args.told and not args.same_link:
         parser.error("--told goes with --same-link")
     for name in args.rigs:
@@ -78,18 +90,22 @@ def main() -> None:
             rig_named(name)
         except InputError as error:
             parser.error(str(error))
-    engine = None
-    if args.scheduler:
-        from hil.campaign.engines.dask_engine import DaskEngine
-
-        engine = DaskEngine(args.scheduler)
     counts = run_benchmark(
-        _cases(args), args.plant, args.out, engine, not args.no_sealed, args.calibrate
+        _cases(args), args.plant, args.out, _engine(args), not args.no_sealed, args.calibrate
     )
     if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
         print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
     figures, by_rig = write_bench_summary(args.out)
     print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
+
+
+def _engine(args: argparse.Namespace) -> Engine | None:
+    """Engine of the command line; None for processes of this machine."""
+    if not args.scheduler:
+        return None
+    from hil.campaign.engines.dask_engine import DaskEngine
+
+    return DaskEngine(args.scheduler)
 
 
 def _cases(args: argparse.Namespace) -> list[BenchCase]:
@@ -100,6 +116,7 @@ def _cases(args: argparse.Namespace) -> list[BenchCase]:
     for rig, motion in zip(args.rigs or [DEFAULT_RIG], cycle(args.motions)):
         counts = args.singles, args.nulls, args.pairs, args.outside
         own = list(draw_cases(*counts, args.seed, rig, args.same_link, args.joints))
+        own = in_one_servo(own, rig_named(rig)) if args.one_servo else own
         own = own if args.most is None else mixed_cases(own, args.most)
         told = {"motion": motion, "payloads": args.payloads, "told_same_link": args.told}
         cases += [replace(case, **told) for case in own]

@@ -55,7 +55,7 @@ def run_bench_case(
     rig = rig_of(case)
     try:
         own = bench_trials(
-            rig.hide(case.hidden), case.seed, case.joints, case.motion, case.payloads
+            rig.hide(case.added_to_rig), case.seed, case.joints, case.motion, case.payloads
         )
         trials = TrialSet(tuple(own))
     except InputError as error:
@@ -70,6 +70,7 @@ def run_bench_case(
     return {
         "verdict": found.verdict,
         "named": list(found.named),
+        "separate_joints": found.settings.separate_joints,
         "chosen": [list(c.effects) for c in found.inclusions],
         "separation": [c.separation for c in found.inclusions],
         "hypotheses": [

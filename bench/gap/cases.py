@@ -10,7 +10,7 @@ around a fifth of it.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, get_args
 
@@ -19,6 +19,7 @@ import numpy as np
 from firmware_py.motion import Motion
 from models.gap.settings import GapSettings
 from models.rig.drawn_rig import LINK_DEVIATION
+from models.rig.rig_parameters import RigParameters
 from models.shared.catalogue import CATALOGUE
 
 DEFAULT_RIG: Final = "default"
@@ -31,6 +32,7 @@ PAYLOAD_SETS: Final = {"study": PAYLOADS_KG, "between": (0.5, 1.5)}
 
 MOTIONS: Final = {
     "study": Motion(),
+    "small": Motion(amplitude_rad=0.105),
     "slow": Motion(amplitude_rad=0.35, period_s=6.0),
     "multisine": Motion("multisine", amplitude_rad=0.44),
     "triangle": Motion("triangle", period_s=4.0),
@@ -97,6 +99,8 @@ class BenchCase:
         Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty).
     told_same_link : bool
         Whether the diagnosis is told that the link is the same.
+    joint : int or None
+        The only joint whose servo has the effects; None where both have them alike.
     """
 
     kind: Kind
@@ -109,6 +113,13 @@ class BenchCase:
     payloads: str = "study"
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
     told_same_link: bool = False
+    joint: int | None = None
+
+    @property
+    def added_to_rig(self) -> dict[str, float]:
+        """Hidden strengths as `RigParameters.hide` takes them."""
+        suffix = "" if self.joint is None else f":{self.joint}"
+        return {effect + suffix: strength for effect, strength in self.hidden.items()}
 
     @property
     def settings(self) -> GapSettings:
@@ -203,6 +214,24 @@ def drawn_case(
     turns = FRAME_TURN_RAD * np.random.default_rng([seed, 1]).standard_normal(3)
     turn_rad = dict(zip(("roll", "tilt", "yaw"), turns.tolist(), strict=True))
     return BenchCase(kind, strengths, nuisance, seed, rig, joints, frame_turn_rad=turn_rad)
+
+
+def in_one_servo(cases: Iterable[BenchCase], rig: RigParameters) -> list[BenchCase]:
+    """Cases with two joints whose effects can be in one servo alone, each in a joint drawn for it.
+
+    Cases that hide nothing stay.
+
+    Parameters
+    ----------
+    cases : iterable of BenchCase
+        Of one rig.
+    rig : RigParameters
+        That rig.
+    """
+    names = rig.effects()
+    own = [c for c in cases if all(rig.entries[names[e]].of_joint for e in c.hidden)]
+    joints = [int(np.random.default_rng([c.seed, 2]).integers(1, 3)) for c in own]
+    return [replace(c, joint=j if c.hidden else None) for c, j in zip(own, joints, strict=True)]
 
 
 def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:

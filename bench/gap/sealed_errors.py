@@ -45,7 +45,7 @@ class SealedErrors:
     """
 
     def __init__(self, rig: RigParameters, case: BenchCase) -> None:
-        hidden = rig.hide(case.hidden)
+        hidden = rig.hide(case.added_to_rig)
         self.trials: dict[str, tuple[Trial, Trial | None]] = {}
         for what, (kind, payload_kg) in SEALED_CONDITIONS.items():
             motion = Motion(kind, dof=case.joints)

@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("directory", type=Path, metavar="DIR", help="directory that `make gap-demo` filled")
     add("--plant", type=Path, required=True, help="plant before the diagnosis")
     add(
-        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="effect hidden in the rig, shown beside the effect found; repeatable",
     )  # fmt: skip
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)")

@@ -69,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "or the file of a link",
     )  # fmt: skip
     parser.add_argument(
-        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="with --rig: add an effect to what the rig has; repeatable",
     )  # fmt: skip
     parser.add_argument(

@@ -68,8 +68,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="lead of joint 2 (0, or 90 of a link's file with two joints)",
     )  # fmt: skip
     add(
-        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
-        help="add an effect to the rig's defaults; repeatable; " + _effects_help(),
+        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
+        help="add an effect to the rig's defaults, with JOINT in that servo alone; repeatable; "
+        + _effects_help(),
     )  # fmt: skip
     add(
         "--pressure-pa", type=float, metavar="PA",

@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
-from firmware_py.display_units import LENGTH
 from firmware_py.errors import InputError
 from models.commands.output_paths import check_output_directory
 from models.plant.provenance import Provenance
 from models.study.bundle_directory import check_bundle_directory
-from models.trials.trial import Trial, TrialSet
+from models.study.study_summary import study_summary
+from models.trials.trial import Trial, TrialSet, is_one_amplitude
 from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_files import STEP_TOLERANCE
 
@@ -96,7 +96,8 @@ def run(args: argparse.Namespace) -> int:
     check_output_directory(args.out)
     check_bundle_directory(args.out)
     everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
-    training, held_out = of_dof(everything, args.dof, args.trials).split()
+    own = of_dof(everything, args.dof, args.trials)
+    training, held_out = own.split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
     further = [t for where in args.motions for t in _of_directory(where, args)]
     tests = name_tests(training, (*held_out, *unseen))
@@ -117,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
     from models.tip.candidates.candidate_list import CANDIDATES
     from models.tip.candidates.own_candidate import own_candidate
     from models.tip.tip_training import train_tip
-    from models.trials.verdict.trial_check import judge_doubled, judge_pressures
+    from models.trials.verdict.trial_check import judge_doubled, judge_not_fitted, judge_pressures
 
     candidates = CANDIDATES
     for path in args.candidate:
@@ -137,7 +138,7 @@ def run(args: argparse.Namespace) -> int:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
     doubts = doubts_of_di(study.document)
-    found = [*judge_pressures((*training, *further)), *judge_doubled(every)]
+    found = [*judge_pressures((*training, *further)), *judge_doubled(every), *judge_not_fitted(own)]
     doubts += [f"{f.text}; {f.remedy}" for f in found]
     data = {"bundle": str(args.out), "parity": parity, "warnings": doubts}
     _report(args, study.document, tip, data)
@@ -150,7 +151,7 @@ def _report(
     """Print figures of study and robot's predictor, and what is doubtful."""
     pooled = {name: of["pooled"] for name, of in document.mean_euclidean_distance_m.items()}
     data |= {"degree": document.chosen_degree, "mean_euclidean_distance_m": pooled}
-    text = _summary(args.out, document)
+    text = study_summary(args.out, document)
     if tip:
         data["predictor"] = tip.document.chosen
         text = f"{text}\n  the robot gets: {tip.document.reason}"
@@ -284,14 +285,14 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
         "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
     """
 
-    def motion_of(t: Trial) -> tuple[str, int, float]:
-        return t.meta.motion, phase_deg(t), round(t.meta.amplitude_rad, 6)
+    def is_one_motion(a: Trial, b: Trial) -> bool:
+        alike = is_one_amplitude(a.meta.amplitude_rad, b.meta.amplitude_rad)
+        return alike and (a.meta.motion, phase_deg(a)) == (b.meta.motion, phase_deg(b))
 
-    trained = {motion_of(t) for t in training}
-    motions, phases = {motion for motion, *_ in trained}, {phase for _, phase, _ in trained}
+    motions, phases = {t.meta.motion for t in training}, {phase_deg(t) for t in training}
     named: dict[str, list[Trial]] = {}
     for t in held_out:
-        if motion_of(t) in trained:
+        if any(is_one_motion(t, other) for other in training):
             name = f"trial_{t.meta.trial}"
         else:
             motion = "" if t.meta.motion in motions else f"{t.meta.motion}_"
@@ -325,26 +326,3 @@ def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str,
                     where, f"was fitted to {t.name}, a trial of the unseen motion",
                     "identify without it, or give other trials to --unseen",
                 )  # fmt: skip
-
-
-def _summary(out: Path, document: StudyDocument) -> str:
-    degree = str(document.chosen_degree)
-    lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
-    for name, table in document.mean_euclidean_distance_m.items():
-        pooled = table["pooled"]
-        r2 = document.estimators[name]["observer"].r2_di
-        lines.append(
-            f"  {name}: mean Euclidean distance "
-            f"{LENGTH.number(pooled['estimated_di'][degree], 2)} mm with "
-            f"estimated DI ({LENGTH.number(pooled['with_di'][degree], 2)} with true DI, "
-            f"{LENGTH.number(pooled['without_di'][degree], 2)} without), R² of DI {r2:.3f}, "
-            f"interval covers {document.deployed[name].interval_coverage_mean:.1%}"
-        )
-    if not any(name.startswith("trial_") for name in document.tests):
-        lines.append("  no trial 2 to test on: simulate with --trials 2")
-    if not any(name.startswith("unseen") for name in document.tests):
-        lines.append(
-            "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 --out "
-            "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
-        )
-    return "\n".join(lines)

@@ -20,7 +20,8 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.improved_plant import improved_plant
-from models.gap.odd_trials import OddTrial, odd_trials, without_odd
+from models.gap.odd_repetitions import disturbed_trials
+from models.gap.odd_trials import OddTrial, without_odd
 from models.gap.residuals.aligned_trials import aligned
 from models.gap.residuals.fit_parameters import (
     FitParameter,
@@ -228,7 +229,8 @@ def diagnose(
     given_floor, floor = floor, floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     with threadpool_limits(limits=1, user_api="blas"):  # the simulations take both processors
-        odd = odd_trials(search.first, search.nuisance_fit) if len(recorded) == len(trials) else ()
+        whole = len(recorded) == len(trials)
+        odd = disturbed_trials(search.first, search.nuisance_fit, floor) if whole else ()
         if odd:
             kept = without_odd(recorded, odd)
             rest = diagnose(plant, kept, report, leave_out, settings, given_floor, patterns)
@@ -315,9 +317,8 @@ def all_fit_parameters(
     settings : GapSettings
         Tuned numbers.
     """
-    dof = trials[0].meta.dof
-    separate = settings.separate_joints
-    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, dof, separate)]
+    own = trials[0].meta.dof, settings.separate_joints
+    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, *own)]
     return nuisance_and_variation(plant, trials, settings) + effects
 
 

@@ -16,7 +16,7 @@ MENU: Final[dict[str, Kind]] = {
     "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
     "step and hold": "steps", "free decay": "decay",
 }  # fmt: skip
-"""Motions that any robot of the link can run, by the name that people read."""
+"""Motions of the link, by the name that people read; a slow robot may not run all of them."""
 
 
 def motion_like(meta: TrialMeta, kind: Kind) -> Motion:

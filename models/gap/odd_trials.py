@@ -31,14 +31,20 @@ class OddTrial:
         As its conditions say.
     floors, floors_of_comparable : float
         Root mean square of its difference from the plant in noise floors, and that of its
-        repetitions, or of the other trials of its motion where there are none.
+        repetitions, or of the other trials of its motion where there are none; 0 where its
+        variation is odd.
+    variation, standard_deviations : str, float
+        Kind of variation in which it differs from its repetition, and by how many standard
+        deviations (`models.gap.odd_repetitions`); none where its difference from the plant is odd.
     """
 
     name: str
     path: str
     payload_kg: float
-    floors: float
-    floors_of_comparable: float
+    floors: float = 0.0
+    floors_of_comparable: float = 0.0
+    variation: str = ""
+    standard_deviations: float = 0.0
 
 
 def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:

@@ -22,7 +22,8 @@ from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 HEAD: Final = """# Effects
 
 What each effect of the catalogue does. The strength is its first parameter: `--hide
-EFFECT=STRENGTH` adds it to the rig, and `gap.json` tells it. In the equations q is the coordinate
+EFFECT=STRENGTH` adds it to the rig, `--hide EFFECT:JOINT=STRENGTH` in one joint alone (effects of a
+servo and its sensors), and `gap.json` tells it. In the equations q is the coordinate
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
 have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
 diagnosis first fits one strength for both, since the servos are alike; offsets (encoder, load,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from firmware_py.errors import InputError
 from models.rig.rig_parameters import RigParameters
 from models.rig.trial_case import DOWN, LinkState
 from models.shared.kinematics import Array
@@ -98,7 +99,16 @@ def build_rig(
         Offset of the payload's centre from the axis, towards +x and +y.
     gravity : sequence of float, shape (3,)
         Direction of gravity in the world frame; its length does not matter.
+
+    Raises
+    ------
+    InputError
+        If an effect is hidden in a joint that is not driven.
     """
+    for joint in (j for j in parameters.added_in_joint if j > dof):
+        raise InputError(
+            "--hide EFFECT:JOINT", f"names joint {joint}, and {dof} is driven", "name joint 1"
+        )
     # An engine is loaded when it is built: each has a large library of its own.
     if parameters.structure.engine == "cosserat":
         from models.rig.cosserat.cosserat_rig import CosseratRig

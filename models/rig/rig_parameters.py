@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,7 +22,7 @@ from models.rig.rig_structure import (
     named_structures,
     structure_of,
 )
-from models.shared.catalogue import CATALOGUE
+from models.shared.catalogue import CATALOGUE, effect_and_joint
 
 __all__ = ["RIG_TOML", "RigParameters", "read_parameters", "read_rig"]
 
@@ -42,6 +42,8 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Where the value comes from.
     effect : str
         Effect of the catalogue whose strength is added to the value; empty for none.
+    of_joint : bool
+        Whether the effect may be hidden in one joint alone.
     minimum, maximum : float
         Bounds of the value with everything that is added to it.
     """
@@ -50,6 +52,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     unit: str
     source: str
     effect: str = ""
+    of_joint: bool = False
     minimum: float = -math.inf
     maximum: float = math.inf
 
@@ -68,12 +71,15 @@ class RigParameters(Mapping[str, float]):
         Choices of formulation that the values belong to.
     link : LinkDescription or None
         Link that the values were scaled to (`models.rig.rig_of_link`); None for the study's.
+    added_in_joint : dict of int to dict of str to float
+        What is added in one joint alone, by joint and name.
     """
 
     entries: dict[str, Entry]
     path: Path
     structure: RigStructure = DEFAULT_STRUCTURE
     link: LinkDescription | None = None
+    added_in_joint: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> float:
         return self.entries[name].value
@@ -98,9 +104,27 @@ class RigParameters(Mapping[str, float]):
             entries[name] = msgspec.structs.replace(entries[name], value=value)
         return replace(self, entries=entries)
 
+    def scaled(self, names: Iterable[str], factor: float) -> RigParameters:
+        """Parameters of which some are multiplied, with what is added to these in one joint."""
+        chosen = set(names)
+        added = {
+            joint: {n: more * (factor if n in chosen else 1.0) for n, more in own.items()}
+            for joint, own in self.added_in_joint.items()
+        }
+        values = {name: self[name] * factor for name in chosen}
+        return replace(self.changed(**values), added_in_joint=added)
+
+    def of_joint(self, joint: int) -> RigParameters:
+        """Parameters of one joint, 1 or 2, with what is added in it alone."""
+        added = self.added_in_joint.get(joint, {})
+        if not added:
+            return self
+        return self.changed(**{name: self[name] + more for name, more in added.items()})
+
     def sha256(self) -> str:
         """Hash of structure, all values and a link of one's own, for provenance."""
-        content = [self.structure, dict(self), *([self.link] if self.link else [])]
+        content: list[Any] = [self.structure, dict(self), *([self.link] if self.link else [])]
+        content += [self.added_in_joint] if self.added_in_joint else []
         return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
 
     def effects(self) -> dict[str, str]:
@@ -113,32 +137,41 @@ class RigParameters(Mapping[str, float]):
         Parameters
         ----------
         strengths : mapping of str to float
-            By effect, in the unit that `models.shared.catalogue` lists.
+            By effect, or by EFFECT:JOINT for one joint alone, in the unit that
+            `models.shared.catalogue` lists.
 
         Raises
         ------
         InputError
-            If the rig lacks an effect, or the sum leaves the parameter's bounds.
+            If the rig lacks an effect, or has it not in one joint alone, or the sum leaves the
+            parameter's bounds.
         """
-        names = self.effects()
-        values = {}
-        for effect, strength in strengths.items():
-            option = f"--hide {effect}={strength:g}"
-            if effect not in names:
-                raise InputError(
-                    option, "has no place in this rig", "choose from " + ", ".join(names)
-                )
-            entry = self.entries[names[effect]]
-            value = entry.value + strength
-            if not entry.minimum <= value <= entry.maximum:
-                raise InputError(
-                    option,
-                    f"makes {names[effect]} {value:g} {entry.unit}, outside {entry.minimum:g} "
-                    f"to {entry.maximum:g}",
-                    f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
-                )
-            values[names[effect]] = value
-        return self.changed(**values)
+        result = self
+        for hidden, strength in sorted(strengths.items(), key=lambda item: ":" in item[0]):
+            result = result._with(hidden, strength)
+        return result
+
+    def _with(self, hidden: str, strength: float) -> RigParameters:
+        names, option = self.effects(), f"--hide {hidden}={strength:g}"
+        effect, joint = effect_and_joint(hidden)
+        if effect not in names:
+            raise InputError(option, "has no place in this rig", "choose from " + ", ".join(names))
+        name = names[effect]
+        entry = self.entries[name]
+        if joint is not None and not entry.of_joint:
+            raise InputError(option, f"{effect} is not of one joint alone", "leave the joint out")
+        value = entry.value + strength
+        if not entry.minimum <= value <= entry.maximum:
+            raise InputError(
+                option,
+                f"makes {name} {value:g} {entry.unit}, outside {entry.minimum:g} "
+                f"to {entry.maximum:g}",
+                f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
+            )
+        if joint is None:
+            return self.changed(**{name: value})
+        own = {**self.added_in_joint.get(joint, {}), name: strength}
+        return replace(self, added_in_joint={**self.added_in_joint, joint: own})
 
 
 def read_rig(rig: str) -> RigParameters:

@@ -31,7 +31,7 @@ class RigServo:
     Parameters
     ----------
     parameters : RigParameters
-        Of the rig.
+        Of the rig, with what is added in this joint alone.
     step_s : float
         Integration step.
 
@@ -43,6 +43,8 @@ class RigServo:
         Motor current.
     gear_nm : float
         Torque that the gear passes to the joint.
+    load_nm : float
+        Constant torque on the joint beside it.
     """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
@@ -90,6 +92,7 @@ class RigServo:
         self._register = CurrentRegister(p, step_s)
         self._integral_a = self._slid_rad = self._sensed_a = self._lag_rad_s = 0.0
         self._forward = True
+        self.load_nm = p["servo.load_offset_nm"]
         self.rotor_rad = self.rotor_rad_s = self.current_a = self.gear_nm = 0.0
 
     @property
@@ -140,7 +143,7 @@ class RigServo:
         Returns
         -------
         float
-            Torque on the joint in N·m.
+            Torque of the gear on the joint in N·m, without `load_nm`.
         """
         while self._pending and self._pending[0][0] <= time_s + 1e-9:
             self._goal.take(self._pending.popleft()[1])

@@ -51,12 +51,14 @@ def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Gen
     parameters : RigParameters
         With the errors of the sensor.
     current_a : ndarray
-        True current.
+        True current; the last axis has the joints.
     rng : numpy.random.Generator
         Of the trial.
     """
     p = parameters
-    read = current_a * (1.0 + p["sensor.current_scale_share"]) + p["sensor.current_bias_a"]
+    own = [p.of_joint(k + 1) for k in range(current_a.shape[-1])]
+    scale = np.array([1.0 + q["sensor.current_scale_share"] for q in own])
+    read = current_a * scale + np.array([q["sensor.current_bias_a"] for q in own])
     read = read + p["sensor.current_noise_a"] * rng.standard_normal(current_a.shape)
     return np.asarray(np.round(read / p["sensor.current_step_a"]) * p["sensor.current_step_a"])
 

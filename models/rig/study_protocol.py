@@ -69,12 +69,10 @@ def draw_variation(
         "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
     }
     scale = max(1.0 + p["variation.friction_share"] * friction, 0.0)
-    for name in p:
-        if name.startswith("servo.") and "_friction_" in name:
-            values[name] = p[name] * scale
+    frictions = [name for name in p if name.startswith("servo.") and "_friction_" in name]
     eccentricity = p["variation.eccentricity_m"]
     return Variation(
-        parameters=p.changed(**values),
+        parameters=p.scaled(frictions, scale).changed(**values),
         eccentricity_m=(eccentricity * x, eccentricity * y),
         frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
     )

@@ -3,7 +3,8 @@
 The rig (`models.rig`) and the plant (`models.plant.effects`) model each effect by equations of
 their own. They have this table in common, which is a contract: `--hide NAME=STRENGTH` adds
 STRENGTH, in this unit, to the rig's default. Strength zero means absent. An effect of the servo, a
-joint or a sensor is the same in every driven joint.
+joint or a sensor is the same in every driven joint, unless `--hide NAME:JOINT=STRENGTH` adds it in
+one joint alone.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ __all__ = [
     "EVERY_EFFECT",
     "EffectRow",
     "Port",
+    "effect_and_joint",
     "parse_strength",
     "parse_strengths",
 ]
@@ -114,8 +116,34 @@ EVERY_EFFECT: Final[dict[str, EffectRow]] = CATALOGUE | BEYOND_THE_RIG
 """Every effect that a plant may have."""
 
 
+def effect_and_joint(hidden: str) -> tuple[str, int | None]:
+    """Effect and joint of `NAME:JOINT`; the joint is None where `NAME` stands alone.
+
+    Parameters
+    ----------
+    hidden : str
+        As `--hide` names it.
+
+    Raises
+    ------
+    InputError
+        If the joint is not 1 or 2.
+
+    Examples
+    --------
+    >>> effect_and_joint("backlash:2")
+    ('backlash', 2)
+    """
+    effect, colon, joint = hidden.partition(":")
+    if not colon:
+        return effect, None
+    if joint not in ("1", "2"):
+        raise InputError(f"--hide {hidden}", f"{joint!r} is no joint", f"write {effect}:1 or :2")
+    return effect, int(joint)
+
+
 def parse_strength(argument: str) -> tuple[str, float]:
-    """Split `NAME=STRENGTH` as given on a command line.
+    """Split `NAME=STRENGTH`, or `NAME:JOINT=STRENGTH`, as given on a command line.
 
     Parameters
     ----------
@@ -131,11 +159,14 @@ def parse_strength(argument: str) -> tuple[str, float]:
     --------
     >>> parse_strength("backlash=0.01")
     ('backlash', 0.01)
+    >>> parse_strength("backlash:2=0.01")
+    ('backlash:2', 0.01)
     """
     name, _, value = argument.partition("=")
-    if name not in CATALOGUE:
+    effect, _ = effect_and_joint(name)
+    if effect not in CATALOGUE:
         raise InputError(
-            f"--hide {argument}", f"{name!r} is no effect", "choose from " + ", ".join(CATALOGUE)
+            f"--hide {argument}", f"{effect!r} is no effect", "choose from " + ", ".join(CATALOGUE)
         )
     try:
         return name, float(value)
@@ -143,7 +174,7 @@ def parse_strength(argument: str) -> tuple[str, float]:
         raise InputError(
             f"--hide {argument}",
             f"{value!r} is not a number",
-            f"write {name}=STRENGTH with STRENGTH in {CATALOGUE[name].unit}",
+            f"write {name}=STRENGTH with STRENGTH in {CATALOGUE[effect].unit}",
         ) from None
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 
-__all__ = ["SignalRole", "Trial", "TrialMeta", "TrialSet"]
+__all__ = ["SignalRole", "Trial", "TrialMeta", "TrialSet", "is_one_amplitude"]
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
@@ -205,6 +206,22 @@ class Trial:
         return digest.hexdigest()
 
 
+ONE_AMPLITUDE_FRACTION: Final = 0.01
+"""Amplitudes of one motion differ by at most this fraction: 30° is written as 0.5236 rad, too
+[assumed]."""
+
+
+def is_one_amplitude(first_rad: float, second_rad: float) -> bool:
+    """Whether two amplitudes are of one motion.
+
+    Parameters
+    ----------
+    first_rad, second_rad : float
+        Amplitudes.
+    """
+    return math.isclose(first_rad, second_rad, rel_tol=ONE_AMPLITUDE_FRACTION)
+
+
 @dataclass(frozen=True)
 class TrialSet(Sequence[Trial]):
     """Trials of one directory, ordered by name."""
@@ -234,26 +251,31 @@ class TrialSet(Sequence[Trial]):
         """Split the trials into those to fit to and those to test on.
 
         Fitted are, of each motion and number of joints at its largest amplitude, the trials with
-        the lowest number. Held out are repetitions and smaller amplitudes of the same motion; this
-        set is empty where there is one trial of each kind only.
+        the lowest number of their payload and phase. Held out are repetitions and smaller
+        amplitudes of the same motion; this set is empty where there is one trial of each kind only.
 
         Returns
         -------
         fitted, held_out : TrialSet
         """
         largest: dict[tuple[int, str], float] = {}
-        lowest: dict[tuple[int, str], int] = {}
+        lowest: dict[tuple[int, str, float, float], int] = {}
         for t in self:
-            key = (t.meta.dof, t.meta.motion)
-            largest[key] = max(largest.get(key, 0.0), round(t.meta.amplitude_rad, 6))
-        for t in self:
-            key = (t.meta.dof, t.meta.motion)
-            if round(t.meta.amplitude_rad, 6) == largest[key]:
-                lowest[key] = min(lowest.get(key, t.meta.trial), t.meta.trial)
+            motion = (t.meta.dof, t.meta.motion)
+            largest[motion] = max(largest.get(motion, 0.0), t.meta.amplitude_rad)
+
+        def is_largest(t: Trial) -> bool:
+            return is_one_amplitude(t.meta.amplitude_rad, largest[t.meta.dof, t.meta.motion])
+
+        def kind(t: Trial) -> tuple[int, str, float, float]:
+            meta = t.meta
+            return meta.dof, meta.motion, round(meta.payload_kg, 3), round(meta.phase_2_rad, 2)
+
+        for t in filter(is_largest, self):
+            lowest[kind(t)] = min(lowest.get(kind(t), t.meta.trial), t.meta.trial)
 
         def fitted(t: Trial) -> bool:
-            key = (t.meta.dof, t.meta.motion)
-            return round(t.meta.amplitude_rad, 6) == largest[key] and t.meta.trial == lowest[key]
+            return is_largest(t) and t.meta.trial == lowest[kind(t)]
 
         return self.where(fitted), self.where(lambda t: not fitted(t))
 

@@ -37,12 +37,13 @@ from models.gap.calibration.pattern_measurement import (
 )
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.model_discrepancy import read_patterns, write_patterns
-from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.search.null_distribution import (
-    WITHOUT_PATTERNS,
+    KEY_ENDS,
+    OwnErrorKnown,
     calibrated_null_distribution,
     null_distributions,
 )
+from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
@@ -50,6 +51,8 @@ from models.shared.worker_pool import worker_pool
 from models.trials.trial import TrialSet
 
 PAYLOADS_KG: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+OTHER_MOTIONS: Final = ("small", "slow", "multisine", "triangle")
+"""Names of motions on which a plant of the study's motion was not identified."""
 
 
 def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
@@ -69,7 +72,7 @@ def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
     return PatternWork(identification_cases(joints, "study"), diagnosed, links, own)
 
 
-def null_case(rig: int, link: int, directory: str, joints: int, patterns: bool) -> None:
+def null_case(rig: int, link: int, directory: str, joints: int, known: OwnErrorKnown) -> None:
     """Save the d′ of each effect on one link, and the residual without any.
 
     Parameters
@@ -80,24 +83,26 @@ def null_case(rig: int, link: int, directory: str, joints: int, patterns: bool) 
         Of the results.
     joints : int
         Driven joints, 1 or 2.
-    patterns : bool
-        Whether patterns of the plant's own error count.
+    known : str
+        What counts as known of the plant's own error; with nothing the motion is one of
+        `OTHER_MOTIONS` in turn.
     """
-    path = _null_file(directory, rig, link, joints, patterns)
+    path = _null_file(directory, rig, link, joints, known)
+    motion = OTHER_MOTIONS[(rig + link) % len(OTHER_MOTIONS)] if known == "nothing" else "study"
     try:
         plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants", joints))
-        trials = bench_trials(drawn_link(rig, link), link_seed(rig, link), joints)
+        trials = bench_trials(drawn_link(rig, link), link_seed(rig, link), joints, motion)
     except InputError:
         path.write_text("{}")
         return
-    floor = None if patterns else required_noise_floor(plant, joints)
+    floor = required_noise_floor(plant, joints) if known == "curves" else None
     found = diagnose(plant, TrialSet(tuple(trials)), floor=floor)
     separations = dict(found.screened)
     for effect, separation in found.refitted.items():
         separations[effect] = max(separations[effect], separation)
     row = {
         "separations": separations, "left": found.residual_before, "named": found.named,
-        "change": found.link_change,
+        "change": found.link_change, "motion": motion,
         "verdict": found.verdict,
     }  # fmt: skip
     path.write_text(json.dumps(row))
@@ -118,10 +123,10 @@ def main() -> None:
     parser.add_argument("--links", type=int, default=3, help="other links of each rig")
     parser.add_argument("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     parser.add_argument(
-        "--without-patterns",
-        action="store_true",
-        help="null distribution of trials whose patterns are unknown (with --rigs 0)",
-    )
+        "--known", choices=KEY_ENDS, default="patterns",
+        help="what is known of the plant's own error on the trials of the null distribution "
+        "(patterns; with --rigs 0 less)",
+    )  # fmt: skip
     args = parser.parse_args()
     first = args.rigs if args.first is None else args.first
     if max(args.rigs, first + args.null) > FIRST_TEST_NUMBER:
@@ -131,8 +136,7 @@ def main() -> None:
     if args.rigs:
         write_shipped_patterns(pattern_work(args.links, args.out, args.joints), range(args.rigs))
     others = range(first, first + args.null)
-    links, patterns = range(args.links + 1), not args.without_patterns
-    write_null_distribution(others, links, str(args.out), args.joints, patterns)
+    write_null_distribution(others, range(args.links + 1), str(args.out), args.joints, args.known)
 
 
 def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
@@ -156,7 +160,7 @@ def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
 
 
 def write_null_distribution(
-    rigs: Sequence[int], links: Sequence[int], directory: str, joints: int, patterns: bool
+    rigs: Sequence[int], links: Sequence[int], directory: str, joints: int, known: OwnErrorKnown
 ) -> None:
     """Diagnose links without an effect; write the null distribution of a number of joints.
 
@@ -168,22 +172,22 @@ def write_null_distribution(
         Of the results.
     joints : int
         Driven joints, 1 or 2.
-    patterns : bool
-        Whether patterns of the plant's own error count.
+    known : str
+        As for `null_case`.
     """
-    work = [(k, n, directory, joints, patterns) for n in links for k in rigs]
-    files = [_null_file(directory, k, n, joints, patterns) for k, n, *_ in work]
+    work = [(k, n, directory, joints, known) for n in links for k in rigs]
+    files = [_null_file(directory, k, n, joints, known) for k, n, *_ in work]
     _run(null_case, [w for w, f in zip(work, files, strict=True) if not f.exists()])
     rows = [r for r in (json.loads(f.read_text()) for f in files) if r]
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )
-    known = null_distributions()
-    key = f"{joints}" if patterns else f"{joints}{WITHOUT_PATTERNS}"
-    pooled = known.get(key, known[str(joints)]).repetitions_pooled  # as in the search just measured
-    found = msgspec.structs.replace(found, repetitions_pooled=pooled)
-    tables = msgspec.json.encode({**known, key: found})
-    NULL_DISTRIBUTION.write_bytes(msgspec.json.format(tables, indent=1) + b"\n")
+    tables, key = null_distributions(), f"{joints}{KEY_ENDS[known]}"
+    pooled = tables.get(key, tables[str(joints)]).repetitions_pooled  # as in the search just made
+    tables[key] = msgspec.structs.replace(found, repetitions_pooled=pooled)
+    NULL_DISTRIBUTION.write_bytes(
+        msgspec.json.format(msgspec.json.encode(tables), indent=1) + b"\n"
+    )
 
 
 def link_seed(rig: int, link: int) -> int:
@@ -197,8 +201,8 @@ def link_seed(rig: int, link: int) -> int:
     return zlib.crc32(f"drawn_{rig}, link {link}".encode())
 
 
-def _null_file(directory: str, rig: int, link: int, joints: int, patterns: bool) -> Path:
-    suffix = ("" if joints == 1 else f"_{joints}dof") + ("" if patterns else "_without_patterns")
+def _null_file(directory: str, rig: int, link: int, joints: int, known: OwnErrorKnown) -> Path:
+    suffix = ("" if joints == 1 else f"_{joints}dof") + KEY_ENDS[known].replace(" ", "_")
     return Path(directory) / f"null_{rig}_{link}{suffix}.json"
 
 

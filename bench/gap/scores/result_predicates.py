@@ -110,11 +110,12 @@ def is_said_outside(r: Result) -> bool:
 def strength_change(r: Result) -> tuple[float, float, float] | None:
     """Estimated change of the strength, its standard error and the hidden strength.
 
-    None where the first name is wrong.
+    Of an effect in one servo those of its joint; None where the first name is wrong.
     """
     if not is_first_name_right(r):
         return None
-    value, error, before = r["estimates"][_true(r)][0]
+    of_joints = r["estimates"][_true(r)]  # the strengths of the joints come first
+    value, error, before = of_joints[(r["case"].get("joint") or 1) - 1]
     return value - before, error or 0.0, r["true"][_true(r)]
 
 

@@ -15,6 +15,7 @@ from hil.timing.timing_document import TipErrors
 from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.plant.identification.evaluation import TIP, compare_with_trials
 from models.plant.plant import Plant
+from models.shared.catalogue import effect_and_joint
 
 PART: Final = "motion"
 """Part of the robot's programme that is judged: rest and glide are in no training."""
@@ -122,17 +123,18 @@ def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
     inputs : GapInputs
         What was built around the diagnosis.
     hidden : mapping of str to float
-        Hidden effects with their strengths.
+        Hidden effects, or EFFECT:JOINT, with their strengths.
     """
     tip_rms_m: ByVariant = {
         variant: _distance_rms([run.rms[axis] for run in runs.values() for axis in TIP])
         for variant, runs in inputs.fmus.items()
     }
     heaviest_kg = max(inputs.loops["before"])
+    effects = {effect_and_joint(name)[0] for name in hidden}
     return BeforeAfter(
         verdict=inputs.found.verdict,
         hidden={effect: _hidden_effect(inputs, effect, s) for effect, s in hidden.items()},
-        also_named=[e for e in named_in(inputs.found) if e not in hidden],
+        also_named=[e for e in named_in(inputs.found) if e not in effects],
         fmu=FmuErrors(
             tip_rms_m=tip_rms_m,
             fraction_removed=fraction_removed(tip_rms_m),
@@ -212,11 +214,12 @@ def _robot_errors(inputs: GapInputs, payloads: Sequence[float]) -> RobotErrors:
     )
 
 
-def _hidden_effect(inputs: GapInputs, effect: str, strength: float) -> HiddenEffect:
-    words = effect.replace("_", " ")
+def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEffect:
+    effect, joint = effect_and_joint(hidden)
+    words = effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
     if row := named_in(inputs.found).get(effect):
         strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)
-        q = row.parameters[strengths[0]]  # the same in every joint of a servo
+        q = row.parameters[strengths[(joint or 1) - 1]]  # without a joint the same in each
         found, error = q.value - q.before, q.error
         said = f"{words}: {strength:g} hidden, {found:.3g} ± {error or 0.0:.1g} found"
         return HiddenEffect(strength, found, error, said)

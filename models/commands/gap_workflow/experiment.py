@@ -55,7 +55,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--repeat", action="store_true", help="run the motion on a rig and diagnose again")
     add("--rig", default="default", metavar="NAME|TOML", help="with --repeat: the rig (default)")
     add(
-        "--hide", action="append", default=[], metavar="EFFECT=STRENGTH",
+        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="with --repeat: effect that the rig has beside its defaults; repeatable",
     )  # fmt: skip
 

@@ -196,7 +196,11 @@ def _check(
     if not 2.0 <= seconds <= 120.0:
         raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
     if len(rivals) < 2:
-        raise InputError("gap.json", "holds no two hypotheses to separate", "no motion is needed")
+        raise InputError(
+            "gap.json",
+            "holds no two hypotheses to separate; one that adds an effect to another counts as it",
+            "no motion is designed: where gap asks for one, record another motion or payload",
+        )
     low_rad, high_rad = limits.angle_rad
     if not low_rad < 0 < high_rad:
         raise InputError(

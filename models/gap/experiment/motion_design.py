@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import linprog
 
+from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.motion_document import JointSeries, MotionDocument
 from firmware_py.safety.limits import Limits
@@ -213,6 +214,12 @@ class MotionDesigner:
 
     def _within_twin_limits(self, x: Array, payload_kg: float) -> Array:
         """Coefficients made smaller until every rival stays within the twin's limits."""
+        if self.twin_excess(0.0 * x, payload_kg) > 0:
+            raise InputError(
+                "--limits", f"leave no room for a motion with {payload_kg:g} kg: the twin exceeds "
+                "one at rest",
+                "widen those of tip, current or following error, or choose another payload",
+            )  # fmt: skip
         while (excess := self.twin_excess(x, payload_kg)) > 0:
             x = np.asarray(x * (1 - SHRINKING * min(max(excess, 0.05), 1.0)))
         return x

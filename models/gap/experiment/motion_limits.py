@@ -71,7 +71,8 @@ def twin_limits(
 ) -> list[tuple[Array, dict[str, float]]]:
     """Violation of each limit as a fraction of it, shape (n,), and what each output adds to it.
 
-    Current, following error and tip; negative where the limit is kept.
+    Current, following error and tip; negative where the limit is kept. What is closer to its limit
+    at rest than the margin may use half of what is left there.
 
     Parameters
     ----------
@@ -86,9 +87,11 @@ def twin_limits(
     """
     result: list[tuple[Array, dict[str, float]]] = []
 
-    def add(name: str, value: Array, most: float) -> None:
+    def add(name: str, value: Array, most: float, margin: float = TWIN_MARGIN) -> None:
         for sign in (1.0, -1.0):
-            result.append((sign * value / most - TWIN_MARGIN, {name: sign / most}))
+            used = sign * value / most
+            allowed = max(margin, float(1 + used[0]) / 2) if used[0] < 1 else margin
+            result.append((used - allowed, {name: sign / most}))
 
     for j in range(goal_rad.shape[1]):
         current, angle = f"current_{j + 1}_a", f"angle_{j + 1}_rad"
@@ -98,7 +101,5 @@ def twin_limits(
     for k, name in enumerate(("tip_x_m", "tip_y_m", "tip_z_m")):
         middle = (limits.tip_max_m[k] + limits.tip_min_m[k]) / 2
         half = (limits.tip_max_m[k] - limits.tip_min_m[k]) / 2
-        value = (y[:, outputs.index(name)] - middle) / half
-        result.append((value - TIP_MARGIN, {name: 1 / half}))
-        result.append((-value - TIP_MARGIN, {name: -1 / half}))
+        add(name, y[:, outputs.index(name)] - middle, half, TIP_MARGIN)
     return result

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, symbol_of
 from models.gap.report.gap_json import GapDocument, NamedEffect, NamingEvidence
-from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
+from models.shared.catalogue import CATALOGUE, EVERY_EFFECT, effect_and_joint
 from models.shared.gap_charts import draw_bars
 from models.shared.page_parts import Cell, Figure, Paragraph, Part, Table
 from models.shared.svg_drawing import Drawing
@@ -56,7 +56,10 @@ def _row(entry: NamedEffect, hidden: Mapping[str, float] | None) -> list[Cell]:
     ]  # fmt: skip
     if hidden is not None:
         told = [
-            f"{hidden[e]:g} {symbol_of(CATALOGUE[e].unit)}".strip() for e in effects if e in hidden
+            f"{strength:g} {symbol_of(CATALOGUE[e].unit)}".strip()
+            + (f", joint {joint}" if joint else "")
+            for (e, joint), strength in ((effect_and_joint(h), s) for h, s in hidden.items())
+            if e in effects
         ]
         row.insert(1, Markup("<br>").join(told) or "nothing")
     return row

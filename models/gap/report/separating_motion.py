@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from firmware_py.config import UNWATCHED_RATE_RAD_S
 from firmware_py.errors import InputError
-from firmware_py.motion import Kind
 from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
@@ -47,7 +47,8 @@ def separating_motion(
     Returns
     -------
     tuple
-        Its name, and for every motion the least d′ from any of them; the menu is that of the link.
+        Its name, and for every motion the least d′ from any of them; the menu is that of the link,
+        less what is faster than a servo without a bus watchdog may be.
     """
     if found.fitted.load != "link":
         return NO_MOTION, {}
@@ -60,17 +61,25 @@ def separating_motion(
             payload = swapped if heaviest <= swapped / 2 else 0.0
         rest = found.settings.menu_rest_samples
         try:
-            trial = _simulated(found.fitted, trials[0], kind, payload, rest)
+            motion = motion_like(trials[0].meta, kind)
         except InputError:  # the trials' amplitude or period are outside what a motion may have
             return NO_MOTION, {}
+        planned = planned_trial(trials[0], motion, payload, rest)
+        if _largest_rate_rad_s(planned) > UNWATCHED_RATE_RAD_S:
+            continue
+        trial = _simulated(found.fitted, planned)
         result[label] = min(_separation(found, trial, other) for other in alike)
-    return max(result, key=lambda label: result[label]), result
+    return max(result, key=lambda label: result[label], default=NO_MOTION), result
 
 
-def _simulated(plant: Plant, like: Trial, kind: Kind, payload_kg: float, rest: int) -> Trial:
-    """Trial of a motion as a plant runs it."""
-    trial = planned_trial(like, motion_like(like.meta, kind), payload_kg, rest)
-    compiled = CompiledModel(plant.step_model(like.meta.dof, "twin"))
+def _largest_rate_rad_s(trial: Trial) -> float:
+    """Largest rate of the goals of a planned trial."""
+    return float(np.abs(np.diff(trial.goal_rad, axis=0)).max() / trial.step_s)
+
+
+def _simulated(plant: Plant, trial: Trial) -> Trial:
+    """Planned trial as a plant runs it."""
+    compiled = CompiledModel(plant.step_model(trial.meta.dof, "twin"))
     y = run_trial(compiled, trial)
     outputs: dict[str, Array] = {
         name: y[:, k] for k, name in enumerate(names(compiled.model.outputs))

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Final
+
 from firmware_py.display_units import DURATION
+from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
+
+VARIATION_IN_WORDS: Final[Mapping[str, str]] = {
+    "eccentricity_m": "place of the payload", "sync_s": "clock", "frame_m": "mocap frame",
+}  # fmt: skip
+"""Kinds of variation between trials whose names a person does not read."""
 
 
 def notes_in_words(document: GapDocument) -> list[str]:
@@ -26,11 +35,23 @@ def notes_in_words(document: GapDocument) -> list[str]:
 def _odd_trials(document: GapDocument) -> str:
     """Trials that were left out, and by how much they differ; empty if none was."""
     rows = "; ".join(
-        f"{o.name} ({o.payload_kg:g} kg) differs from the plant by {o.floors:.1f} noise floors, "
-        f"comparable trials by {o.floors_of_comparable:.1f}"
-        for o in document.odd_trials
+        f"{o.name} ({o.payload_kg:g} kg) differs from {_from_what(o)}" for o in document.odd_trials
     )
     return rows and f"left out: {rows}"
+
+
+def _from_what(odd: OddTrial) -> str:
+    """What a trial that was left out differs from, and by how much."""
+    if odd.variation:
+        kind = VARIATION_IN_WORDS.get(odd.variation, odd.variation)
+        return (
+            f"its repetition in the {kind} by {odd.standard_deviations:.0f} standard deviations of "
+            "what is usual"
+        )
+    return (
+        f"the plant by {odd.floors:.1f} noise floors, comparable trials by "
+        f"{odd.floors_of_comparable:.1f}"
+    )
 
 
 def _separate_joints(document: GapDocument) -> str:

@@ -33,7 +33,7 @@ from models.gap.search.cross_validation import held_out_gain
 from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcited_effects
 from models.gap.search.effect_pairs import promising_pairs
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
-from models.gap.search.null_distribution import null_distribution_of
+from models.gap.search.null_distribution import known_error, null_distribution_of
 from models.gap.search.several_starts import (
     refitted_from_both_signs,
     refitted_from_far_strengths,
@@ -75,8 +75,7 @@ class EffectSearch:
         self.estimator = self.first = estimator
         self.settings, self.report = estimator.settings, report
         residuals = estimator.residuals
-        patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
-        given = residuals.plant, residuals.trials[0].meta.dof, patterns, self.settings
+        given = residuals.plant, residuals.trials[0].meta.dof, known_error(estimator), self.settings
         self.null_distribution = self.unchanged_null = null_distribution_of(*given)
         parameters = self.fit_parameters = residuals.fit_parameters
         self.base = np.array([q.kind != "effect" for q in parameters])

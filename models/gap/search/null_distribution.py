@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.residuals.fit_parameters import is_alike_in_joints
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -26,9 +27,15 @@ from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
 
-WITHOUT_PATTERNS: Final = " without patterns"
-"""Follows the number of joints in the key of a distribution that was measured without patterns of
-the plant's own error (`models.gap.estimation.model_discrepancy`)."""
+OwnErrorKnown = Literal["patterns", "curves", "nothing"]
+"""What is known of the plant's own error on trials: also how it varies from link to link
+(`models.gap.estimation.model_discrepancy`), its mean curves, or nothing: the plant was identified
+on other motions."""
+
+KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
+    "patterns": "", "curves": " without patterns", "nothing": " on other motions",
+}  # fmt: skip
+"""Follows the number of joints in the key of a distribution that was measured with less known."""
 
 
 class NullDistribution(
@@ -114,8 +121,25 @@ def null_distributions() -> dict[str, NullDistribution]:
     return msgspec.json.decode(PATH.read_bytes(), type=dict[str, NullDistribution])
 
 
+def known_error(estimator: GaussNewton) -> OwnErrorKnown:
+    """What is known of the plant's own error on the trials of an estimator, at best.
+
+    Parameters
+    ----------
+    estimator : GaussNewton
+        Of their residuals.
+    """
+    curves, patterns = zip(*estimator.knowledge().values(), strict=True)
+    if any(own != "unknown" for own in patterns):
+        return "patterns"
+    return "curves" if any(own != "unknown" for own in curves) else "nothing"
+
+
 def null_distribution_of(
-    plant: Plant, dof: int, patterns: bool = True, settings: GapSettings = DEFAULT_SETTINGS
+    plant: Plant,
+    dof: int,
+    known_error: OwnErrorKnown = "patterns",
+    settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
 
@@ -125,9 +149,9 @@ def null_distribution_of(
         As given.
     dof : int
         Number of joints of the trials.
-    patterns : bool
-        Whether patterns of the plant's own error are known for them. With one joint the
-        distribution with patterns holds for all trials.
+    known_error : str
+        What is known of the plant's own error on them. Where no distribution was measured with as
+        little known, that with the next more holds.
     settings : GapSettings
         Tuned numbers.
     """
@@ -136,9 +160,11 @@ def null_distribution_of(
         threshold=settings.uncalibrated_threshold,
         explained=settings.uncalibrated_residual_limit,
     )
-    known = measured.get(str(dof))
-    if known is not None and not patterns:
-        known = measured.get(f"{dof}{WITHOUT_PATTERNS}", known)
+    known = None
+    for state, end in KEY_ENDS.items():
+        known = measured.get(f"{dof}{end}", known)
+        if state == known_error:
+            break
     if known is None:
         return assumed
     if settings.separate_joints:

@@ -87,9 +87,8 @@ class CosseratRig:
         self.link = RodLink(p, load, down, sections)
         self.joints = BaseJoints(p, self.link.rod, self.link.root_mass_kg, down)
         self._substep_s = self.step_s / self.link.substeps
-        self.servos = [RigServo(p, self._substep_s) for _ in range(dof)]
+        self.servos = [RigServo(p.of_joint(k + 1), self._substep_s) for k in range(dof)]
         self._play = MarkerPlay(p, dof, self.step_s)
-        self._load_nm = p["servo.load_offset_nm"]
         self._shown_rad = [0.0] * dof
         self._steps, self._last_bend_rad = 0, 0.0
         self._leak_from_s = np.inf
@@ -124,7 +123,7 @@ class CosseratRig:
 
     def step(self) -> None:
         """Advance by one integration step."""
-        link, joints, servos, load_nm = self.link, self.joints, self.servos, self._load_nm
+        link, joints, servos = self.link, self.joints, self.servos
         start_s, substep_s, last = self.time_s, self._substep_s, self.link.substeps - 1
         link.begin_step(joints.plate_rad_s, max(start_s - self._leak_from_s, 0.0))
         if not self._play.absent:
@@ -136,7 +135,7 @@ class CosseratRig:
         for k in range(last + 1):
             time_s = start_s + k * substep_s
             torque_nm = [
-                servo.step(time_s, angle, rate) + load_nm
+                servo.step(time_s, angle, rate) + servo.load_nm
                 for servo, angle, rate in zip(
                     servos, joints.angle_rad, joints.rate_rad_s, strict=False
                 )

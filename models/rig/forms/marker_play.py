@@ -36,9 +36,10 @@ class MarkerPlay:
     """
 
     def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
-        p = parameters
-        self._half_rad = 0.5 * p["servo.backlash_rad"] if p.structure.play == "markers" else 0.0
-        self.absent = self._half_rad == 0.0
+        p, in_markers = parameters, parameters.structure.play == "markers"
+        own_rad = [p.of_joint(k + 1)["servo.backlash_rad"] for k in range(dof)]
+        self._half_rad = [0.5 * width if in_markers else 0.0 for width in own_rad]
+        self.absent = not any(self._half_rad)
         self._torque_nm = p["servo.play_torque_nm"]
         self._gain = -math.expm1(-step_s / p["servo.play_time_s"])
         self.lean_rad = np.zeros(dof)
@@ -51,8 +52,8 @@ class MarkerPlay:
         torque_nm : sequence of float, length dof
             That the drives pass to the joints; the link pushes against it.
         """
-        for k, torque in enumerate(torque_nm):
-            side_rad = -self._half_rad * math.tanh(torque / self._torque_nm)
+        for k, (torque, half_rad) in enumerate(zip(torque_nm, self._half_rad, strict=True)):
+            side_rad = -half_rad * math.tanh(torque / self._torque_nm)
             self.lean_rad[k] += self._gain * (side_rad - self.lean_rad[k])
 
     def shown_m(self, markers_m: Array, joint_rad: Sequence[float]) -> Array:

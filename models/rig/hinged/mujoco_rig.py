@@ -76,9 +76,8 @@ class MujocoRig:
         self.link = build_mujoco_link(p, dof, load, down, self.bending_law.stiffness_nm_rad)
         self.data = mujoco.MjData(self.link.model)
         mujoco.mj_forward(self.link.model, self.data)
-        self.servos = [RigServo(p, self.step_s) for _ in range(dof)]
+        self.servos = [RigServo(p.of_joint(k + 1), self.step_s) for k in range(dof)]
         self._play = MarkerPlay(p, dof, self.step_s)
-        self._load_nm = p["servo.load_offset_nm"]
         self._dragged = p["world.drag_nm"] != 0.0
         # MuJoCo's arrays stay in place: views of them spare a look-up and a copy in every step.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
@@ -138,7 +137,7 @@ class MujocoRig:
         qpos, qvel, applied_nm = self._qpos, self._qvel, self._applied_nm
         for servo, joint in self._drives:
             torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
-            applied_nm[joint] = torque + self._load_nm
+            applied_nm[joint] = torque + servo.load_nm
         leaking_s = max(time_s - self._leak_from_s, 0.0)
         applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), leaking_s))
         if self._dragged:

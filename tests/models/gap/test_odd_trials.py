@@ -1,6 +1,7 @@
 """Trials of a wrong payload, or disturbed, are left out of a diagnosis and named."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
+from models.gap.odd_repetitions import differing_repetitions, odd_repetitions
 from models.gap.odd_trials import odd_trials, without_odd
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.residuals.residuals import Residuals
+from models.gap.settings import DEFAULT_SETTINGS
 from models.trials.trial import TrialSet
 
 FEW = ("backlash", "creep", "viscous_friction", "unmodelled_payload")
@@ -78,3 +81,55 @@ def test_an_effect_makes_no_trial_odd(plant, hidden, strengths):
     residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
     estimator = GaussNewton(residuals, noise_floor_for(residuals))
     assert odd_trials(estimator, estimator.fit_nuisance(estimator.start())) == ()
+
+
+def shifted_encoder(trial):
+    """A trial whose encoder reads 0.03 rad too much, which the servo does not know."""
+    return replace(
+        trial, columns={**trial.columns, "angle_1_rad": trial.columns["angle_1_rad"] + 0.03}
+    )
+
+
+def test_a_trial_that_varies_far_more_than_its_repetition_is_left_out(plant, hidden):
+    trials = hidden()
+    name = next(t.name for t in trials if t.meta.payload_kg == 1.0 and t.meta.trial == 1)
+    found = found_in(plant, changed(trials, name, shifted_encoder))
+    assert [o.name for o in found.odd] == [name]
+    assert (found.named, found.verdict) == ((), "no gap")
+
+
+def varying(friction, payloads_kg=(0.0, 0.0, 1.0, 1.0)):
+    """Residuals of trials of one motion with that friction, in standard deviations."""
+    parameters = [
+        SimpleNamespace(name=kind, trial=k, standard_deviation=0.05)
+        for k in range(len(friction))
+        for kind in ("friction", "sync_s")
+    ]
+    values = [0.05 * z for f in friction for z in (f, 0.0)]
+    residuals = SimpleNamespace(
+        fit_parameters=[SimpleNamespace(name="mass", trial=None), *parameters],
+        groups=[SimpleNamespace(trials=tuple(range(len(friction))))],
+        trials=[SimpleNamespace(meta=SimpleNamespace(payload_kg=kg)) for kg in payloads_kg],
+    )
+    return residuals, np.array([9.0, *values])
+
+
+def test_only_repetitions_are_compared_and_the_largest_difference_comes_first():
+    first, second = differing_repetitions(*varying((0.0, 2.0, 5.0, 11.0)))
+    assert (first.trials, first.variation) == ((2, 3), "friction")
+    assert first.standard_deviations == pytest.approx(6 / np.sqrt(2))
+    assert second.trials == (0, 1)
+
+
+def test_of_two_trials_none_is_left_out():
+    assert differing_repetitions(*varying((0.0, 20.0), (1.0, 1.0))) == []
+
+
+def test_an_effect_that_all_trials_have_makes_none_odd():
+    assert odd_repetitions(*with_limit(varying((9.0, 9.5, 12.0, 11.0))), None) == ()
+
+
+def with_limit(own):
+    residuals, values = own
+    residuals.settings = DEFAULT_SETTINGS
+    return residuals, values

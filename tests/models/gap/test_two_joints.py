@@ -70,7 +70,7 @@ def test_joints_by_themselves_have_a_strength_each_and_a_larger_null(effect, ali
     strengths = EFFECTS[effect]().strengths(scope_of(plant.drive, plant.load, 2))
     assert [set(q.parameters) for q in separate[: len(strengths)]] == [{s} for s in strengths]
     assert (tied == separate) is not alike
-    shared, own = (null_distribution_of(plant, 2, True, s) for s in (DEFAULT_SETTINGS, by_joint))
+    shared, own = (null_distribution_of(plant, 2, "patterns", s) for s in (DEFAULT_SETTINGS, by_joint))
     assert own.least([effect]) == pytest.approx(shared.least([effect]) * (2**0.5 if alike else 1))
 
 
@@ -91,9 +91,9 @@ def test_a_fault_of_one_servo_is_found_in_its_joint(two_joints, trials_of):
 
 def test_where_no_patterns_are_known_more_counts_as_noise(two_joints, trials_of):
     plant = read_plant()
-    known, unknown = (null_distribution_of(plant, 2, patterns) for patterns in (True, False))
+    known, unknown = (null_distribution_of(plant, 2, own) for own in ("patterns", "curves"))
     assert unknown.explained > known.explained
-    assert null_distribution_of(plant, 1, False) == null_distribution_of(plant, 1)
+    assert null_distribution_of(plant, 1, "curves") == null_distribution_of(plant, 1)
     trials = trials_of(two_joints, 7, dof=2).trials
     residuals = Residuals(two_joints, trials, nuisance_and_variation(two_joints, trials))
     (group,) = residuals.groups

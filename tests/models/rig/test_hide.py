@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.rig.rig_parameters import RIG_TOML, read_parameters
-from models.rig.study_protocol import run_case
+from models.rig.rig import build_rig
+from models.rig.rig_parameters import RIG_TOML, read_parameters, read_rig
+from models.rig.study_protocol import draw_variation, run_case
 from models.shared.catalogue import CATALOGUE
 from models.shared.kinematics import rigid_tip_m
 
@@ -202,3 +203,70 @@ def test_a_damaged_rig_file_is_refused(tmp_path, old, new, named):
 
 def test_every_parameter_names_its_source(parameters):
     assert all(len(entry.source) > 3 and entry.unit for entry in parameters.entries.values())
+
+
+@pytest.mark.parametrize(
+    "rig, effect",
+    [("default", "encoder_ripple"), ("default", "current_scale"), ("capture", "backlash")],
+)
+def test_an_effect_in_each_joint_is_the_effect_in_both(rig, effect, short_case):
+    own = read_rig(rig).changed(**{"world.settle_s": 0.3, "world.pause_s": 0.3})
+    strength = STRENGTH[effect]
+    both = run_case(own.hide({effect: strength}), short_case())
+    each = run_case(own.hide({f"{effect}:1": strength, f"{effect}:2": strength}), short_case())
+    second = run_case(own.hide({f"{effect}:2": strength}), short_case())
+    assert each.sha256() == both.sha256() != second.sha256()
+
+
+@pytest.mark.parametrize("effect", ["coulomb_friction", "current_bias", "viscous_friction"])
+def test_an_effect_in_one_joint_shows_in_that_joints_current(
+    effect, short, short_case, default_trial
+):
+    trial = run_case(short.hide({f"{effect}:2": STRENGTH[effect]}), short_case())
+    first_a, second_a = (
+        rms(trial.current_a[:, j] - default_trial.current_a[:, j]) for j in (0, 1)
+    )  # fmt: skip
+    assert second_a > max(0.1, 2 * first_a)  # the joints act on each other
+
+
+@pytest.mark.parametrize("rig", ["default", "cosserat"])
+def test_both_engines_load_the_joint_that_has_the_offset(rig):
+    built = build_rig(read_rig(rig).hide({"load_offset:2": 3.0}), 2, 1.0)
+    assert [servo.load_nm for servo in built.servos] == [0.0, 3.0]
+
+
+def test_friction_in_one_joint_varies_between_trials_as_that_of_both(parameters, short_case):
+    place = "servo.coulomb_friction_nm"
+    rig = parameters.hide({"coulomb_friction:2": parameters[place]})
+    varied = draw_variation(rig, short_case(), short_case().rng()).parameters
+    assert varied[place] != rig[place]
+    assert varied.of_joint(2)[place] == pytest.approx(2 * varied.of_joint(1)[place])
+
+
+def test_what_is_hidden_in_a_joint_adds_to_what_is_hidden_in_both(parameters):
+    rig = parameters.hide({"coulomb_friction:2": 1.0, "coulomb_friction": 0.5})
+    place = "servo.coulomb_friction_nm"
+    assert rig.of_joint(1)[place] == rig[place] == parameters[place] + 0.5
+    assert rig.of_joint(2)[place] == rig[place] + 1.0
+
+
+def test_the_hash_of_a_rig_tells_the_joint(parameters):
+    first, second, both = (
+        parameters.hide({name: 0.01}) for name in ("backlash:1", "backlash:2", "backlash")
+    )
+    assert len({r.sha256() for r in (parameters, first, second, both)}) == 4
+
+
+@pytest.mark.parametrize(
+    "hidden, told",
+    [("prebend:2", "not of one joint alone"), ("backlash:3", "'3' is no joint"),
+     ("backlash:2", "no joint|outside")],
+)  # fmt: skip
+def test_impossible_joints_are_refused(parameters, hidden, told):
+    with pytest.raises(InputError, match=told):
+        parameters.hide({hidden: -0.5})
+
+
+def test_a_joint_that_is_not_driven_is_refused(short, short_case):
+    with pytest.raises(InputError, match="joint 2, and 1 is driven"):
+        run_case(short.hide({"backlash:2": 0.01}), short_case(dof=1))

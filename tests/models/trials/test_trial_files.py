@@ -254,6 +254,26 @@ def test_split_holds_out_repetitions_and_smaller_amplitudes(make_trial, swing_ra
     assert [t.name for t in held_out] == ["two", "small"]
 
 
+def test_each_payload_and_phase_is_fitted_by_its_own_lowest_trial(make_trial, swing_rad):
+    kinds = [("a", 0.0, 0.0), ("b", 1.0, 0.0), ("c", 1.0, 1.57), ("d", 2.0, 0.0)]
+    takes = TrialSet(tuple(
+        make_trial(swing_rad, name=f"{name}{n}", trial=2 * k + n, payload_kg=kg, phase_2_rad=lead)
+        for k, (name, kg, lead) in enumerate(kinds) for n in (1, 2)
+    ))  # fmt: skip
+    fitted, held_out = takes.split()
+    assert [t.name for t in fitted] == ["a1", "b1", "c1", "d1"]
+    assert [t.name for t in held_out] == ["a2", "b2", "c2", "d2"]
+
+
+def test_an_amplitude_that_was_rounded_is_the_same_amplitude(make_trial, swing_rad):
+    amplitudes = {"rounded": 0.5236, "whole": 0.5235987755982988, "small": 0.5136}
+    trials = TrialSet(tuple(
+        make_trial(swing_rad, name=name, payload_kg=float(k), amplitude_rad=a)
+        for k, (name, a) in enumerate(amplitudes.items())
+    ))  # fmt: skip
+    assert [t.name for t in trials.split()[0]] == ["rounded", "whole"]
+
+
 def test_a_run_without_motion_capture_has_no_tip_but_a_tip_with_holes_is_refused(
     make_trial, swing_rad, tmp_path
 ):

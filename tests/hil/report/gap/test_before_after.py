@@ -76,6 +76,12 @@ def test_a_look_alike_is_told_from_a_wrong_name(copy, plant_before):
     assert row.said == "creep was hidden; its look-alike stiffness softening was named"
 
 
+def test_an_effect_of_one_joint_is_told_with_the_joint(gap_build, plant_before):
+    data = before_after(read_gap(gap_build, plant_before), {"backlash:2": 0.01})
+    assert data.hidden["backlash:2"].said == "backlash of joint 2 was hidden and not named"
+    assert data.also_named == ["stiffness_softening"]
+
+
 def test_an_effect_that_was_dropped_again_is_not_named(copy, plant_before):
     edited(copy / "found" / "gap.json", lambda found: found["named"][0].update(kept=False))
     data = before_after(read_gap(copy, plant_before), HIDDEN)

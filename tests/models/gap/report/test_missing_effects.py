@@ -30,6 +30,12 @@ def test_an_effect_that_was_taken_out_is_not_in_the_table_of_those_named():
     assert nothing.text == "No effect is named."
 
 
+def test_what_was_hidden_in_one_joint_is_told_with_the_joint():
+    found = SimpleNamespace(named=[named("backlash", True), named("creep", True)])
+    table, *_ = named_effects(found, {"backlash:2": 0.01, "creep": 0.3})
+    assert [row[1] for row in table.rows] == ["0.01 rad, joint 2", "0.3"]
+
+
 @pytest.mark.parametrize("kept", [True, False])
 def test_each_effect_is_compared_once(kept):
     rows = [rejected("creep", 12.0), *(rejected(f"other_{k}", 11.0 - k) for k in range(9))]

@@ -1,0 +1,133 @@
+"""Repetitions whose variation differs far more than that of any two trials: one is disturbed.
+
+The variation of a trial (friction, clock, place of the payload, …) is fitted within its prior, and
+takes up most of what one disturbed trial shows. Two repetitions of one robot differ in it by √2 of
+its standard deviation; a difference far beyond that is a matter of one of the two. It is the one
+without which the rest fits better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.noise_floor_fit import nuisance_and_variation
+from models.gap.odd_trials import OddTrial, odd_trials
+from models.gap.residuals.residuals import Residuals
+from models.gap.settings import GapSettings
+from models.plant.plant import Plant
+from models.shared.kinematics import Array
+from models.trials.trial import Trial, TrialSet
+
+FEWEST: Final = 3
+"""Trials of a motion of which one may be left out."""
+
+
+@dataclass(frozen=True)
+class VariationDifference:
+    """Difference of two repetitions in one kind of variation.
+
+    Attributes
+    ----------
+    trials : tuple of int
+        Their indices.
+    variation : str
+        Kind, see `models.gap.residuals.fit_parameters.trial_fit_parameters`.
+    standard_deviations : float
+        Its size in standard deviations of such a difference.
+    """
+
+    trials: tuple[int, int]
+    variation: str
+    standard_deviations: float
+
+
+def disturbed_trials(
+    estimator: GaussNewton, point: FitPoint, floor: NoiseFloor
+) -> tuple[OddTrial, ...]:
+    """Trials that are no matter of the robot: by what is left of them, else by how they vary.
+
+    Parameters
+    ----------
+    estimator, point
+        As for `models.gap.odd_trials.odd_trials`.
+    floor : NoiseFloor
+        Of these trials, without what was added for the gap.
+    """
+    odd = odd_trials(estimator, point)
+    return odd or odd_repetitions(estimator.residuals, point.values, floor)
+
+
+def odd_repetitions(residuals: Residuals, values: Array, floor: NoiseFloor) -> tuple[OddTrial, ...]:
+    """Disturbed one of the two repetitions that differ most; none where all differ as usual.
+
+    Parameters
+    ----------
+    residuals : Residuals
+        Of the trials.
+    values : ndarray, shape (p,)
+        Of all fit parameters, with link, set-up and variation refitted.
+    floor : NoiseFloor
+        Of these trials.
+    """
+    settings, trials = residuals.settings, residuals.trials
+    found = differing_repetitions(residuals, values)
+    if not found or found[0].standard_deviations < settings.odd_variation_sd:
+        return ()
+    most = found[0]
+    costs = [_cost_without(residuals.plant, trials, k, floor, settings) for k in most.trials]
+    odd = trials[most.trials[int(np.argmin(costs))]]
+    return (
+        OddTrial(
+            odd.name, str(odd.path), odd.meta.payload_kg,
+            variation=most.variation, standard_deviations=most.standard_deviations,
+        ),
+    )  # fmt: skip
+
+
+def differing_repetitions(residuals: Residuals, values: Array) -> list[VariationDifference]:
+    """Largest difference of every two repetitions, the largest of all first.
+
+    Parameters
+    ----------
+    residuals, values
+        As for `odd_repetitions`.
+    """
+    by_trial: list[dict[str, float]] = [{} for _ in residuals.trials]
+    for q, value in zip(residuals.fit_parameters, values.tolist(), strict=True):
+        if q.trial is not None:
+            by_trial[q.trial][q.name] = value / q.standard_deviation
+    result = []
+    for group in (g for g in residuals.groups if len(g.trials) >= FEWEST):
+        for pair in combinations(group.trials, 2):
+            first, second = (residuals.trials[k].meta.payload_kg for k in pair)
+            if first == second and (own := _difference(pair, *(by_trial[k] for k in pair))):
+                result.append(own)
+    return sorted(result, key=lambda row: -row.standard_deviations)
+
+
+def _difference(
+    pair: tuple[int, int], first: dict[str, float], second: dict[str, float]
+) -> VariationDifference | None:
+    """Largest difference of two trials; None where nothing varies."""
+    sizes = {name: abs(first[name] - second[name]) / np.sqrt(2.0) for name in first}
+    if not sizes:
+        return None
+    name = max(sizes, key=lambda kind: sizes[kind])
+    return VariationDifference(pair, name, float(sizes[name]))
+
+
+def _cost_without(
+    plant: Plant, trials: Sequence[Trial], left_out: int, floor: NoiseFloor, settings: GapSettings
+) -> float:
+    """Cost of the nuisance fit to all trials but one."""
+    rest = TrialSet(tuple(t for k, t in enumerate(trials) if k != left_out))
+    parameters = nuisance_and_variation(plant, rest.trials, settings)
+    estimator = GaussNewton(Residuals(plant, rest.trials, parameters, settings), floor)
+    return estimator.fit_nuisance(estimator.start()).cost
