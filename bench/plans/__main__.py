@@ -7,12 +7,12 @@ kinematics, payload known, and payload estimated in the second run. `robust`: ri
 stiffness or damping than the plant believes, payload known and estimated, open loop and with
 feedback, in the second run where the robot learns within it. `probed`: the same with feedback and a
 probing motion before the first run, and on the rig that the plant was identified on. `learning`:
-five runs with motion capture on these rigs, 1.8 kg, open loop; then three runs on draws of the rig
-that learning did not see. `moves`: 25° with 2 kg, from rest to rest: as fast as the limits permit
-with a rigid link, ZVD shaping, the shortest inverted move. `text`: HELLO in 40 s with 1 kg and
-feedback; draws it to OUT/text.svg. `other_rig`: `--rig NAME` behind plans from `--plant FILE`,
-identified on trials of it, open loop, payload known: at once, and after one run, from which shape
-and timing of the goals were learned.
+five runs with motion capture on these rigs, 1.8 kg, of plans with feedback, the default, and open
+loop; then three runs on draws of the rig that learning did not see. `moves`: 25° with 2 kg, from
+rest to rest: as fast as the limits permit with a rigid link, ZVD shaping, the shortest inverted
+move. `text`: HELLO in 40 s with 1 kg and feedback; draws it to OUT/text.svg. `other_rig`:
+`--rig NAME` behind plans from `--plant FILE`, identified on trials of it, open loop, payload known:
+at once, and after one run, from which shape and timing of the goals were learned.
 """
 
 from __future__ import annotations
@@ -151,25 +151,36 @@ def learning(build: Path) -> dict[str, Any]:
     build : Path
         Directory with plant and bundles.
     """
-    plant, cases = _plant(build), []
-    progress = Progress("bench.plans learning", 4)
+    cases = []
+    progress = Progress("bench.plans learning", 8)
     for dof, (name, options) in PATHS.items():
-        first = _plan(build, dof, name, options)
-        for what in ("stiffness", "damping"):
-            plan, errors, rng = first, [], np.random.default_rng(1)
-            with tempfile.TemporaryDirectory() as scratch:
-                rig = str(larger_rig(what, Path(scratch)))
-                for number in range(LEARNING_RUNS + FURTHER_DRAWS):
-                    run = run_on_rig(plan, _bundle(build, dof), 1.8, rig=rig, seed=SEED + number)
-                    errors.append(run.rms_m)
-                    if number < LEARNING_RUNS:
-                        path = write_trial(by_mocap(run, rng), Path(scratch) / str(number))
-                        plan = improve_plan(plan, read_plan_run(path, plan), plant, LIMITS).plan
-            after = float(np.sqrt(np.mean(np.square(errors[LEARNING_RUNS:]))))
-            cases.append({"dof": dof, "more": what, "rms_m": errors, "after_m": after})
-            progress.step(f"{dof}DOF, {what}")
+        for feedback in (True, False):
+            first = _plan(build, dof, name, options, feedback=feedback)
+            for what in ("stiffness", "damping"):
+                errors, expected = _learned(build, first, what)
+                after = float(np.sqrt(np.mean(np.square(errors[LEARNING_RUNS:]))))
+                cases.append({
+                    "dof": dof, "feedback": feedback, "more": what, "rms_m": errors,
+                    "expected_rms_m": expected, "after_m": after,
+                })  # fmt: skip
+                progress.step(f"{dof}DOF, {what}, {'feedback' if feedback else 'open loop'}")
     last = {f"last_{n}dof_m": max(c["after_m"] for c in cases if c["dof"] == n) for n in (1, 2)}
     return {"cases": cases} | last
+
+
+def _learned(build: Path, plan: TipPlan, what: str) -> tuple[list[float], list[float | None]]:
+    """RMS errors of all runs of a plan that learns from the first ones, and those expected."""
+    plant, bundle, errors = _plant(build), _bundle(build, plan.dof), []
+    rng = np.random.default_rng(1)
+    with tempfile.TemporaryDirectory() as scratch:
+        rig = str(larger_rig(what, Path(scratch)))
+        for number in range(LEARNING_RUNS + FURTHER_DRAWS):
+            run = run_on_rig(plan, bundle, 1.8, rig=rig, seed=SEED + number)
+            errors.append(run.rms_m)
+            if number < LEARNING_RUNS:
+                path = write_trial(by_mocap(run, rng), Path(scratch) / str(number))
+                plan = improve_plan(plan, read_plan_run(path, plan), plant, LIMITS).plan
+    return errors, [own.expected_rms_m for own in plan.learned]
 
 
 def moves(build: Path) -> dict[str, Any]:

@@ -36,8 +36,9 @@ ELAPSED_FACTOR: Final = 10.0
 MOST_WRITTEN_BYTES: Final = 400_000_000
 """Size of the largest file that a child may write: a trial of 10⁷ numbers of 20 digits, doubled."""
 
-_RESULT, _REFUSED, _MEMORY, _DISK = b"r", b"i", b"m", b"d"
+_RESULT, _REFUSED, _MEMORY, _DISK, _FAILED = b"r", b"i", b"m", b"d", b"f"
 _CRASHED: Final = "is damaged or too large: the program that reads it has crashed"
+_REPORT: Final = "; if the file is sound, report this sentence"
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What ends the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
 
@@ -68,7 +69,8 @@ def guarded_call(
     Raises
     ------
     InputError
-        That of `work`; or if the child dies, or needs more memory or time than it may.
+        That of `work`; another exception of it with its text, since it may be an error of the
+        program; or if the child dies, or needs more memory or time than it may.
     OSError
         If the disk is full, or the child writes a larger file than it may.
     """
@@ -91,10 +93,7 @@ def guarded_call(
     kind, content = answer[:1], answer[1:]
     if kind == _RESULT and not late:
         return content
-    if kind == _REFUSED and not late:
-        raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
-    if kind == _DISK and not late:
-        raise OSError(int(content), os.strerror(int(content)))
+    _raise_sent(kind if not late else b"", content, where, remedy)
     if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
         raise InputError(where, f"takes more than {seconds:g} s to read", remedy)
     if kind == _MEMORY:
@@ -102,6 +101,21 @@ def guarded_call(
             where, f"takes more than {DATA_SIZE.number(memory_bytes)} MB to read", remedy
         )
     raise InputError(where, _CRASHED, remedy)
+
+
+def _raise_sent(kind: bytes, content: bytes, where: Path | str, remedy: str) -> None:
+    """Raise the exception that a child has sent, if it has."""
+    if kind == _REFUSED:
+        raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
+    if kind == _DISK:
+        raise OSError(int(content), os.strerror(int(content)))
+    if kind == _FAILED:
+        raise InputError(where, content.decode(errors="replace"), remedy + _REPORT)
+
+
+def _failure(error: Exception) -> str:
+    """What the sentence says of an exception that is no refusal."""
+    return f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:300]})"
 
 
 def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> bytes:
@@ -114,10 +128,10 @@ def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> b
         raise
     except MemoryError:
         raise InputError(where, "takes more memory to read than there is", remedy) from None
-    except Exception as error:  # a library raises anything on a damaged file
+    except Exception as error:
         if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
             raise
-        raise InputError(where, _CRASHED, remedy) from error
+        raise InputError(where, _failure(error), remedy + _REPORT) from error
 
 
 def _fork() -> int:
@@ -160,10 +174,13 @@ def _live(
             answer = _REFUSED + msgspec.msgpack.encode(said)
         except MemoryError:
             answer = _MEMORY
-        except OSError as error:
-            if error.errno not in _DISK_ERRORS:
-                raise
-            answer = _DISK + str(error.errno).encode()
+        except Exception as error:
+            if isinstance(error, OSError) and error.errno in _DISK_ERRORS:
+                answer = _DISK + str(error.errno).encode()
+            elif isinstance(error, OSError) and error.errno == errno.ENOMEM:
+                answer = _MEMORY
+            else:
+                answer = _FAILED + _failure(error).encode(errors="replace")
         while answer:
             answer = answer[os.write(writer, answer) :]
     except MemoryError:

@@ -51,7 +51,8 @@ class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     rigid_rms_m : float
         The same for goals from rigid kinematics.
     expected_rms_m : float
-        The residual together with the plant's own error on trials that it was not fitted to.
+        The residual together with the plant's own error on trials that it was not fitted to; in a
+        plan that has learned, with what the runs leave of that error, and the scatter between runs.
     stiffness : StiffnessSlopes or None
         Differences that a stiffer link makes; None where the plan has no feedback.
     """
@@ -76,17 +77,20 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     source : {"mocap", "observer"}
         What measured the tip.
     payload_kg : float
-        Payload between whose plans the robot interpolated.
+        Mass at the tip.
     rms_m : float
         Measured root mean square distance of the tip from the path, bias of the source included.
     predicted_rms_m : float
-        The same as predicted for the next run.
+        The same as the twin predicts it for the next run, where all errors repeat.
     goal_delay_s : float
         Measured time by which the joints follow later than the twin's; 0 where it was not used.
     gain : float
         Fraction of the full correction that was applied.
     stiffness, damping : float
         Those of the link over those of the plant, as the recording tells.
+    expected_rms_m : float or None
+        The prediction together with the scatter between runs, and with the error of the plant where
+        the observer measured the tip; None in plans of earlier versions.
     """
 
     sha256: str
@@ -98,6 +102,7 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     gain: float
     stiffness: float = 1.0
     damping: float = 1.0
+    expected_rms_m: float | None = None
 
 
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
     refuse_other_links(plant, args.plant, trials)
     result = evaluate_plant(plant, trials)
     emit(args, msgspec.to_builtins(result), evaluation_text(result))
-    for warning in evaluation_doubts(result):
+    for warning in evaluation_doubts(result, plant):
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
 

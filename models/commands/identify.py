@@ -30,7 +30,7 @@ from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_listing import conditions_beside
-from models.trials.verdict.trial_check import judge_pressures
+from models.trials.verdict.trial_check import judge_not_fitted, judge_pressures
 
 EXAMPLE = (
     "python -m models identify build/trials --plant models/plant/nominal.toml "
@@ -81,9 +81,7 @@ def run(args: argparse.Namespace) -> int:
     plant = replace(plant, provenance=msgspec.structs.replace(plant.provenance, servo_gains=gains))
     plant.write(args.out)
     fit, held_out = trials.split()
-    picture = draw_fit(
-        found.plant, held_out if len(held_out) else fit, args.out.with_suffix(".svg")
-    )
+    picture = draw_fit(found.plant, held_out or fit, args.out.with_suffix(".svg"))
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
     for q in found.fitted:
         reached = bound_reached(q)
@@ -113,7 +111,8 @@ def run(args: argparse.Namespace) -> int:
         "held_out": msgspec.to_builtins(found.held_out),
     }
     warnings = doubts(found) + torque_constant_doubts(found.plant, fit.trials)
-    warnings += [f"{row.text}; {row.remedy}" for row in judge_pressures(trials.trials)]
+    found_in_trials = [*judge_pressures(trials.trials), *judge_not_fitted(trials)]
+    warnings += [f"{row.text}; {row.remedy}" for row in found_in_trials]
     data["warnings"] = warnings
     emit(args, data, text)
     for warning in warnings:

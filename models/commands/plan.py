@@ -147,8 +147,9 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
     own = found.run
     text = (
         f"{args.improve}: tip by {own.source}, {own.payload_kg:.2f} kg, off its path by "
-        f"{LENGTH.number(own.rms_m, 2)} mm RMS; {LENGTH.number(own.predicted_rms_m, 2)} mm "
-        f"predicted for the next run\n"
+        f"{LENGTH.number(own.rms_m, 2)} mm RMS; "
+        f"{LENGTH.number(own.expected_rms_m or own.predicted_rms_m, 2)} mm expected for the next "
+        f"run, {LENGTH.number(own.predicted_rms_m, 2)} mm where all errors repeat\n"
     )
     if found.went_back:
         text += "this run was worse than the best one, from which half a step was taken\n"
@@ -252,7 +253,12 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
             f"{LENGTH.number(own.expected_rms_m, 2):>10}{LENGTH.number(own.rigid_rms_m):>10}"
             f"{CURRENT.text(current):>17}"
         )
-    if plan.feedback is not None:
+    if any(run.source == "mocap" for run in plan.learned):
+        lines.append(
+            "no feedback of the tip: it would lead the observer's tip onto the path and undo what "
+            "motion capture has told"
+        )
+    elif plan.feedback is not None:
         gain = min(m.gain_db for own in plan.feedback.margins for m in own)
         phase = min(m.phase_rad for own in plan.feedback.margins for m in own)
         lines.append(

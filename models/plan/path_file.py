@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_text
 from models.plan.path_shapes import DesiredPath
 
+Array = NDArray[np.float64]
 FARTHEST_M: Final = 2.0
 """Largest coordinate: that of built-in paths."""
 LONGEST_S: Final = 600.0
@@ -29,7 +31,8 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     dof : int
         Joints of the robot.
     period_s : float
-        Control period, to which the path is interpolated.
+        Control period, to which the path is interpolated. Where the path ends between two
+        periods, the nearer one counts; past the end the tip goes on at its speed there.
 
     Raises
     ------
@@ -68,5 +71,14 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
         raise InputError(path, f"lasts {lasts_s:g} s", f"give {2 * period_s:g} to {LONGEST_S:g} s")
     table = np.array(rows)
     at_s = np.arange(table[0, 0], table[-1, 0] + 0.5 * period_s, period_s)
-    tip = np.column_stack([np.interp(at_s, table[:, 0], table[:, k + 1]) for k in range(dof)])
+    tip = _at(table, at_s)
+    # The way back takes over the speed at the end: a last place that stands still would halve it.
+    end_s = table[-1, 0]
+    end, before = _at(table, np.array([end_s, end_s - period_s]))
+    tip[-1] += max(0.0, at_s[-1] - end_s) * (end - before) / period_s
     return DesiredPath(path.stem, tip, ((0, len(at_s)),))
+
+
+def _at(table: Array, at_s: Array) -> Array:
+    """Places of a table of time and place at times, shape (n, dof)."""
+    return np.column_stack([np.interp(at_s, table[:, 0], column) for column in table.T[1:]])

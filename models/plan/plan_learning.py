@@ -16,6 +16,10 @@ to the best one and takes half the step.
 Goals for other payloads get a part of the change that falls with the distance in payload, so that
 the goals for the recorded payload change by exactly B c and all others as little as is smooth.
 
+Feedback of the tip drives the tip of the observer onto the path, and so would undo what motion
+capture has told. A plan that learns from motion capture therefore loses its corrections: its goals
+hold those of the recorded run.
+
 Joints that follow their goals later or earlier than the twin's do so with every payload: that delay
 is measured on the recorded angles, and all goals are moved ahead by it.
 """
@@ -34,6 +38,7 @@ from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import BestRun, LearnedRun, PayloadPlan, TipPlan, as_columns
 from firmware_py.safety.limits import Limits
+from models.plan.expected_error import payload_correlation, unknown_error_m
 from models.plan.inversion import goal_splines
 from models.plan.plan_timeline import Timeline
 from models.plan.recorded_plan_run import RecordedRun, interpolated, payload_weights
@@ -47,9 +52,6 @@ CHANGE_M_S2: Final = 1e-4
 because a measured tip has noise and the twin is wrong most where it hardly moves [assumed]."""
 STEPS: Final = 3
 """Gauss–Newton steps with the same derivatives [assumed]."""
-PAYLOAD_REACH_KG: Final = 1.0
-"""Distance in payload over which a change fades: the correlation of the goals to be learned
-[assumed]."""
 WORSE: Final = 1.3
 """RMS of a run over that of the best at its payload, above which learning goes back. Measured on
 the rig, circle of 6 s with 1.8 kg: runs of one plan differ by a quarter."""
@@ -96,16 +98,12 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     Raises
     ------
     InputError
-        If the run was learned from before, the plant is not the link, or every change breaks a
-        limit.
+        If the run was learned from before, the plant is not the link, the observer's tip would
+        undo what motion capture has told, or every change breaks a limit.
     """
-    if any(run.sha256 == known.sha256 for known in plan.learned):
-        raise InputError(
-            "--improve", "names a recording that the plan was improved by already",
-            "run the improved plan and name its recording",
-        )  # fmt: skip
-    if plant.load != "link":
-        raise InputError(f"plant {plant.name!r}", "is not the link", "plans are made for the link")
+    _check(plan, run, plant)
+    if run.source == "mocap":
+        plan = _without_corrections(plan)
     measured_m = _rms(run.tip_m - plan.desired_tip_m())
     start, gain, before = _start(plan, run, measured_m)
     went_back = start is not run
@@ -121,10 +119,12 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
             tried = error
     else:
         raise tried or InputError("--improve", "changes nothing", "name another recording")
+    unknown_m = unknown_error_m(plan, run, [run.payload_kg])[0]
     learned = LearnedRun(
         sha256=run.sha256, source=run.source, payload_kg=run.payload_kg, rms_m=measured_m,
         predicted_rms_m=predicted_m, goal_delay_s=step.delay_s, gain=gain * part,
         stiffness=step.stiffness, damping=step.damping,
+        expected_rms_m=float(np.hypot(predicted_m, unknown_m)),
     )  # fmt: skip
     best = plan.best
     if before is None or measured_m < plan.learned[before.run].rms_m:
@@ -135,6 +135,22 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
         best = (*(b for b in plan.best if b is not before), own)
     improved = msgspec.structs.replace(improved, learned=(*plan.learned, learned), best=best)
     return Improvement(improved, learned, went_back)
+
+
+def _check(plan: TipPlan, run: RecordedRun, plant: Plant) -> None:
+    """Refuse a run that tells nothing new, or less than is known."""
+    if any(run.sha256 == known.sha256 for known in plan.learned):
+        raise InputError(
+            "--improve", "names a recording that the plan was improved by already",
+            "run the improved plan and name its recording",
+        )  # fmt: skip
+    if plant.load != "link":
+        raise InputError(f"plant {plant.name!r}", "is not the link", "plans are made for the link")
+    if run.source != "mocap" and any(known.source == "mocap" for known in plan.learned):
+        raise InputError(
+            "--improve", "names a log with the tip by the observer, whose error would undo what "
+            "the plan has learned from motion capture", "name a trial with motion capture",
+        )  # fmt: skip
 
 
 class _Step:
@@ -163,24 +179,24 @@ class _Step:
         c = gain * self._solved
         wanted = run.goals_rad + self._goals(c)
         tables = [self._moved(t, lead_s) for t in plan.goals_rad()]
-        weights = payload_weights(plan, run.payload_kg)
+        weights = payload_weights(plan, run.goals_payload_kg)
         # The change is spread over payloads like a Gaussian process with this correlation.
-        apart = (plan.grid_kg[:, None] - plan.grid_kg) / PAYLOAD_REACH_KG
-        spread = np.exp(-0.5 * apart**2) @ weights
+        spread = payload_correlation(plan.grid_kg, plan.grid_kg) @ weights
         spread = spread / float(weights @ spread)
         base = np.einsum("p,pnj->nj", weights, np.array(tables))
         change = np.linalg.lstsq(self._basis, wanted - base, rcond=None)[0]
         repeats = run.tip_m - self._own_tip
+        unknown = unknown_error_m(plan, run, plan.grid_kg)
         payloads = []
-        for own, table, part in zip(plan.payloads, tables, spread, strict=True):
+        for own, table, part, off in zip(plan.payloads, tables, spread, unknown, strict=True):
             goals = table + part * (self._basis @ change)
             goals[: self._rest] = 0.0
             outputs = twin.run(self._late(goals), own.payload_kg)
             tip = twin.tip_m(outputs) + part * repeats
             left = _rms(tip - plan.desired_tip_m())
-            payloads.append(_next(own, goals, tip, twin.current_a(outputs), left, part, plan))
+            payloads.append(_next(own, goals, tip, twin.current_a(outputs), left, off))
         improved = msgspec.structs.replace(plan, payloads=tuple(payloads), goal_lead_s=self.delay_s)
-        predicted = self._predicted(interpolated(improved, run.payload_kg))
+        predicted = self._predicted(interpolated(improved, run.goals_payload_kg))
         return improved, _rms(predicted - plan.desired_tip_m())
 
     @functools.cached_property
@@ -242,15 +258,13 @@ def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
 
 
 def _next(
-    own: PayloadPlan, goals: Array, tip: Array, current: Array, left_m: float, part: float,
-    plan: TipPlan,
-) -> PayloadPlan:  # fmt: skip
-    """Plan for one payload, after a part of a change."""
-    unknown = (1.0 - min(part, 1.0)) * (plan.plant_error_rms_m or 0.0)
+    own: PayloadPlan, goals: Array, tip: Array, current: Array, left_m: float, off_m: float
+) -> PayloadPlan:
+    """Plan for one payload, after a part of a change, and with what nothing tells."""
     return msgspec.structs.replace(
         own, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
         current_a=as_columns(current, 4), residual_rms_m=left_m,
-        expected_rms_m=float(np.hypot(left_m, unknown)),
+        expected_rms_m=float(np.hypot(left_m, off_m)),
     )  # fmt: skip
 
 
@@ -258,20 +272,36 @@ def _start(
     plan: TipPlan, run: RecordedRun, measured_m: float
 ) -> tuple[RecordedRun, float, BestRun | None]:
     """Run to start from, fraction of the step, and the best run before at this payload."""
-    near = [r for r in plan.learned if abs(r.payload_kg - run.payload_kg) < NEAR_KG]
+    near = [r for r in plan.learned if _alike(r, run)]
     gain = 2.0 / (len(near) + 2.0)
-    best = _best_at(plan, run.payload_kg)
+    alike = [b for b in plan.best if _alike(plan.learned[b.run], run)]
+    best = alike[-1] if alike else None
     if best is None or measured_m <= WORSE * plan.learned[best.run].rms_m:
         return run, gain, best
     known = plan.learned[best.run]
     goals, angle, tip = (np.transpose(t) for t in (best.goals_rad, best.angle_rad, best.tip_m))
-    start = RecordedRun(goals, angle, tip, known.payload_kg, known.source, run.sha256)
+    start = RecordedRun(
+        goals, angle, tip, known.payload_kg, run.goals_payload_kg,
+        known.source, run.sha256,
+    )  # fmt: skip
     return start, 0.5 * gain, best
 
 
-def _best_at(plan: TipPlan, payload_kg: float) -> BestRun | None:
-    near = [b for b in plan.best if abs(plan.learned[b.run].payload_kg - payload_kg) < NEAR_KG]
-    return near[-1] if near else None
+def _alike(known: LearnedRun, run: RecordedRun) -> bool:
+    """Whether errors of two runs compare: at one payload, the tip measured alike."""
+    return known.source == run.source and abs(known.payload_kg - run.payload_kg) < NEAR_KG
+
+
+def _without_corrections(plan: TipPlan) -> TipPlan:
+    """Plan without feedback; with a probing motion, which needs it, its corrections are zero."""
+    if plan.feedback is None:
+        return plan
+    if plan.probe is not None:
+        return msgspec.structs.replace(
+            plan, feedback=msgspec.structs.replace(plan.feedback, size_rad=0.0)
+        )
+    payloads = tuple(msgspec.structs.replace(own, stiffness=None) for own in plan.payloads)
+    return msgspec.structs.replace(plan, feedback=None, payloads=payloads)
 
 
 def _rms(error: Array) -> float:

@@ -3,6 +3,10 @@
 A trial (CSV and TOML, of `models import` or `hil sil`) brings the tip of the motion capture, a log
 of `dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
 recording the last whole one counts: there the robot's estimate of the payload has settled.
+
+A trial tells the mass at the tip. The goals sent hold the corrections of feedback, which no
+recording tells apart. So the payload between whose plans the robot interpolated follows from the
+goals only where the plan has no corrections.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.log.logged_run import logged_run
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
@@ -36,6 +41,11 @@ LEAST_FRESH: Final = 0.9
 """Least fraction of rows with a measurement; between them it is interpolated [assumed]."""
 
 
+CORRECTED_KG: Final = 0.25
+"""Distance from the mass at the tip within which corrections, and no other payload, explain the
+goals of a trial [assumed]: half the step of the default grid."""
+
+
 @dataclass(frozen=True)
 class RecordedRun:
     """One run of a plan.
@@ -47,7 +57,9 @@ class RecordedRun:
     tip_m : ndarray, shape (n, dof)
         Tip at each row.
     payload_kg : float
-        Payload between whose plans the goals were interpolated.
+        Mass at the tip: that of the trial, or what the robot was told or estimated.
+    goals_payload_kg : float
+        Payload between whose plans the goals were interpolated, within the grid.
     source : {"mocap", "observer"}
         What measured the tip.
     sha256 : str
@@ -58,6 +70,7 @@ class RecordedRun:
     angle_rad: Array
     tip_m: Array
     payload_kg: float
+    goals_payload_kg: float
     source: str
     sha256: str
 
@@ -79,20 +92,22 @@ def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
     """
     _check_size(f"plan {plan.path}", plan.goals_rad())
     if path.suffix == ".csv":
-        table, source = _of_trial(path, plan), "mocap"
+        (table, payload_kg, went_by_kg), source = _of_trial(path, plan), "mocap"
     else:
-        table, source = _of_log(path, plan), "observer"
+        (table, payload_kg, went_by_kg), source = _of_log(path, plan), "observer"
     goals, angle, tip = (table[:, k * plan.dof : (k + 1) * plan.dof] for k in range(3))
-    payload_kg, difference = fitting_payload(plan, goals)
-    scale = float(np.sqrt(np.mean(interpolated(plan, payload_kg) ** 2)))
+    fitting_kg, difference = fitting_payload(plan, goals)
+    scale = float(np.sqrt(np.mean(interpolated(plan, fitting_kg) ** 2)))
     if difference > ALIKE * scale:
         raise InputError(
             path, f"is no run of the plan {plan.path}: its goals differ by {difference:.3f} rad",
             "name a recording of this plan",
         )  # fmt: skip
+    goals_payload_kg = _goals_payload_kg(plan, fitting_kg, payload_kg, went_by_kg)
     return RecordedRun(
-        goals, angle, tip, payload_kg, source, hashlib.sha256(path.read_bytes()).hexdigest()
-    )
+        goals, angle, tip, goals_payload_kg if payload_kg is None else payload_kg,
+        goals_payload_kg, source, hashlib.sha256(path.read_bytes()).hexdigest(),
+    )  # fmt: skip
 
 
 def interpolated(plan: TipPlan, payload_kg: float) -> Array:
@@ -146,7 +161,24 @@ def fitting_payload(plan: TipPlan, goals_rad: Array) -> tuple[float, float]:
     return payload_kg, rms
 
 
-def _of_log(path: Path, plan: TipPlan) -> Array:
+def _goals_payload_kg(
+    plan: TipPlan, fitting_kg: float, payload_kg: float | None, went_by_kg: float | None
+) -> float:
+    """Payload between whose plans the goals were interpolated, corrections left out."""
+    if plan.feedback is None or plan.feedback.size_rad == 0.0:
+        return fitting_kg
+    low, high = plan.grid_kg[0], plan.grid_kg[-1]
+    if went_by_kg is not None:
+        return float(np.clip(went_by_kg, low, high))
+    if payload_kg is None:
+        return fitting_kg
+    # The robot of a trial may have estimated the mass at the tip, far from what it was.
+    told_kg = float(np.clip(payload_kg, low, high))
+    return told_kg if abs(fitting_kg - told_kg) <= CORRECTED_KG else fitting_kg
+
+
+def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
+    """Table of the last whole run, the mass at the tip, and the payload that the robot went by."""
     log = read_recording(path)
     _check_dof(path, log.dof, plan)
     columns = log.columns
@@ -168,10 +200,15 @@ def _of_log(path: Path, plan: TipPlan) -> Array:
     grid = np.arange(start, start + plan.rows)
     table = np.column_stack([np.interp(grid, tick[inside], columns[n][inside]) for n in names])
     _check_size(path, table)
-    return table
+    facts, estimate = logged_run(log), columns["payload_kg"][inside]
+    went_by_kg = facts.assumed_payload_kg
+    if went_by_kg is None and np.isfinite(estimate).all():
+        went_by_kg = float(estimate.mean())
+    return table, facts.payload_kg, went_by_kg
 
 
-def _of_trial(path: Path, plan: TipPlan) -> Array:
+def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
+    """As `_of_log`; a trial does not say what the robot went by."""
     trial = read_trial(path)
     _check_dof(path, trial.meta.dof, plan)
     table = trial.stack(*_joint_names(plan.dof), *tip_names()[: plan.dof])
@@ -184,7 +221,7 @@ def _of_trial(path: Path, plan: TipPlan) -> Array:
     if len(table) < plan.rows:
         raise InputError(path, f"is shorter than the {plan.rows} rows of the plan", "run it whole")
     start = _start_row(table[:, : plan.dof], plan)
-    return table[start : start + plan.rows]
+    return table[start : start + plan.rows], trial.meta.payload_kg, None
 
 
 def _check_size(path: Path | str, table: Array) -> None:

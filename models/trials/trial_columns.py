@@ -14,6 +14,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_lines
+from firmware_py.files.table_end import TableEnd
 from firmware_py.signals import TIME, Signal, tip_names, trial_signals, unit_of
 from models.trials.trial import Array, SignalRole
 
@@ -65,11 +66,12 @@ def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) 
     """
     required = [s.name for s in signals]
     try:
-        reader = csv.reader(read_lines(path, "name an existing trial"))
+        end = TableEnd(read_lines(path, "name an existing trial"))
+        reader = csv.reader(end.lines())
         header = next(reader, [])
         if header:
             _check_header(path, header, required, known)
-        samples = _read_rows(path, header, reader, required)
+        samples = _read_rows(path, header, reader, required, end)
     except csv.Error as error:
         raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
     if len(samples) < FEWEST_ROWS:
@@ -110,8 +112,9 @@ def check_columns(
 
 
 def _read_rows(
-    path: Path, header: list[str], reader: Iterator[list[str]], required: Sequence[str]
-) -> Array:
+    path: Path, header: list[str], reader: Iterator[list[str]], required: Sequence[str],
+    end: TableEnd,
+) -> Array:  # fmt: skip
     """Samples (n, columns); row by row, since their text takes ten times the memory."""
     optional = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
     tip = {k for k, name in enumerate(header) if name in tip_names()}
@@ -138,23 +141,27 @@ def _read_rows(
             elif row[k] or not optional[k]:
                 raise _no_number(path, count + 1, header[k], row[k])
         tip_seen = tip_seen or any(row[k] for k in tip)
+        end.see(row[-1])
         numbers.extend(values)
+    end.refuse_cut(path, count + 1, header[-1] if header else "")
     if tip_seen and tip_empty[0]:
         raise _no_number(path, tip_empty[0], header[tip_empty[1]], "")
     return np.frombuffer(numbers, dtype=np.float64).reshape(count, -1 if count else 0)
 
 
 def _numbers(row: list[str]) -> list[float]:
-    """Cells as numbers, NaN where they are none."""
+    """Cells as numbers, NaN where they are none: Python would read 0.0_17 as 0.017."""
     try:
-        return [float(cell) for cell in row]
+        if "_" not in "".join(row):
+            return [float(cell) for cell in row]
+        return [_number(cell) for cell in row]
     except ValueError:
         return [_number(cell) for cell in row]
 
 
 def _number(cell: str) -> float:
     try:
-        return float(cell)
+        return math.nan if "_" in cell else float(cell)
     except ValueError:
         return math.nan
 

@@ -13,6 +13,9 @@ from firmware_py.errors import InputError
 from models.trials.trial import SignalRole, Trial, TrialSet
 from models.trials.trial_files import read_trials
 from models.trials.verdict.motion_findings import runs_against
+from models.trials.verdict.whole_run.condition_findings import judge_undeclared
+from models.trials.verdict.whole_run.goal_findings import judge_standing_goals
+from models.trials.verdict.whole_run.tip_findings import judge_tip
 
 
 def read_trial_directories(
@@ -59,8 +62,9 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
     Raises
     ------
     InputError
-        If two trials agree in every sample (a copy is no repetition, and shows no noise), or an
-        angle mirrors its goal.
+        If two trials agree in every sample (a copy is no repetition, and shows no noise), an angle
+        mirrors its goal or moves while that stands still, the tip is beside the last marker row, or
+        a trial of the link has conditions that its plant does not declare.
     """
     known: dict[bytes, Trial] = {}
     for trial in trials:
@@ -69,6 +73,11 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
             if goal is not None and angle is not None and runs_against(goal, angle):
                 what = f"goal and angle of joint {j} run against each other"
                 raise InputError(trial.path, what, f"correct the sign of angle_{j}_rad")
+        for finding in (
+            *judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial),
+        ):  # fmt: skip
+            if finding.level == "refused":
+                raise InputError(trial.path, finding.text, finding.remedy)
         samples = hashlib.sha256()
         for name in sorted(trial.columns):
             samples.update(name.encode())

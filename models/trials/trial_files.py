@@ -20,7 +20,9 @@ import tomli_w
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.files.output_files import replacing, write_whole
+from firmware_py.motion import KINDS
 from firmware_py.signals import tick_signals
+from models.trials.clock.step_range import check_step_range
 from models.trials.trial import (
     LINK_CONDITIONS,
     SCHEMA,
@@ -60,6 +62,9 @@ _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
+_PERIOD_S: Final = (1e-3, 1e4)
+"""Range for the link: goals that a program sent last a step or more. Another plant may have none.
+"""
 
 
 def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
@@ -143,7 +148,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
         {s.name for s in tick_signals(meta.dof)},
     )
     trial = Trial(path.stem, _own_conditions(meta, signals), _own_columns(columns, signals), path)
-    _check_rows(trial)
+    _check_rows(trial, signals)
     return trial
 
 
@@ -169,7 +174,7 @@ def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
     check_columns(where, trial.columns, columns_of(meta.dof, own, meta.layout.count), known)
     if len(trial) < FEWEST_ROWS:
         raise InputError(where, f"has {len(trial)} rows", "give at least three")
-    _check_rows(trial)
+    _check_rows(trial, own)
 
 
 def _own_columns(columns: Mapping[str, Array], signals: PlantSignals | None) -> dict[str, Array]:
@@ -292,17 +297,27 @@ def check_meta(
         if not math.isfinite(value):
             raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
     for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
-        low, high = _META_RANGE[key]
+        low, high = _PERIOD_S if key == "period_s" and not signals else _META_RANGE[key]
         value = getattr(meta, key)
         if not low <= value <= high:
             raise InputError(
                 where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
             )
     if not signals:
+        _check_motion_name(where, meta.motion)
         meta.layout.check(where, meta.link_length_m)
         if not math.hypot(*meta.gravity) < 100.0:
             raise InputError(where, f"gravity_m_s2 is {meta.gravity}", "give it in m/s²")
     return meta
+
+
+def _check_motion_name(where: Path, name: str) -> None:
+    """Refuse a name that is a reference motion's but for its case: trials are grouped by it."""
+    if not name.strip():
+        raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
+    meant = name.strip().lower()
+    if meant in KINDS and name != meant:
+        raise InputError(where, f"motion is {name!r}", f'write motion = "{meant}"')
 
 
 def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
@@ -314,7 +329,7 @@ def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
     return check_meta(document, path, signals)
 
 
-def _check_rows(trial: Trial) -> None:
+def _check_rows(trial: Trial, signals: PlantSignals | None) -> None:
     where = trial.path if trial.path.name else Path(trial.name)
     steps = np.diff(trial.time_s)
     mean = trial.step_s
@@ -324,6 +339,8 @@ def _check_rows(trial: Trial) -> None:
             where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
             "resample to a uniform step with 'python -m models import --as table'",
         )  # fmt: skip
+    if not signals:
+        check_step_range(where, "column time_s", mean)
     if not 0 <= trial.meta.rest_samples < len(trial):
         raise InputError(
             conditions_beside(where),

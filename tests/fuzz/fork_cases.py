@@ -18,7 +18,7 @@ SECONDS = 10
 """Processor time of a case, of its own children included."""
 WALL_S = 120.0
 """Elapsed time after which a case is ended: other programs may have the processor."""
-GUARDED = ("has crashed", " to read; ")
+GUARDED = ("has crashed", " to read; ", "if the file is sound, report")
 
 
 class Verdict(NamedTuple):

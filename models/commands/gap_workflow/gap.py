@@ -82,6 +82,6 @@ def run(args: argparse.Namespace) -> int:
     emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")
     if found.verdict != "not in the catalogue":
         return DONE
-    for warning in evaluation_doubts(evaluate_plant(plant, found.trials)):
+    for warning in evaluation_doubts(evaluate_plant(plant, found.trials), plant):
         print(f"warning: {warning}", file=sys.stderr)
     return NEGATIVE

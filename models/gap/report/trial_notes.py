@@ -91,7 +91,10 @@ def _own_error(document: GapDocument) -> str:
         return ""
     lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
     where = "; ".join(lacking)
-    return where and f"the plant's own error is not known, so not subtracted, for: {where}"
+    return where and (
+        "the plant's own error is not known, so not subtracted, and effects must be larger to be "
+        f"named: identify the plant on trials of this motion too, for: {where}"
+    )
 
 
 def _patterns(document: GapDocument) -> str:

@@ -151,7 +151,8 @@ def null_distribution_of(
         Number of joints of the trials.
     known_error : str
         What is known of the plant's own error on them. Where no distribution was measured with as
-        little known, that with the next more holds.
+        little known, that with the next more holds; on other motions with two joints it grows as
+        that of one joint [assumed].
     settings : GapSettings
         Tuned numbers.
     """
@@ -167,6 +168,9 @@ def null_distribution_of(
             break
     if known is None:
         return assumed
+    end = KEY_ENDS["nothing"]
+    if known_error == "nothing" and f"{dof}{end}" not in measured and f"1{end}" in measured:
+        known = _scaled(known, _growth(measured["1"], measured[f"1{end}"]))
     if settings.separate_joints:
         known = _of_separate_joints(known, dof)
     return msgspec.structs.replace(known, threshold=settings.least_threshold)
@@ -174,9 +178,21 @@ def null_distribution_of(
 
 def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
     """Distribution where each joint has its own strength [assumed: they are independent]."""
-    more = {e: float(np.sqrt(dof)) if is_alike_in_joints(e) else 1.0 for e in EFFECTS}
+    return _scaled(known, {e: float(np.sqrt(dof)) for e in EFFECTS if is_alike_in_joints(e)})
+
+
+def _growth(known: NullDistribution, other: NullDistribution) -> dict[str, float]:
+    """Ratio of the standard deviations of two distributions by effect, at least 1."""
+    before, after = known.standard_deviation, other.standard_deviation
+    return {e: max(s / before.get(e, 1.0), 1.0) for e, s in after.items()}
+
+
+def _scaled(known: NullDistribution, factors: Mapping[str, float]) -> NullDistribution:
+    """Distribution whose standard deviations are larger, by effect."""
     own = (known.standard_deviation, known.unchanged_deviation)
-    changed, unchanged = ({e: s * more.get(e, 1.0) for e, s in one.items()} for one in own)
+    changed, unchanged = (
+        {e: one.get(e, 1.0) * factors.get(e, 1.0) for e in {**one, **factors}} for one in own
+    )
     return msgspec.structs.replace(known, standard_deviation=changed, unchanged_deviation=unchanged)
 
 

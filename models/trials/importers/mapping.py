@@ -56,6 +56,7 @@ from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.signals import PERIOD_S
+from models.trials.clock.step_range import check_step_range
 from models.trials.importers.series import factor_to_si
 from models.trials.si_units import check_signal_units
 from models.trials.trial import SignalRole, TrialMeta
@@ -305,6 +306,8 @@ def read_mapping(path: Path | None) -> RecordingMap:
     _refuse_doubled(mapping, path)
     if not mapping.step_s > 0:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
+    if not mapping.plant:
+        check_step_range(path, "step_s", mapping.step_s)
     mapping = msgspec.structs.replace(mapping, path=str(path), step_named="step_s" in document)
     if mapping.plant:
         mapping = msgspec.structs.replace(mapping, signals=_signals(path.parent / mapping.plant))

@@ -14,6 +14,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_lines
+from firmware_py.files.table_end import TableEnd
 from models.trials.importers.headers.capture_header import without_capture_header
 from models.trials.trial import Array
 from models.trials.trial_columns import MOST_COLUMNS
@@ -45,8 +46,8 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
     Raises
     ------
     InputError
-        If the file cannot be read, a name stands twice, a row has another number of cells, or a
-        wanted cell is not a number, or infinite.
+        If the file cannot be read or ends within a number, a name stands twice, a row has another
+        number of cells, or a wanted cell is not a number, or infinite.
     """
     lines, above = without_capture_header(path, read_lines(path, "name an existing table"))
     first = next(lines, "")
@@ -58,9 +59,9 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
     refuse_doubled(path, header)
     chosen = [k for k, name in enumerate(header) if wanted(name)]
     columns = [array("d") for _ in header]
-    number = 1
+    number, end = 1, TableEnd(lines)
     try:
-        for row in csv.reader(lines, delimiter=delimiter):
+        for row in csv.reader(end.lines(), delimiter=delimiter):
             if not row:
                 continue
             number += 1
@@ -71,10 +72,13 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
                 )  # fmt: skip
             if number * len(chosen) > MOST_CELLS:
                 raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
+            end.see(row[-1])
             for k in chosen:
                 columns[k].append(_number(path, number, header[k], row[k]))
     except csv.Error as error:
         raise InputError(path, f"is not CSV text ({error})", "export it again") from None
+    if len(header) - 1 in chosen:
+        end.refuse_cut(path, above + number, header[-1])
     return header, [np.frombuffer(column, np.float64) for column in columns]
 
 
@@ -158,6 +162,8 @@ def _number(path: Path, row: int, column: str, cell: str) -> float:
     """Number in a cell; the row counts from 1, the header's."""
     try:
         number = float(cell) if cell else math.nan
+        if "_" in cell:  # Python would read 0.0_17 as 0.017
+            raise ValueError
     except ValueError:
         raise no_number(path, row - 1, column, cell) from None
     if math.isinf(number):

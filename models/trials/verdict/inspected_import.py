@@ -40,7 +40,9 @@ from models.trials.verdict.signal_findings import (
     judge_steps,
     judge_times,
 )
+from models.trials.verdict.whole_run.condition_findings import judge_conditions
 from models.trials.verdict.whole_run.run_findings import judge_run
+from models.trials.verdict.whole_run.tip_findings import judge_tip
 from models.trials.verdict.whole_run.zero_markers import without_zeros
 
 _UP: Final = {"motive": "y"}
@@ -123,7 +125,9 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     trial = assemble_trial(series, mapping, verdict.name)
     verdict.trial = trial
     if link:
-        verdict.findings += [*judge_rest(trial), *judge_motion(trial), *judge_run(trial)]
+        verdict.findings += judge_conditions(trial, is_described=bool(mapping.link))
+        verdict.findings += [*judge_rest(trial), *judge_tip(trial)]
+        verdict.findings += [*judge_motion(trial), *judge_run(trial)]
     verdict.refuse(source.file)
     return trial
 

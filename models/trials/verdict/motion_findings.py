@@ -33,8 +33,6 @@ LARGEST: Final = (
 LEAST_CURRENT_A: Final = 0.01
 """Largest current of a motion below which it is not in A: the smallest servo's friction takes 0.02
 to 0.04 A (docs/sources.md, "The servo")."""
-REPEATING: Final = 0.5
-"""Part of a sinusoid's goals that a sine of the declared period must give."""
 SWAPPED: Final = 1.5
 """Power that a current leaves beside its own joint, over that beside the other one: at most 0.4 on
 the rig, 2.4 and more where they are exchanged."""
@@ -71,7 +69,9 @@ def link_direction(trial: Trial) -> Array | None:
         root_m = trial.tip_m
     if np.isfinite(root_m).all(axis=1).mean() < 0.5:
         return None
-    return np.asarray(root_m / np.linalg.norm(root_m, axis=1, keepdims=True))
+    apart_m = np.linalg.norm(root_m, axis=1, keepdims=True)
+    direction = root_m / np.where(apart_m > 0, apart_m, np.nan)  # the origin has none
+    return direction if np.isfinite(direction).all(axis=1).mean() >= 0.5 else None
 
 
 def _unit_findings(trial: Trial) -> list[ImportFinding]:
@@ -103,8 +103,9 @@ def _unit_findings(trial: Trial) -> list[ImportFinding]:
 
 
 def _condition_findings(trial: Trial) -> list[ImportFinding]:
-    """Pressure and period that cannot be."""
-    found, meta = [], trial.meta
+    """Pressure that cannot be."""
+    found: list[ImportFinding] = []
+    meta = trial.meta
     if 0 < meta.pressure_pa < PRESSURE_PA:
         found.append(
             ImportFinding(
@@ -112,20 +113,6 @@ def _condition_findings(trial: Trial) -> list[ImportFinding]:
                 "give it in Pa: 6 PSI are 41370 Pa, 0.4 bar are 40000 Pa",
             )
         )  # fmt: skip
-    goal = trial.goal_rad[meta.rest_samples :, 0]
-    time_s = trial.time_s[meta.rest_samples :]
-    if meta.motion == "sinusoid" and len(goal) > 3 and goal.std() > LEAST_MOTION_RAD:
-        phase = 2 * np.pi * (time_s - time_s[0]) / meta.period_s
-        design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
-        left = goal - design @ np.linalg.lstsq(design, goal, rcond=None)[0]
-        if 1 - left.var() / goal.var() < REPEATING:
-            found.append(
-                ImportFinding(
-                    "warning", "period",
-                    f"the goals are no sinusoid with the period of {meta.period_s:g} s",
-                    "correct period_s or motion under [trial]",
-                )
-            )  # fmt: skip
     return found
 
 
@@ -148,6 +135,8 @@ def _link_findings(trial: Trial) -> list[ImportFinding]:
         return found
     if trial.meta.dof == 1 and (one := _across(moved)) is not None:
         return [one]
+    if not np.sum(due * due) > 0:
+        return []  # the angles stand still
     along = np.sum(due * moved)
     across = np.sum(due[:, 0] * moved[:, 1] - due[:, 1] * moved[:, 0])
     yaw = float(np.arctan2(across, along))
@@ -174,8 +163,8 @@ def _link_findings(trial: Trial) -> list[ImportFinding]:
 
 def _across(moved: Array) -> ImportFinding | None:
     """Finding where the link of one joint moves in a second direction too."""
-    sizes = np.sqrt(np.linalg.eigvalsh(moved.T @ moved))
-    across = float(sizes[0] / sizes[1])
+    sizes = np.sqrt(np.maximum(np.linalg.eigvalsh(moved.T @ moved), 0.0))
+    across = float(sizes[0] / sizes[1]) if sizes[1] > 0 else 0.0
     level = level_of(across, ACROSS)
     if not level:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 
 from firmware_py.display_units import ANGLE, DURATION
 from firmware_py.errors import InputError
+from models.trials.clock.step_range import STEP_RANGE_S
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 from models.trials.importers.synchronisation import synchronise
@@ -20,9 +21,6 @@ from models.trials.verdict.import_verdict import ImportVerdict
 from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
 from models.trials.verdict.whole_run.encoder_findings import judge_encoders
 
-STEP_RANGE_S: Final = (5e-5, 0.5)
-"""Usual step of a recording: beyond it the times have another unit (the motion is below 4 Hz, and
-the fastest analog channels have some kilohertz)."""
 EVEN_STEP: Final = 0.05
 """Largest deviation from the usual step, relative to it, of nine steps in ten of an even file."""
 FINE_STEP: Final = 0.1

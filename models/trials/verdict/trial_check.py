@@ -23,11 +23,14 @@ from models.trials.verdict.motion_findings import judge_motion
 from models.trials.verdict.pose_findings import judge_pose
 from models.trials.verdict.rest_pose import rest_pose
 from models.trials.verdict.signal_findings import check_common_clock, judge_signals
+from models.trials.verdict.whole_run.condition_findings import judge_conditions
 from models.trials.verdict.whole_run.run_findings import judge_run
+from models.trials.verdict.whole_run.tip_findings import judge_tip
 from models.trials.verdict.whole_run.zero_markers import without_zeros
 
 __all__ = [
-    "check_trial", "check_trials", "judge_doubled", "judge_pressures", "refuse_mixed_links",
+    "check_trial", "check_trials", "judge_doubled", "judge_not_fitted", "judge_pressures",
+    "refuse_mixed_links",
 ]  # fmt: skip
 
 LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
@@ -80,7 +83,8 @@ def check_trial(trial: Trial) -> ImportVerdict:
         if verdict.pose is not None:
             verdict.findings += judge_pose(verdict.pose, mapping, "z")
         check_common_clock(series, trial.meta, verdict, CLOCK_REMEDY)
-    verdict.findings += [*judge_rest(trial), *judge_motion(trial), *judge_run(trial)]
+    verdict.findings += [*judge_conditions(trial), *judge_rest(trial), *judge_tip(trial)]
+    verdict.findings += [*judge_motion(trial), *judge_run(trial)]
     return verdict
 
 
@@ -93,7 +97,7 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
         Of the link.
     """
     found = [*_judge_links(trials), *judge_pressures(trials)]
-    found += [*judge_doubled(trials), *judge_payloads(list(trials))]
+    found += [*judge_doubled(trials), *judge_payloads(list(trials)), *judge_not_fitted(trials)]
     _, held_out = trials.split()
     if not len(held_out):
         found.append(
@@ -184,6 +188,28 @@ def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
                 )
             )  # fmt: skip
     return found
+
+
+def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
+    """Finding on payloads that only trials to test on have: nothing is fitted to these.
+
+    Parameters
+    ----------
+    trials : TrialSet
+        That are used together.
+    """
+    fitted, held_out = trials.split()
+    known = {t.meta.payload_kg for t in fitted}
+    missing = sorted({t.meta.payload_kg for t in held_out} - known)
+    if not missing:
+        return []
+    listed = ", ".join(f"{kg:g} kg" for kg in missing)
+    return [
+        ImportFinding(
+            "warning", "held out", f"nothing is fitted to {listed}: smaller amplitude only",
+            "record these payloads with the largest amplitude too, or use them as a test",
+        )
+    ]  # fmt: skip
 
 
 def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:

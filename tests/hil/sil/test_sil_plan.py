@@ -26,6 +26,7 @@ from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from models.__main__ import main as models_main
 from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.plan_learning import improve_plan
 from models.plan.planning import PlanRequest, plan_path
 from models.plan.recorded_plan_run import read_plan_run
 from models.plant.plant import NOMINAL, read_plant
@@ -148,6 +149,21 @@ def test_corrections_of_a_wrong_estimate_stay_within_their_bounds(options, plan)
     assert set(own["trust"]) == {TrustState.TRUSTED}
     assert 1e-3 < np.max(np.abs(added)) <= plan.feedback.size_rad + 1e-9
     assert np.max(np.abs(np.diff(added))) <= plan.feedback.rate_rad_s * PERIOD_S + 1e-9
+
+
+def test_a_plan_improved_by_motion_capture_is_as_good_as_it_says_with_a_wrong_observer(
+    options, plan, tmp_path
+):
+    """Default set-up: the observer's tip is wrong by the bend, motion capture sees the true one."""
+    chosen = options(open_loop=False)
+    before = write_results(run_sil(chosen), chosen).path_errors[-1].rms_m
+    recorded = read_plan_run(tmp_path / "trial" / "sil.csv", plan)
+    assert (recorded.payload_kg, recorded.goals_payload_kg) == (0.8, 0.8)
+    found = improve_plan(plan, recorded, read_plant(), Limits(rate_rad_s=1.0))
+    chosen = options(open_loop=False, plan=found.plan, seconds=found.plan.duration_s)
+    after = write_results(run_sil(chosen), chosen).path_errors[-1].rms_m
+    assert after < before / 4
+    assert after < 1.1 * found.run.expected_rms_m
 
 
 def test_a_payload_beyond_the_plan_and_lost_feedback_are_told(options, bundle, plan, tmp_path):

@@ -70,7 +70,7 @@ def test_joints_by_themselves_have_a_strength_each_and_a_larger_null(effect, ali
     strengths = EFFECTS[effect]().strengths(scope_of(plant.drive, plant.load, 2))
     assert [set(q.parameters) for q in separate[: len(strengths)]] == [{s} for s in strengths]
     assert (tied == separate) is not alike
-    shared, own = (null_distribution_of(plant, 2, "patterns", s) for s in (DEFAULT_SETTINGS, by_joint))
+    shared, own = (null_distribution_of(plant, 2, settings=s) for s in (DEFAULT_SETTINGS, by_joint))
     assert own.least([effect]) == pytest.approx(shared.least([effect]) * (2**0.5 if alike else 1))
 
 

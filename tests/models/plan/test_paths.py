@@ -105,6 +105,26 @@ def test_a_file_is_read_with_the_control_period(tmp_path):
     )
 
 
+@pytest.mark.parametrize("rows", [60, 60.3, 60.5, 60.7, 61])
+def test_a_path_that_ends_in_motion_keeps_its_speed_between_two_periods(tmp_path, rows):
+    """The way back begins with the speed of the path, wherever between two rows that ends."""
+    file, speed_m_s = tmp_path / "path.csv", 0.3
+    end_s = rows * PERIOD_S
+    file.write_text(f"time_s,x_m\n0,0\n{end_s!r},{speed_m_s * end_s!r}\n")
+    path = read_path(file, 1, PERIOD_S)
+    assert abs(len(path.tip_m) - 1 - rows) <= 0.5, "it ends at the nearer row"
+    assert np.diff(path.tip_m[:, 0]) / PERIOD_S == pytest.approx(speed_m_s)
+    way = timeline(path, np.zeros(1), PERIOD_S)
+    rates = np.diff(way.desired_m[way.end_row - 3 : way.end_row + 3, 0]) / PERIOD_S
+    assert np.abs(np.diff(rates)).max() < 0.1 * speed_m_s, "no jump of the speed"
+
+
+def test_a_path_that_ends_at_rest_ends_at_its_last_place(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("time_s,x_m\n0,0\n0.5,0.1\n1.003,0.1\n")
+    assert read_path(file, 1, PERIOD_S).tip_m[-1, 0] == 0.1
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

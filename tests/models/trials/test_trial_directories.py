@@ -36,11 +36,21 @@ def test_a_copy_is_no_repetition(swing, tmp_path):
         read_trial_directories([tmp_path / "first", tmp_path / "second"], {})
 
 
-@pytest.mark.parametrize(("factor", "refused"), [(1.0, False), (0.0, False), (-1.0, True)])
-def test_an_angle_that_mirrors_its_goal_is_refused(swing, factor, refused):
-    trials = [swing(factor)]
+@pytest.mark.parametrize(
+    ("factor", "amplitude_rad", "refused"),
+    [
+        (1.0, 0.5, ""),
+        (-1.0, 0.5, "correct the sign of angle_1_rad"),
+        (0.0, 0.5, "while goal_1_rad stands still"),
+        (0.0, 0.0, ""),  # moved by hand
+    ],
+)
+def test_an_angle_that_mirrors_its_goal_or_moves_without_it_is_refused(
+    swing, factor, amplitude_rad, refused
+):
+    trials = [swing(factor, amplitude_rad=amplitude_rad)]
     if not refused:
         refuse_unusable(trials)
         return
-    with pytest.raises(InputError, match="correct the sign of angle_1_rad"):
+    with pytest.raises(InputError, match=refused):
         refuse_unusable(trials)

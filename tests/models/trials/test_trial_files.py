@@ -7,13 +7,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
 from firmware_py.signals import trial_signals
-from models.trials.trial import TrialSet
+from models.trials.trial import SignalRole, Trial, TrialMeta, TrialSet
 from models.trials.trial_files import read_trial, read_trials, write_trial
 
 finite = st.floats(-6, 6, allow_nan=False)
@@ -61,7 +62,7 @@ def test_a_trial_comes_back_bit_for_bit(make_trial, tmp_path, data):
     trial = make_trial(
         angle_rad,
         markers_m,
-        step_s=data.draw(st.floats(1e-4, 1.0)),
+        step_s=data.draw(st.floats(1e-4, 0.5)),
         payload_kg=data.draw(st.floats(0, 2)),
         notes=data.draw(st.text(st.characters(codec="utf-8", exclude_characters="\r"))),
     )
@@ -302,3 +303,47 @@ def test_a_full_disk_leaves_the_earlier_trial(make_trial, swing_rad, tmp_path, m
     with pytest.raises(OSError, match="No space left"):
         write_trial(other, tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("period_s", 0.0, "period_s is 0.0, outside 0.001 to 10000"),
+        ("motion", "Sinusoid", 'write motion = "sinusoid"'),
+        ("motion", " ", "motion is empty"),
+    ],
+)
+def test_a_period_and_a_name_that_no_motion_has_are_refused(written, key, value, told):
+    document = tomli_w.dumps({key: value})
+    edit(written.with_suffix(".toml"), lambda t: re.sub(rf"{key} = .*\n", lambda _: document, t))
+    assert told in refusal(written)
+
+
+def test_times_in_milliseconds_are_refused(make_trial, swing_rad, tmp_path):
+    path = write_trial(make_trial(swing_rad, step_s=17.0), tmp_path)
+    assert "the rows are 17 s apart" in refusal(path)
+
+
+def test_another_plant_may_be_slow_and_have_no_period(tmp_path):
+    meta = TrialMeta(
+        dof=1, payload_kg=0.0, trial=1, motion="Steps", source="measured", period_s=0.0,
+        rest_samples=1,
+    )  # fmt: skip
+    columns = {"time_s": 60.0 * np.arange(4), "temperature_1_degc": np.zeros(4)}
+    path = write_trial(Trial("oven", meta, columns), tmp_path)
+    assert len(read_trial(path, {"temperature_1_degc": SignalRole("degC", "measured")})) == 4
+
+
+def test_a_file_that_ends_within_a_number_is_refused(make_trial, swing_rad, tmp_path):
+    noise_rad = 1e-3 * np.random.default_rng(0).standard_normal(swing_rad.shape)
+    written = write_trial(make_trial(swing_rad + noise_rad), tmp_path)
+    text = written.read_text()
+    written.write_text(text[:-1])  # a program that writes no last line break
+    assert len(read_trial(written)) == 64
+    written.write_text(text[:-12])
+    assert "column m16_z_m: the file ends within" in refusal(written)
+
+
+def test_an_underscore_is_no_part_of_a_number(written):
+    set_cell(written, 3, "time_s", "0.0_17")
+    assert "row 3, column time_s: '0.0_17'" in refusal(written)

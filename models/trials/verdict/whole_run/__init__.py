@@ -1,1 +1,1 @@
-"""Checks over a whole run: places of the markers, encoder values, phase of joint 2."""
+"""Checks over a whole run: markers, tip, encoder values, phase of joint 2, conditions."""

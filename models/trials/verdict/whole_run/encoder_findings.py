@@ -1,4 +1,4 @@
-"""Findings on single values of an encoder: its count starts again, or one sample is wrong."""
+"""Findings on single samples of a servo: a count that starts again, a wrong angle or current."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.display_units import ANGLE
 from models.trials.importers.series import Series
@@ -21,11 +22,20 @@ SPIKE_RAD_S2: Final = 300.0
 """Acceleration that no joint with the link reaches: five times the limit of the goals."""
 SPIKE_NOISE: Final = 20.0
 """How many times its usual change of rate an angle must change its rate in a spike."""
+SPIKE_A: Final = 0.1
+"""Least jump of a current there and back that is a spike."""
+SPIKE_PART: Final = 0.25
+"""The same, relative to the range of all other samples: at most 0.02 on the recordings of three
+machines (docs/sources.md), 0.7 where a rig's current is nothing but noise."""
+SPIKE_TIMES: Final = 5.0
+"""How many times the jumps there and back of one sample in twenty: 2.4 where there is but noise."""
+SETTLED_S: Final = 0.1
+"""Time after a step of the goal in which a current may jump as well."""
 MOST_NAMED: Final = 3
 
 
 def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFinding], set[int]]:
-    """Findings on angles and goals that start a new count, and on spikes of angles.
+    """Findings on angles and goals that start a new count, on spikes of angles and currents.
 
     Parameters
     ----------
@@ -45,6 +55,8 @@ def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFindi
     wrapped: set[int] = set()
     for s in series:
         for j in range(1, dof + 1):
+            if f"current_{j}_a" in s.columns:
+                found += _current_spikes(s, f"current_{j}_a", _step_times_s(series, j))
             names = [n for n in (f"angle_{j}_rad", f"goal_{j}_rad") if n in s.columns]
             if any(np.nanmax(np.abs(s.columns[n])) > LARGEST_RAD for n in names):
                 continue  # in another unit
@@ -85,18 +97,66 @@ def _spikes(series: Series, name: str) -> list[ImportFinding]:
     at = np.flatnonzero((size > SPIKE_RAD) & (turn > limit) & alike) + 1
     if not len(at):
         return []
-    first = at[:MOST_NAMED]
-    listed = ", ".join(f"{k + 1} ({time_s[k]:.2f} s)" for k in first)
-    more = f" and {len(at) - len(first)} more" if len(at) > len(first) else ""
-    many = "s" if len(at) > 1 else ""
     return [
         ImportFinding(
             "warning", "spike",
-            f"{name} jumps by {ANGLE.text(size[at - 1].max())} and back in sample{many} "
-            f"{listed}{more}: no joint moves like that",
+            f"{name} jumps by {ANGLE.text(size[at - 1].max())} and back in {_listed(at, time_s)}: "
+            "no joint moves like that",
             "correct the sample by its neighbours, or cut the recording there",
         )
     ]  # fmt: skip
+
+
+def _step_times_s(series: Sequence[Series], joint: int) -> Array:
+    """Times at which a goal steps: a servo answers with a current of one or two samples."""
+    name, times = f"goal_{joint}_rad", [np.zeros(0)]
+    for s in (s for s in series if name in s.columns):
+        changes = np.diff(s.columns[name])
+        at = np.flatnonzero(np.abs(changes) > 0)
+        size, time_s = np.abs(changes[at]), s.time_s[at + 1]
+        beside = np.zeros(len(at))  # changes just before and after: a goal in motion has them
+        close = np.diff(time_s) < SETTLED_S
+        beside[1:] = np.where(close, size[:-1], 0.0)
+        beside[:-1] = np.maximum(beside[:-1], np.where(close, size[1:], 0.0))
+        times.append(time_s[(size > SPIKE_RAD) & (size > 3 * beside)])
+    return np.sort(np.concatenate(times))
+
+
+def _current_spikes(series: Series, name: str, steps_s: Array) -> list[ImportFinding]:
+    """Finding on samples that a current leaves and comes back from, far beyond all others.
+
+    Friction that turns round is a step, and goals that are held give small jumps again and again.
+    """
+    current, time_s = series.columns[name], series.time_s
+    if not np.isfinite(current).all() or len(current) < 8:
+        return []
+    there, back = np.diff(current)[:-1], np.diff(current)[1:]
+    size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else the sample beside it
+    beyond = (size > SPIKE_TIMES * np.percentile(size, 95)) & alike & (size > SPIKE_A)
+    others = np.delete(current, np.flatnonzero(beyond) + 1)
+    at = np.flatnonzero(beyond & (size > SPIKE_PART * np.ptp(others))) + 1
+    apart_s = np.abs(time_s[at, None] - steps_s).min(axis=1, initial=np.inf)
+    at = at[apart_s > SETTLED_S]
+    if not len(at):
+        return []
+    k = int(at[np.argmax(size[at - 1])])
+    return [
+        ImportFinding(
+            "warning", "spike",
+            f"{name} jumps to {current[k]:.3g} A and back in {_listed(at, time_s)}, the others lie "
+            f"between {others.min():.3g} and {others.max():.3g} A",
+            "correct the sample by its neighbours: one such sample changes a fit",
+        )
+    ]  # fmt: skip
+
+
+def _listed(at: NDArray[np.intp], time_s: Array) -> str:
+    """Samples in words."""
+    first = at[:MOST_NAMED]
+    listed = ", ".join(f"{k + 1} ({time_s[k]:.2f} s)" for k in first)
+    more = f" and {len(at) - len(first)} more" if len(at) > len(first) else ""
+    return f"sample{'s' if len(at) > 1 else ''} {listed}{more}"
 
 
 def _usual(change: Array) -> float:

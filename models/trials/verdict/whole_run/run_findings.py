@@ -1,4 +1,4 @@
-"""Findings on a whole run: markers that are held, exchanged or out of place; phase of joint 2."""
+"""Findings on a whole run: markers held, exchanged or out of place; goals, phase of joint 2."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from firmware_py.display_units import ANGLE, LENGTH
 from models.trials.trial import Array, Trial
 from models.trials.verdict.finding import ImportFinding
 from models.trials.verdict.motion_findings import LEAST_MOTION_RAD
+from models.trials.verdict.whole_run.goal_findings import judge_goals
 from models.trials.verdict.whole_run.held_markers import held_markers
 from models.trials.verdict.whole_run.marker_distances import misplaced_markers
 
@@ -24,14 +25,14 @@ SINUSOIDAL: Final = 0.9
 
 
 def judge_run(trial: Trial) -> list[ImportFinding]:
-    """Findings on the markers over a whole trial, and on the phase of its joints.
+    """Findings on the markers over a whole trial, and on its goals.
 
     Parameters
     ----------
     trial : Trial
         Assembled, with the markers in the world frame.
     """
-    found = _phase(trial)
+    found = [*judge_goals(trial), *_phase(trial)]
     markers_m = trial.markers_m
     if not np.isfinite(markers_m).any():
         return found

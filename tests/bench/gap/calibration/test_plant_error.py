@@ -13,12 +13,14 @@ ROW = {"separations": {"creep": 3.0}, "left": 1.0, "named": [], "change": 0.3, "
 
 @pytest.mark.parametrize(
     ("joints", "known", "key"),
-    [(1, "patterns", "1"), (2, "patterns", "2"), (2, "curves", "2 without patterns"),
-     (1, "nothing", "1 on other motions")],
+    [
+        (1, "patterns", "1"),
+        (2, "patterns", "2"),
+        (2, "curves", "2 without patterns"),
+        (1, "nothing", "1 on other motions"),
+    ],
 )
-def test_only_the_distribution_that_was_measured_changes(
-    monkeypatch, tmp_path, joints, known, key
-):
+def test_only_the_distribution_that_was_measured_changes(monkeypatch, tmp_path, joints, known, key):
     monkeypatch.setattr(plant_error, "NULL_DISTRIBUTION", tmp_path / "null_distribution.json")
     monkeypatch.setattr(plant_error, "_run", lambda job, work: run(job, work, tmp_path))
     plant_error.write_null_distribution([16, 17], [0, 1], str(tmp_path), joints, known)

@@ -45,8 +45,17 @@ def test_a_payload_that_is_badly_missed_is_named(tip_m, rigid_m, named):
 def test_a_plant_no_better_than_a_rigid_link_is_named_once():
     (said,) = doubts(found(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06)))
     assert "a rigid link" in said
-    assert evaluation_doubts(found(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06)).held_out) == [said]
-    assert evaluation_doubts(found().held_out) == []
+    bad = found(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06))
+    assert evaluation_doubts(bad.held_out, read_plant()) == [said]
+    assert evaluation_doubts(found().held_out, read_plant()) == []
+
+
+@pytest.mark.parametrize(("rigid_m", "told"), [(0.27, False), (1.43, True), (38.8, True)])
+def test_a_tip_beyond_any_bend_is_told_though_plant_and_rigid_link_are_alike(rigid_m, told):
+    """The study's link is 0.95 m long; its plant is a millimetre better, as with a wrong tip."""
+    wrong = found(tip_m=(0.01, rigid_m - 1e-3), rigid_m=(0.01, rigid_m)).held_out
+    said = evaluation_doubts(wrong, read_plant())
+    assert [("no link bends so far" in text) for text in said] == [True] * told
 
 
 def test_without_motion_capture_nothing_is_said_of_the_tip():

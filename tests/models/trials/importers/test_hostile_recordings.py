@@ -116,6 +116,19 @@ def test_one_late_time_stamp_does_not_make_a_trial_of_years(sentence):
     assert "has no samples for" in sentence("a.csv", "\n".join(lines).encode())
 
 
+def test_an_underscore_is_no_part_of_a_number(sentence):
+    lines = CSV.split("\n")
+    lines[2] = "0.0_1" + lines[2][lines[2].index(",") :]
+    assert "'0.0_1' is not a number" in sentence("a.csv", "\n".join(lines).encode())
+
+
+def test_a_table_that_ends_within_a_number_is_refused(sentence):
+    rows = CSV.rstrip("\n").split("\n")
+    last = ["0.123456"] * (len(rows) - 2) + ["0.12"]
+    rows = [f"{row},{cell}" for row, cell in zip(rows, ["angle_2_rad", *last], strict=True)]
+    assert "ends within '0.12'" in sentence("a.csv", "\n".join(rows).encode())
+
+
 def test_two_columns_of_one_name_are_refused(sentence):
     lines = [f"{line},{line.split(',')[1]}" for line in CSV.split("\n")]
     assert "column 'pos' stands twice" in sentence("a.csv", "\n".join(lines).encode())

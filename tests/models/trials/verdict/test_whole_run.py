@@ -87,6 +87,37 @@ def test_one_sample_that_no_joint_can_make_is_a_spike(trial):
     assert cause == "spike" and "sample 71" in text
 
 
+@pytest.mark.parametrize("wild_a", [99.0, -8.0, 4.0])
+def test_one_sample_of_a_current_far_beyond_all_others_is_a_spike(trial, wild_a):
+    noise_a = 0.05 * np.random.default_rng(0).standard_normal(len(trial))
+    current = trial.columns["current_1_a"] + noise_a
+    assert told(replace(trial, columns=trial.columns | {"current_1_a": current})) == []
+    current[150] = wild_a
+    ((cause, text),) = told(replace(trial, columns=trial.columns | {"current_1_a": current}))
+    assert cause == "spike" and f"current_1_a jumps to {wild_a:g} A" in text
+    assert "sample 151 (2.55 s)" in text
+
+
+def test_friction_that_turns_round_and_the_kick_of_a_stepped_goal_are_no_spikes(trial):
+    rate = np.gradient(trial.columns["angle_1_rad"])
+    noise_a = 0.02 * np.random.default_rng(0).standard_normal(len(trial))
+    current = 2.0 * np.sign(rate) + noise_a
+    goal = np.where(np.arange(len(trial)) >= 100, 0.5, 0.0)
+    stepped = trial.columns | {"goal_1_rad": goal, "angle_1_rad": 0 * goal}
+    kick = noise_a.copy()
+    kick[101] = 6.0
+    for columns in (trial.columns | {"current_1_a": current}, stepped | {"current_1_a": kick}):
+        assert "spike" not in [cause for cause, _ in told(replace(trial, columns=columns))]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_signals_that_are_nothing_but_zeros_are_told_without_a_warning_of_numpy(trial):
+    names = trial.meta.layout.names
+    no_markers = {column: np.zeros(len(trial)) for name in names for column in marker(name)}
+    for columns in (no_markers, {"angle_1_rad": np.zeros(len(trial))}):
+        assert check_trial(replace(trial, columns=trial.columns | columns)).findings
+
+
 def test_a_count_that_starts_again_is_refused_as_that(trial):
     columns = {n: trial.columns[n] % (2 * np.pi) for n in ("angle_1_rad", "goal_1_rad")}
     found = check_trial(replace(trial, columns=trial.columns | columns)).findings

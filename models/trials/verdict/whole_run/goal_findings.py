@@ -1,0 +1,210 @@
+"""Findings on goals against their angles and conditions: still, cut, or of another period."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from firmware_py.display_units import ANGLE
+from firmware_py.motion import KINDS
+from models.trials.trial import Array, Trial
+from models.trials.verdict.finding import ImportFinding
+from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
+from models.trials.verdict.whole_run.sinusoid_fit import find_leap, fit_period, fit_sine
+
+REPEATING: Final = 0.5
+"""Part of a sinusoid's goals that a sine of the declared period must give."""
+PERIOD: Final = 0.005
+"""Relative difference of the goals' period and the declared one that is warned of."""
+LEAST_STEPS: Final = 4
+"""Steps of the shortest period that samples show."""
+GLIDE_S: Final = 1.2
+"""Time at the end in which a motion may return to zero."""
+LEAP_RAD: Final = 0.06
+"""Leap of the goals' phase that is warned of: two to three rows of the study's motion."""
+UNLIKE: Final = 3.0
+"""How many times less another period must leave to be the right one."""
+STILL_RAD: Final = 0.2
+"""Motion of an angle, beyond its goal's, that no servo makes while it holds a goal."""
+JUMP_RAD: Final = 0.02
+"""Least jump of goal and angle in one row that is a gap: thirteen steps of a coarse encoder."""
+JUMP_NOISE: Final = 20.0
+"""How many times its usual change of rate a signal must jump."""
+LONGEST_STEP_S: Final = 0.05
+"""Step from which an angle may follow a step of its goal within one row."""
+
+
+def judge_goals(trial: Trial) -> list[ImportFinding]:
+    """Findings on the goals of a whole trial.
+
+    Parameters
+    ----------
+    trial : Trial
+        Of the link.
+    """
+    if np.nanmax(np.abs(trial.goal_rad)) > LARGEST_RAD:
+        return []  # in another unit
+    found = [*judge_standing_goals(trial), *_jump(trial)]
+    return found or _period(trial)
+
+
+def judge_standing_goals(trial: Trial) -> list[ImportFinding]:
+    """Findings on goals that stand still though the conditions say that they move.
+
+    Where a joint was moved by hand the goals do stand: such a trial has `amplitude_rad = 0`.
+
+    Parameters
+    ----------
+    trial : Trial
+        Of any plant; of another than the link nothing is said.
+    """
+    declared = trial.meta.amplitude_rad
+    if not trial.meta.link_length_m > 0 or not declared > LEAST_MOTION_RAD:
+        return []
+    for j, (goal, angle) in enumerate(zip(trial.goal_rad.T, trial.angle_rad.T, strict=True), 1):
+        still = np.std(goal) < LEAST_MOTION_RAD and np.isfinite(angle).all()
+        if still and np.ptp(angle) - np.ptp(goal) > STILL_RAD:
+            only = f"moves by {ANGLE.text(np.ptp(goal))}" if np.ptp(goal) > 0 else "stands still"
+            return [
+                ImportFinding(
+                    "refused", "goal",
+                    f"angle_{j}_rad moves by {ANGLE.text(np.ptp(angle))} while goal_{j}_rad {only}",
+                    "give the goals that were sent, or set amplitude_rad = 0 where the joint was "
+                    "moved by hand",
+                )
+            ]  # fmt: skip
+    if not np.ptp(trial.goal_rad, axis=0).any():
+        return [
+            ImportFinding(
+                "warning", "amplitude",
+                f"the goals stand still, amplitude_rad says {ANGLE.significant(declared)}",
+                "correct amplitude_rad, or give the goals that were sent",
+            )
+        ]  # fmt: skip
+    return []
+
+
+def _jump(trial: Trial) -> list[ImportFinding]:
+    """Finding on a row in which goal and angle jump together: an angle follows its goal later."""
+    if trial.step_s > LONGEST_STEP_S or len(trial) < 8:
+        return []
+    for j in range(trial.meta.dof):
+        goal, angle = (_jumps(values[:, j]) for values in (trial.goal_rad, trial.angle_rad))
+        at = np.flatnonzero(goal * angle > 0)
+        if len(at):
+            row = int(at[np.argmax(np.abs(angle[at]))])
+            return [
+                ImportFinding(
+                    "warning", "gap",
+                    f"goal_{j + 1}_rad and angle_{j + 1}_rad jump together by "
+                    f"{ANGLE.text(angle[row])} in row {row + 3} ({trial.time_s[row + 1]:.2f} s), "
+                    "no angle follows its goal so fast: rows are missing before it",
+                    "give the rows that are missing with their own times, or cut the trial there",
+                )
+            ]  # fmt: skip
+    return []
+
+
+def _jumps(values: Array) -> Array:
+    """Changes from row to row, shape (n - 1,), where they are far from those beside; else zero."""
+    change = np.diff(values)
+    apart = np.abs(np.diff(change))
+    limit = max(JUMP_RAD, JUMP_NOISE * float(np.median(apart)))
+    padded = np.pad(np.abs(change), 2, mode="edge")
+    count = len(change)
+    beside = np.max([padded[k : k + count] for k in (0, 1, 3, 4)], axis=0)
+    turned = np.abs(np.abs(change) - 2 * np.pi) < 0.5  # a count that starts again
+    jumps = (np.abs(change) - 1.5 * beside > limit) & ~turned
+    return np.asarray(np.where(jumps, change, 0.0))
+
+
+def _period(trial: Trial) -> list[ImportFinding]:
+    """Finding on the period of a sinusoid, on a leap of its phase, and on the motion's name."""
+    meta, rest = trial.meta, trial.meta.rest_samples
+    goal, time_s = trial.goal_rad[rest:, 0], trial.time_s[rest:]
+    if meta.motion not in KINDS or len(goal) < 8 or goal.std() < LEAST_MOTION_RAD:
+        return []
+    whole_s, period_s = float(time_s[-1] - time_s[0]), meta.period_s
+    # A motion may end with a return to zero, or go on at rest.
+    ends_s = [whole_s, whole_s - GLIDE_S, *((2 * period_s,) if 2 * period_s < whole_s else ())]
+    kept = [time_s <= time_s[0] + end_s for end_s in ends_s if end_s >= 0.95 * period_s]
+    parts = [
+        1 - (fit_sine(time_s[k], goal[k], period_s).left / goal[k].std()) ** 2
+        for k in kept if goal[k].std() > 0
+    ]  # fmt: skip
+    sampled = period_s > LEAST_STEPS * trial.step_s
+    if meta.motion == "sinusoid" and not (sampled and max(parts, default=1.0) >= REPEATING):
+        return [
+            ImportFinding(
+                "warning", "period",
+                f"the goals are no sinusoid with the period of {period_s:g} s",
+                "correct period_s or motion under [trial]",
+            )
+        ]  # fmt: skip
+    if not sampled:
+        return []
+    fits = [fit_period(time_s[k], goal[k], period_s) for k in kept]
+    clean = next((k for k, fit in enumerate(fits) if fit.clean), None)
+    if clean is not None:
+        own = time_s[kept[clean]], goal[kept[clean]]
+        told = _other_period if meta.motion == "sinusoid" else _other_motion
+        return told(trial, *own, fits[clean].period_s, fits[clean].left)
+    return _leap(trial, [(time_s[k], goal[k]) for k in kept])
+
+
+def _other_motion(
+    trial: Trial, time_s: Array, goal: Array, period_s: float, left: float
+) -> list[ImportFinding]:
+    """Finding on a sinusoid under another name; less than a period and a half may be either."""
+    if time_s[-1] - time_s[0] < 1.5 * period_s:
+        return []
+    return [
+        ImportFinding(
+            "warning", "motion",
+            f"the goals are a sinusoid of {period_s:.3f} s, motion says {trial.meta.motion!r}",
+            'set motion = "sinusoid"',
+        )
+    ]  # fmt: skip
+
+
+def _other_period(
+    trial: Trial, time_s: Array, goal: Array, period_s: float, left: float
+) -> list[ImportFinding]:
+    """Finding on a sinusoid of another period than the conditions say."""
+    declared_s = trial.meta.period_s
+    off = period_s / declared_s - 1
+    first = time_s <= time_s[0] + 10 * declared_s
+    as_declared = fit_sine(time_s[first], goal[first], declared_s).left
+    if abs(off) <= PERIOD or as_declared < UNLIKE * left:
+        return []
+    return [
+        ImportFinding(
+            "warning", "period",
+            f"the goals repeat after {period_s:.3f} s, period_s says {declared_s:.3f} s: the time "
+            f"step or period_s is wrong by {abs(off):.1%}",
+            "correct period_s, or the step and the unit of the times",
+        )
+    ]  # fmt: skip
+
+
+def _leap(trial: Trial, windows: list[tuple[Array, Array]]) -> list[ImportFinding]:
+    """Finding on a sinusoid that leaps in phase."""
+    if trial.meta.motion != "sinusoid":
+        return []
+    period_s, rest = trial.meta.period_s, trial.meta.rest_samples
+    for time_s, goal in windows:
+        leap = find_leap(time_s, goal, period_s)
+        if leap is None or abs(leap.lead_s) < LEAP_RAD / (2 * np.pi) * period_s:
+            continue
+        lead = f"{abs(leap.lead_s):.3f} s {'ahead' if leap.lead_s > 0 else 'back'}"
+        why = "rows are missing" if leap.lead_s > 0 else "rows stand twice"
+        row = rest + leap.row
+        return [
+            ImportFinding(
+                "warning", "gap",
+                f"the goals leap {lead} near row {row + 2} ({trial.time_s[row]:.2f} s): {why}",
+                "give all rows once with their own times, or cut the trial there",
+            )
+        ]  # fmt: skip
+    return []

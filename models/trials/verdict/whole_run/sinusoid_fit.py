@@ -1,0 +1,158 @@
+"""Sinusoids that goals follow: with a period that is found, or with a leap of the phase."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from models.trials.trial import Array
+
+PERIOD_FRACTION: Final = 0.3
+"""Largest difference of the found period from the declared one, relative to it."""
+CLEAN: Final = 0.01
+"""Root mean square beside a sinusoid, relative to its amplitude, up to which goals are one; the
+steps of a small servo give 0.001 at 30°."""
+CLEAN_RAD: Final = 1e-3
+"""The same where the amplitude is small: two thirds of a servo's step."""
+LEAST_CYCLES: Final = 0.15
+"""Shortest stretch on each side of a leap, in periods: a shorter one fits any phase."""
+MOST_CYCLES: Final = 10
+"""Periods that are looked at: they give the period to 1e-4."""
+MOST_ROWS: Final = 2000
+"""Rows that are fitted; of more every nth is taken."""
+ALIKE: Final = 0.05
+"""Relative difference of the amplitudes on the two sides of a leap."""
+
+
+class SineFit(NamedTuple):
+    """Sinusoid through samples.
+
+    Attributes
+    ----------
+    period_s : float
+        Its period.
+    amplitude : float
+        Its amplitude, in the unit of the samples.
+    left : float
+        Root mean square of what it leaves, in that unit.
+    """
+
+    period_s: float
+    amplitude: float
+    left: float
+
+    @property
+    def clean(self) -> bool:
+        """Whether the samples are this sinusoid but for the resolution of a servo."""
+        return self.left <= max(CLEAN * self.amplitude, CLEAN_RAD)
+
+
+class PhaseLeap(NamedTuple):
+    """Place at which a sinusoid goes on with another phase.
+
+    Attributes
+    ----------
+    row : int
+        First row behind it.
+    lead_s : float
+        Time by which the phase leaps ahead; negative where it falls back.
+    """
+
+    row: int
+    lead_s: float
+
+
+def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
+    """Sinusoid of a given period through goals.
+
+    Parameters
+    ----------
+    time_s, goal_rad : ndarray, shape (n,)
+        Samples.
+    period_s : float
+        Period.
+    """
+    phase = 2 * np.pi * (time_s - time_s[0]) / period_s
+    design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
+    terms, *_ = np.linalg.lstsq(design, goal_rad, rcond=None)
+    left = float(np.sqrt(np.mean((goal_rad - design @ terms) ** 2)))
+    return SineFit(period_s, float(np.hypot(terms[1], terms[2])), left)
+
+
+def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
+    """Best sinusoid through goals, with a period near the declared one.
+
+    Parameters
+    ----------
+    time_s, goal_rad : ndarray, shape (n,)
+        Samples, at least one period of them; the first `MOST_CYCLES` are used.
+    period_s : float
+        Declared period.
+
+    Examples
+    --------
+    >>> time_s = 0.01 * np.arange(900)
+    >>> fit = fit_period(time_s, 0.5 * np.sin(2 * np.pi * time_s / 4.1), 4.0)
+    >>> round(fit.period_s, 4), fit.clean
+    (4.1, True)
+    """
+    first = time_s < time_s[0] + MOST_CYCLES * period_s
+    time_s, goal_rad = time_s[first], goal_rad[first]
+    every = len(time_s) // MOST_ROWS + 1
+    time_s, goal_rad = time_s[::every], goal_rad[::every]
+    cycles = (time_s[-1] - time_s[0]) / period_s
+    count = int(np.ceil(20 * PERIOD_FRACTION * max(cycles, 1.0))) + 1
+    tried = period_s * np.linspace(1 - PERIOD_FRACTION, 1 + PERIOD_FRACTION, count)
+    best = int(np.argmin([fit_sine(time_s, goal_rad, own_s).left for own_s in tried]))
+    bounds = tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]
+    found = minimize_scalar(
+        lambda own_s: fit_sine(time_s, goal_rad, own_s).left, bounds=bounds, method="bounded",
+        options={"xatol": 1e-6 * period_s},
+    )  # fmt: skip
+    return fit_sine(time_s, goal_rad, float(found.x))
+
+
+def find_leap(time_s: Array, goal_rad: Array, period_s: float) -> PhaseLeap | None:
+    """Place at which goals leap in phase: before and behind it they are one and the same sinusoid.
+
+    Parameters
+    ----------
+    time_s, goal_rad : ndarray, shape (n,)
+        Samples.
+    period_s : float
+        Period.
+
+    Returns
+    -------
+    PhaseLeap or None
+        None where there is no such place, or the goals are no sinusoid on either side.
+    """
+    phase = 2 * np.pi * (time_s - time_s[0]) / period_s
+    design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
+    least = int(np.searchsorted(time_s, time_s[0] + LEAST_CYCLES * period_s))
+    if len(time_s) < 2 * least + 1 or least < 8:
+        return None
+
+    def sides(row: int) -> tuple[Array, Array, float]:
+        """Terms before and behind a row, and the squares that both leave."""
+        parts = [(design[:row], goal_rad[:row]), (design[row:], goal_rad[row:])]
+        terms = [np.linalg.lstsq(d, g, rcond=None)[0] for d, g in parts]
+        left = sum(np.sum((g - d @ t) ** 2) for (d, g), t in zip(parts, terms, strict=True))
+        return terms[0], terms[1], float(left)
+
+    stride = max((len(time_s) - 2 * least) // 60, 1)
+    coarse = range(least, len(time_s) - least + 1, stride)
+    near = min(coarse, key=lambda row: sides(row)[2])
+    fine = range(max(near - stride, least), min(near + stride, len(time_s) - least) + 1)
+    row = min(fine, key=lambda own: sides(own)[2])
+    before, behind, left = sides(row)
+    sizes = np.hypot(before[1], before[2]), np.hypot(behind[1], behind[2])
+    mean = 0.5 * (sizes[0] + sizes[1])
+    clean = SineFit(period_s, mean, float(np.sqrt(left / len(time_s)))).clean
+    if not clean or abs(sizes[0] - sizes[1]) > ALIKE * mean:
+        return None
+    turn = np.arctan2(behind[2], behind[1]) - np.arctan2(before[2], before[1])
+    lead = float(np.angle(np.exp(1j * turn)))
+    return PhaseLeap(row, lead / (2 * np.pi) * period_s)
