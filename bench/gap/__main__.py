@@ -41,6 +41,38 @@ from models.rig.rig_structure import named_structures
 
 def main() -> None:
     """Draw, run, summarise."""
+    parser = _parser()
+    args = parser.parse_args()
+    if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
+        parser.error("give one of --plant, --rigs and --like")
+    if (args.motions, args.payloads) != (["study"], "study") and not args.no_sealed:
+        parser.error("sealed trials have motions and payloads of their own: give --no-sealed")
+    if args.one_servo and args.joints != 2:
+        parser.error("--one-servo goes with --joints 2")
+    if args.told and not args.same_link:
+        parser.error("--told goes with --same-link")
+    for name in args.rigs:
+        try:
+            rig_named(name)
+        except InputError as error:
+            parser.error(str(error))
+    counts = run_benchmark(
+        _cases(args),
+        args.plant,
+        args.out,
+        _engine(args),
+        not args.no_sealed,
+        args.calibrate,
+        args.plants_of,
+    )
+    if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
+        print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
+    figures, by_rig = write_bench_summary(args.out)
+    print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Options of the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -63,6 +95,10 @@ def main() -> None:
         help="motions of the trials, for the rigs in turn: " + ", ".join(MOTIONS),
     )  # fmt: skip
     add(
+        "--plants-of", choices=MOTIONS, default="", metavar="NAME",
+        help="motion that plants are identified on (that of the trials)",
+    )  # fmt: skip
+    add(
         "--calibrate", type=int, default=0, metavar="RIGS",
         help="drawn rigs on which patterns are measured for each motion but the study's (none)",
     )  # fmt: skip
@@ -76,27 +112,7 @@ def main() -> None:
     add("--like", type=Path, metavar="DIR", help="the cases of another run, by its results")
     add("--no-sealed", action="store_true", help="leave out the test on sealed trials")
     add("--scheduler", metavar="ADDRESS", help="of a dask cluster, in place of two processes")
-    args = parser.parse_args()
-    if sum(map(bool, (args.plant, args.rigs, args.like))) != 1:
-        parser.error("give one of --plant, --rigs and --like")
-    if (args.motions, args.payloads) != (["study"], "study") and not args.no_sealed:
-        parser.error("sealed trials have motions and payloads of their own: give --no-sealed")
-    if args.one_servo and args.joints != 2:
-        parser.error("--one-servo goes with --joints 2")
-    if args.told and not args.same_link:
-        parser.error("--told goes with --same-link")
-    for name in args.rigs:
-        try:
-            rig_named(name)
-        except InputError as error:
-            parser.error(str(error))
-    counts = run_benchmark(
-        _cases(args), args.plant, args.out, _engine(args), not args.no_sealed, args.calibrate
-    )
-    if lost := sum(counts.ran.values()) - counts.ran.get("done", 0):
-        print(f"{lost} cases have no result: see {args.out}/failures", file=sys.stderr)
-    figures, by_rig = write_bench_summary(args.out)
-    print(json.dumps(figures, indent=1) if args.plant else rig_table_text(by_rig))
+    return parser
 
 
 def _engine(args: argparse.Namespace) -> Engine | None:

@@ -22,6 +22,7 @@ def run_benchmark(
     engine: Engine | None = None,
     sealed: bool = True,
     calibration_rigs: int = 0,
+    plant_motion: str = "",
 ) -> RunCounts:
     """Run cases that have no valid result.
 
@@ -39,9 +40,12 @@ def run_benchmark(
         Whether improved plants are tested on sealed trials.
     calibration_rigs : int
         Drawn rigs on which patterns are measured for each motion but the study's; zero for none.
+    plant_motion : str
+        Name of the motion that plants are identified on; empty for that of each case.
     """
     wanted, store = list(cases), ResultStore(out)
-    robots = sorted({(c.rig, c.joints, c.motion) for c in wanted})
+    robot_of = lambda c: (c.rig, c.joints, plant_motion or c.motion)  # noqa: E731
+    robots = sorted({robot_of(c) for c in wanted})
     plants = (
         dict.fromkeys(robots, plant)
         if plant is not None
@@ -55,9 +59,7 @@ def run_benchmark(
     maker = CaseMaker(KIND, MODULE, store.shared)
     made = maker.cases(
         (
-            bench_configuration(
-                c, plants[c.rig, c.joints, c.motion], sealed, patterns.get((c.joints, c.motion))
-            )
+            bench_configuration(c, plants[robot_of(c)], sealed, patterns.get((c.joints, c.motion)))
             for c in wanted
         ),
         "bench.gap",

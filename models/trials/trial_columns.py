@@ -25,6 +25,9 @@ MOST_COLUMNS: Final = 1000
 """Most columns of a table [assumed]; a trial of the link has 62 with 16 markers."""
 FEWEST_ROWS: Final = 3
 """Fewest rows of a trial: a rate needs two, its change three."""
+STEP_RANGE_S: Final = (5e-5, 0.5)
+"""Shortest and longest step: the motion is below 4 Hz, and the fastest analog channels have some
+kilohertz."""
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
 """Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
@@ -44,6 +47,37 @@ def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Si
         return trial_signals(dof, markers)
     rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
     return (TIME, *rows)
+
+
+def check_step_range(where: Path | str, field: str, step_s: float) -> None:
+    """Refuse a step that no recording of the link has.
+
+    Parameters
+    ----------
+    where : Path or str
+        File, for the message.
+    field : str
+        Column or key that gives the step.
+    step_s : float
+        Time from one row to the next.
+
+    Raises
+    ------
+    InputError
+        If it is beyond `STEP_RANGE_S`.
+
+    Examples
+    --------
+    >>> check_step_range("run.csv", "time_s", 0.017)
+    """
+    low_s, high_s = STEP_RANGE_S
+    if low_s <= step_s <= high_s:
+        return
+    unit = "milliseconds" if step_s > high_s else "another unit"
+    raise InputError(
+        where, f"{field}: the rows are {step_s:.3g} s apart, outside 0.05 ms to 0.5 s",
+        f"give it in s, not in {unit}",
+    )  # fmt: skip
 
 
 def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:

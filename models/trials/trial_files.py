@@ -22,7 +22,6 @@ from firmware_py.files.input_files import convert, read_toml
 from firmware_py.files.output_files import replacing, write_whole
 from firmware_py.motion import KINDS
 from firmware_py.signals import tick_signals
-from models.trials.clock.step_range import check_step_range
 from models.trials.trial import (
     LINK_CONDITIONS,
     SCHEMA,
@@ -35,6 +34,7 @@ from models.trials.trial_columns import (
     FEWEST_ROWS,
     PlantSignals,
     check_columns,
+    check_step_range,
     columns_of,
     read_sample_columns,
 )

@@ -151,8 +151,9 @@ def null_distribution_of(
         Number of joints of the trials.
     known_error : str
         What is known of the plant's own error on them. Where no distribution was measured with as
-        little known, that with the next more holds; on other motions with two joints it grows as
-        that of one joint [assumed].
+        little known, that with the next more holds. On motions that the plant was not identified
+        on, the larger one of it and of one joint on other motions counts for each effect; with two
+        joints too [assumed].
     settings : GapSettings
         Tuned numbers.
     """
@@ -161,16 +162,14 @@ def null_distribution_of(
         threshold=settings.uncalibrated_threshold,
         explained=settings.uncalibrated_residual_limit,
     )
-    known = None
-    for state, end in KEY_ENDS.items():
-        known = measured.get(f"{dof}{end}", known)
-        if state == known_error:
-            break
+    known = measured.get(str(dof))
     if known is None:
         return assumed
-    end = KEY_ENDS["nothing"]
-    if known_error == "nothing" and f"{dof}{end}" not in measured and f"1{end}" in measured:
-        known = _scaled(known, _growth(measured["1"], measured[f"1{end}"]))
+    if known_error != "patterns":
+        known = measured.get(f"{dof}{KEY_ENDS['curves']}", known)
+    other = measured.get(f"1{KEY_ENDS['nothing']}")
+    if known_error == "nothing" and other is not None:
+        known = _larger(known, other)
     if settings.separate_joints:
         known = _of_separate_joints(known, dof)
     return msgspec.structs.replace(known, threshold=settings.least_threshold)
@@ -178,22 +177,22 @@ def null_distribution_of(
 
 def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
     """Distribution where each joint has its own strength [assumed: they are independent]."""
-    return _scaled(known, {e: float(np.sqrt(dof)) for e in EFFECTS if is_alike_in_joints(e)})
-
-
-def _growth(known: NullDistribution, other: NullDistribution) -> dict[str, float]:
-    """Ratio of the standard deviations of two distributions by effect, at least 1."""
-    before, after = known.standard_deviation, other.standard_deviation
-    return {e: max(s / before.get(e, 1.0), 1.0) for e, s in after.items()}
-
-
-def _scaled(known: NullDistribution, factors: Mapping[str, float]) -> NullDistribution:
-    """Distribution whose standard deviations are larger, by effect."""
+    more = {e: float(np.sqrt(dof)) if is_alike_in_joints(e) else 1.0 for e in EFFECTS}
     own = (known.standard_deviation, known.unchanged_deviation)
-    changed, unchanged = (
-        {e: one.get(e, 1.0) * factors.get(e, 1.0) for e in {**one, **factors}} for one in own
-    )
+    changed, unchanged = ({e: s * more.get(e, 1.0) for e, s in one.items()} for one in own)
     return msgspec.structs.replace(known, standard_deviation=changed, unchanged_deviation=unchanged)
+
+
+def _larger(first: NullDistribution, second: NullDistribution) -> NullDistribution:
+    """The first distribution, with the larger standard deviation of both for each effect."""
+    pairs = (
+        (first.standard_deviation, second.standard_deviation),
+        (first.unchanged_deviation, second.unchanged_deviation),
+    )
+    changed, unchanged = (
+        {e: max(a.get(e, 1.0), b.get(e, 1.0)) for e in sorted({**a, **b})} for a, b in pairs
+    )
+    return msgspec.structs.replace(first, standard_deviation=changed, unchanged_deviation=unchanged)
 
 
 def calibrated_null_distribution(

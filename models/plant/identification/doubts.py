@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from firmware_py.display_units import LENGTH
+from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from models.plant.identification.identification import Identification
@@ -81,7 +81,7 @@ def _beyond_any_bend(dof: str, error: DofEvaluation, plant: Plant) -> list[str]:
         return []
     return [
         f"{dof}DOF: the measured tip is {LENGTH.text(error.rigid_tip_rms_m, 0)} from that of a "
-        f"rigid link, {100 * part:.0f} % of the link's length, and no link bends so far: check "
+        f"rigid link, {FRACTION.text(part)} of the link's length, and no link bends so far: check "
         "tip, units, angles and size of the trials ('models validate')"
     ]
 

@@ -56,10 +56,10 @@ from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.signals import PERIOD_S
-from models.trials.clock.step_range import check_step_range
 from models.trials.importers.series import factor_to_si
 from models.trials.si_units import check_signal_units
 from models.trials.trial import SignalRole, TrialMeta
+from models.trials.trial_columns import check_step_range
 from models.trials.trial_files import check_meta
 
 Scalar = str | int | float

@@ -10,11 +10,11 @@ import numpy as np
 
 from firmware_py.display_units import ANGLE, DURATION
 from firmware_py.errors import InputError
-from models.trials.clock.step_range import STEP_RANGE_S
 from models.trials.importers.mapping import RecordingMap
 from models.trials.importers.series import Series
 from models.trials.importers.synchronisation import synchronise
 from models.trials.trial import Array, TrialMeta
+from models.trials.trial_columns import STEP_RANGE_S
 from models.trials.trial_files import STEP_TOLERANCE
 from models.trials.verdict.finding import COMMON_CLOCK_S, STUCK_RAD, ImportFinding, level_of
 from models.trials.verdict.import_verdict import ImportVerdict

@@ -8,7 +8,14 @@ import pytest
 from bench.gap import __main__ as command
 from bench.gap import benchmark_run, case_run, rig_plants, sealed_errors
 from bench.gap.case_run import bench_trials
-from bench.gap.cases import MOTIONS, PAYLOAD_SETS, BenchCase, draw_cases, motion_named
+from bench.gap.cases import (
+    MOTIONS,
+    PAYLOAD_SETS,
+    BenchCase,
+    draw_cases,
+    in_one_servo,
+    motion_named,
+)
 from bench.gap.rig_plants import plant_of_rig, plants_of_rigs
 from bench.gap.sealed_errors import SealedErrors
 from models.rig.drawn_rig import rig_named
@@ -118,6 +125,37 @@ def test_rigs_take_the_motions_in_turn(monkeypatch, tmp_path):
         ("drawn_1", "slow"), ("drawn_1", "slow"), ("drawn_2", "triangle"),
         ("drawn_2", "triangle"), ("drawn_3", "slow"), ("drawn_3", "slow"),
     ]  # fmt: skip
+
+
+def test_plants_may_be_of_another_motion_than_the_trials(monkeypatch, tmp_path):
+    asked = []
+
+    def plants(robots, _):
+        asked.extend(robots)
+        return dict.fromkeys(robots, tmp_path / "plant.json")
+
+    monkeypatch.setattr(benchmark_run, "plants_of_rigs", plants)
+    monkeypatch.setattr(benchmark_run, "run_campaign_cases", lambda cases, *_: None)
+    (tmp_path / "plant.json").touch()
+    case = BenchCase("null", {}, {}, 1, "drawn_1", motion="small")
+    for motion in ("", "study"):
+        benchmark_run.run_benchmark([case], None, tmp_path, sealed=False, plant_motion=motion)
+    assert asked == [("drawn_1", 1, "small"), ("drawn_1", 1, "study")]
+
+
+def test_effects_of_one_servo_are_each_in_a_joint_and_others_are_left_out():
+    rig = rig_named("drawn_3")
+    drawn = list(draw_cases(1, 1, 1, 0, seed=3, rig="drawn_3", joints=2))
+    cases = in_one_servo(drawn, rig)
+    hidden = {e for c in cases for e in c.hidden}
+    assert {"coulomb_friction", "current_bias"} <= hidden
+    assert not hidden & {"creep", "unmodelled_payload", "marker_scale"}
+    assert {c.joint for c in cases if c.hidden} == {1, 2}
+    assert [c.joint for c in cases if c.kind == "null"] == [None]
+    case = next(c for c in cases if c.hidden)
+    (name,) = case.hidden
+    assert case.added_to_rig == {f"{name}:{case.joint}": case.hidden[name]}
+    rig.hide(case.added_to_rig)
 
 
 def test_sealed_trials_are_refused_with_motions_of_ones_own(monkeypatch, tmp_path, capsys):
