@@ -6,7 +6,7 @@ its end effector goes to the controller.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Final
 from xml.etree import ElementTree as ET
 
@@ -53,7 +53,8 @@ def system_structure(
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     for path in PATHS:
         start = {"payload_kg": payload_kg} if path == "twin" else {}
-        _component(elements, path, models[path], start)
+        given = {n for source, to in _FLOWS if to == path for n in names(models[source].outputs)}
+        _component(elements, path, models[path], given, start)
     connections = ET.SubElement(system, f"{{{SSD}}}Connections")
     for source, target in _FLOWS:
         wanted = names(models[target].inputs)
@@ -70,15 +71,23 @@ def system_structure(
 
 
 def _component(
-    elements: ET.Element, path: str, model: StepModel, start: Mapping[str, float]
+    elements: ET.Element,
+    path: str,
+    model: StepModel,
+    given: Container[str],
+    start: Mapping[str, float],
 ) -> None:
+    """Write a component with its connectors; an input that nothing gives keeps its start value.
+
+    Such an input has no connector: FMPy 0.3.32 takes the signal of the connection before it.
+    """
     component = ET.SubElement(
         elements, f"{{{SSD}}}Component",
         name=path, type="application/x-fmu-sharedlibrary", source=f"resources/{path}.fmu",
     )  # fmt: skip
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     groups: Sequence[tuple[str, Sequence[Variable]]] = (
-        ("input", [v for v in model.inputs if v.name not in start]),
+        ("input", [v for v in model.inputs if v.name in given]),
         ("output", [v for v in model.outputs if v.name != "in_range"]),
     )
     for kind, variables in groups:
@@ -91,8 +100,8 @@ def _component(
         bindings = ET.SubElement(component, f"{{{SSD}}}ParameterBindings")
         binding = ET.SubElement(bindings, f"{{{SSD}}}ParameterBinding")
         values = ET.SubElement(binding, f"{{{SSD}}}ParameterValues")
-        given = ET.SubElement(values, f"{{{SSV}}}ParameterSet", name=path, version="1.0")
-        parameters = ET.SubElement(given, f"{{{SSV}}}Parameters")
+        own = ET.SubElement(values, f"{{{SSV}}}ParameterSet", name=path, version="1.0")
+        parameters = ET.SubElement(own, f"{{{SSV}}}Parameters")
         for parameter, value in start.items():
             entry = ET.SubElement(parameters, f"{{{SSV}}}Parameter", name=parameter)
             ET.SubElement(entry, f"{{{SSV}}}Real", value=repr(float(value)))
