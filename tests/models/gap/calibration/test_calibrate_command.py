@@ -50,9 +50,9 @@ def test_trials_of_a_link_of_another_size_need_its_description(
     plant_file, tmp_path, capsys, make_trial
 ):
     (tmp_path / "trials").mkdir()
-    write_trial(make_trial(np.zeros((80, 1)), link_length_m=0.6), tmp_path / "trials")
+    write_trial(make_trial(np.zeros((80, 1)), link_length_m=0.8), tmp_path / "trials")
     said = refusal(capsys, tmp_path / "trials", "--plant", plant_file)
-    assert "--link" in said and "0.6" in said
+    assert "--link" in said and "0.8" in said
     assert not calibration_directory(plant_file).exists()
 
 

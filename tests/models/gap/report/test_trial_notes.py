@@ -47,7 +47,7 @@ def test_everything_that_a_reader_has_to_know_is_noted():
     said = "; ".join(notes_in_words(found))
     for words in (
         "heavy from row 310", "sync_s by +14 standard deviations", "5000 of long",
-        "not subtracted, for: 1dof steps", "3.9 times at 2 kg",
+        "identify the plant on trials of this motion too, for: 1dof steps", "3.9 times at 2 kg",
     ):  # fmt: skip
         assert words in said
 

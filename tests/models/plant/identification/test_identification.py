@@ -143,7 +143,9 @@ def test_two_joints_are_told_apart(synthetic):
         assert q[name].value == pytest.approx(value, rel=0.05), name
 
 
-def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys):
+def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeypatch):
+    # Of the synthetic markers only the lengths between them are right, not where they stand.
+    monkeypatch.setattr("models.trials.trial_directories.judge_tip", lambda trial: [])
     true, rng = drawn(7)
     for trial in trials_of(true, synthetic, rng, (0.0, 2.0), (1, 2)):
         write_trial(trial, tmp_path / "trials")
