@@ -12,14 +12,16 @@ from firmware_py.errors import InputError
 __all__ = ["TableEnd"]
 
 _NUMBER: Final = re.compile(r"[-+]?(\d*)(?:[.,](\d*))?(?:[eE]([-+]?\d+))?")
+FEWEST_ROWS: Final = 20
+"""Rows above the last one: in fewer its number may have the fewest decimals by chance [assumed]."""
 
 
 class TableEnd:
     r"""Watch on the lines of a table and on the last cell of each row.
 
     Many programs write no line break behind the last row: that alone says nothing. A number with
-    fewer decimals than every other one of its column, or with an exponent of one digit, does. What
-    a cut costs beside these is the last digit of one number.
+    fewer decimals than every other one of its column, of which there are some, or with an exponent
+    of one digit, does. What a cut costs beside these is the last digit of one number.
 
     Parameters
     ----------
@@ -28,7 +30,7 @@ class TableEnd:
 
     Examples
     --------
-    >>> watch = TableEnd(iter(["0.125\n", "0.2"]))
+    >>> watch = TableEnd(iter(["0.125\n"] * 20 + ["0.2"]))
     >>> for line in watch.lines():
     ...     watch.see(line.strip())
     >>> watch.is_cut
@@ -38,6 +40,7 @@ class TableEnd:
     def __init__(self, lines: Iterator[str]) -> None:
         self._lines, self._ended, self._last = lines, True, ""
         self._fewest: int | None = None
+        self._rows = 0
 
     def lines(self) -> Iterator[str]:
         """Lines of the file, as they are."""
@@ -53,6 +56,7 @@ class TableEnd:
         cell : str
             Its text.
         """
+        self._rows += 1
         before = _decimals(self._last)
         if before is not None:
             self._fewest = before if self._fewest is None else min(self._fewest, before)
@@ -62,7 +66,7 @@ class TableEnd:
     def is_cut(self) -> bool:
         """Whether the file ends within its last number, as far as that can be told."""
         decimals = _decimals(self._last)
-        if self._ended or decimals is None or self._fewest is None:
+        if self._ended or decimals is None or self._fewest is None or self._rows <= FEWEST_ROWS:
             return False
         digits = self._last.strip().lower().partition("e")[2].lstrip("+-")
         return len(digits) == 1 or decimals < self._fewest

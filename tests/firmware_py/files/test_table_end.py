@@ -13,8 +13,8 @@ def watched(text):
     return watch
 
 
-FULL = "1.0129717538476502\n-0.23894731098351773\n0.0\n9.238947310983517e-05\n"
-FIXED = "10.123400\n-9.500000\n0.000000\n"
+FULL = "1.0129717538476502\n-0.23894731098351773\n0.0\n9.238947310983517e-05\n" * 5
+FIXED = "10.123400\n-9.500000\n0.000000\n" * 7
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,8 @@ FIXED = "10.123400\n-9.500000\n0.000000\n"
         FULL + "2.1389473109835177e-05",
         FULL + "0.0",
         FIXED + "-0.012300",
-        "1\n12\n5",
+        "1\n12\n" * 10 + "5",
+        "0.10\n0.25\n0.3",  # too few to compare with
         "",
         "4.5",  # nothing to compare with
         FULL,
@@ -36,7 +37,13 @@ def test_a_whole_table_is_taken(text):
 
 @pytest.mark.parametrize(
     "text",
-    [FULL + "1.01297", FULL + "1", FULL + "9.238947310983517e-0", FIXED + "-9.5000", "1,25\n0,5"],
+    [
+        FULL + "1.01297",
+        FULL + "1",
+        FULL + "9.238947310983517e-0",
+        FIXED + "-9.5000",
+        "1,25\n" * 20 + "0,5",
+    ],
 )
 def test_a_cut_number_is_told(text):
     with pytest.raises(InputError, match=r"row 5, column m16_z_m: the file ends within .*line br"):
