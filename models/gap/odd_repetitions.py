@@ -27,6 +27,9 @@ from models.trials.trial import Trial, TrialSet
 
 FEWEST: Final = 3
 """Trials of a motion of which one may be left out."""
+RELATIVE: Final = ("pressure", "friction")
+"""Kinds of variation that are fractions of a value. A hidden friction that all trials share is
+taken up as their median at first: what varies is a fraction of the larger value."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +103,12 @@ def differing_repetitions(residuals: Residuals, values: Array) -> list[Variation
         As for `odd_repetitions`.
     """
     by_trial: list[dict[str, float]] = [{} for _ in residuals.trials]
-    for q, value in zip(residuals.fit_parameters, values.tolist(), strict=True):
+    rows = list(zip(residuals.fit_parameters, values.tolist(), strict=True))
+    for q, value in rows:
         if q.trial is not None:
-            by_trial[q.trial][q.name] = value / q.standard_deviation
+            shared = np.median([v for p, v in rows if p.trial is not None and p.name == q.name])
+            size = 1 + abs(float(shared)) if q.name in RELATIVE else 1.0
+            by_trial[q.trial][q.name] = value / (size * q.standard_deviation)
     result = []
     for group in (g for g in residuals.groups if len(g.trials) >= FEWEST):
         for pair in combinations(group.trials, 2):
