@@ -263,6 +263,16 @@ class Progress:
         self._start_s, self._tty = time.monotonic(), self._stderr.isatty()
         self._shown_s = 0.0
 
+    def begin(self, detail: str) -> None:
+        """Show that no step has finished yet: the first may take minutes.
+
+        Parameters
+        ----------
+        detail : str
+            What is being done.
+        """
+        self._show(detail)
+
     def step(self, detail: str = "", further: int | None = None) -> None:
         """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file.
 
@@ -276,9 +286,12 @@ class Progress:
         self.done += 1
         if further is not None:
             self.total = self.done + further
+        waited_s = time.monotonic() - self._shown_s
+        if self.done >= self.total or waited_s >= (0.1 if self._tty else 5.0):
+            self._show(detail)
+
+    def _show(self, detail: str) -> None:
         now_s, last = time.monotonic(), self.done >= self.total
-        if not last and now_s - self._shown_s < (0.1 if self._tty else 5.0):
-            return
         self._shown_s = now_s
         of = f"{'~' if self.is_estimate and not last else ''}{self.total}"
         line = f"{self.label} {self.done}/{of} {now_s - self._start_s:5.1f} s {detail}"

@@ -229,7 +229,7 @@ def in_one_servo(cases: Iterable[BenchCase], rig: RigParameters) -> list[BenchCa
         That rig.
     """
     names = rig.effects()
-    own = [c for c in cases if all(rig.entries[names[e]].of_joint for e in c.hidden)]
+    own = [c for c in cases if all(rig.entries[names[e]].in_one_joint for e in c.hidden)]
     joints = [int(np.random.default_rng([c.seed, 2]).integers(1, 3)) for c in own]
     return [replace(c, joint=j if c.hidden else None) for c, j in zip(own, joints, strict=True)]
 

@@ -42,7 +42,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         Where the value comes from.
     effect : str
         Effect of the catalogue whose strength is added to the value; empty for none.
-    of_joint : bool
+    in_one_joint : bool
         Whether the effect may be hidden in one joint alone.
     minimum, maximum : float
         Bounds of the value with everything that is added to it.
@@ -52,7 +52,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     unit: str
     source: str
     effect: str = ""
-    of_joint: bool = False
+    in_one_joint: bool = False
     minimum: float = -math.inf
     maximum: float = math.inf
 
@@ -158,7 +158,7 @@ class RigParameters(Mapping[str, float]):
             raise InputError(option, "has no place in this rig", "choose from " + ", ".join(names))
         name = names[effect]
         entry = self.entries[name]
-        if joint is not None and not entry.of_joint:
+        if joint is not None and not entry.in_one_joint:
             raise InputError(option, f"{effect} is not of one joint alone", "leave the joint out")
         value = entry.value + strength
         if not entry.minimum <= value <= entry.maximum:

@@ -247,3 +247,10 @@ def test_a_total_that_is_estimated_says_so_until_it_is_known(capsys, monkeypatch
     progress.step("done")
     counted = [line.split()[1] for line in capsys.readouterr().err.splitlines()]
     assert counted == ["1/~130", "2/2"]
+
+
+def test_a_job_whose_first_step_takes_long_is_shown_at_its_beginning(capsys):
+    progress = console.Progress("calibrate", 3)
+    progress.begin("each takes minutes")
+    assert " ".join(capsys.readouterr().err.split()) == "calibrate 0/3 0.0 s each takes minutes"
+    assert progress.done == 0

@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     begin_work(work.fingerprint(), plant.sha256(), directory)
     files = [work.file(k) for k in range(args.rigs)]
     progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
+    progress.begin("drawn rigs: each takes minutes")
     with worker_pool(args.processes, "--processes") as pool:
         run_pattern_work(work, range(args.rigs), pool, progress.step)
     write_patterns(learned_patterns(files), patterns)

@@ -152,7 +152,8 @@ def _changed_in_words(row: ChangedCondition) -> str:
     if row.condition == "payload_kg":
         return (
             f"the plant was identified with {known} kg, not with {here} kg: the noise floor is "
-            "larger there"
+            "larger there, and effects must be larger to be named: identify the plant with these "
+            "payloads too"
         )
     return (
         f"the pressure is {here} Pa, {known} Pa in the trials of the plant, whose stiffness holds "

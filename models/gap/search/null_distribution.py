@@ -10,6 +10,7 @@ what noise and patterns do not hold differs from trial to trial.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
@@ -19,6 +20,7 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 
 from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.payload_transfer import unknown_fraction
 from models.gap.residuals.fit_parameters import is_alike_in_joints
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
@@ -27,15 +29,44 @@ from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
 
-OwnErrorKnown = Literal["patterns", "curves", "nothing"]
+OwnErrorKnown = Literal["patterns", "curves", "neighbours", "nothing"]
 """What is known of the plant's own error on trials: also how it varies from link to link
-(`models.gap.estimation.model_discrepancy`), its mean curves, or nothing: the plant was identified
-on other motions."""
+(`models.gap.estimation.model_discrepancy`), its mean curves, these at other payloads alone, or
+nothing: the plant was identified on other motions."""
 
 KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
-    "patterns": "", "curves": " without patterns", "nothing": " on other motions",
+    "patterns": "", "curves": " without patterns", "neighbours": " at other payloads",
+    "nothing": " on other motions",
 }  # fmt: skip
 """Follows the number of joints in the key of a distribution that was measured with less known."""
+
+MIDDLE: Final = 0.5
+"""Payload in kg of the distribution at other payloads, in the middle of two of `STUDY_KG`; as much
+is unknown of the error at all of its payloads."""
+STUDY_KG: Final = (0.0, 1.0, 2.0)
+"""Payloads that its plants were identified with."""
+
+
+@dataclass(frozen=True)
+class KnownError:
+    """What is known of the plant's own error on some trials.
+
+    Attributes
+    ----------
+    patterns, curves : bool
+        Whether they are known of the motion of any trial.
+    other_motions : float
+        Fraction of the trials whose motion the plant was not identified on.
+    other_payloads : float
+        What is unknown of the error at the payloads of the other trials
+        (`models.gap.estimation.payload_transfer`), as a fraction of what is unknown in the middle
+        of two payloads that are 1 kg apart; the mean over all trials.
+    """
+
+    patterns: bool = True
+    curves: bool = True
+    other_motions: float = 0.0
+    other_payloads: float = 0.0
 
 
 class NullDistribution(
@@ -121,8 +152,8 @@ def null_distributions() -> dict[str, NullDistribution]:
     return msgspec.json.decode(PATH.read_bytes(), type=dict[str, NullDistribution])
 
 
-def known_error(estimator: GaussNewton) -> OwnErrorKnown:
-    """What is known of the plant's own error on the trials of an estimator, at best.
+def known_error(estimator: GaussNewton) -> KnownError:
+    """What is known of the plant's own error on the trials of an estimator.
 
     Parameters
     ----------
@@ -130,15 +161,28 @@ def known_error(estimator: GaussNewton) -> OwnErrorKnown:
         Of their residuals.
     """
     curves, patterns = zip(*estimator.knowledge().values(), strict=True)
-    if any(own != "unknown" for own in patterns):
-        return "patterns"
-    return "curves" if any(own != "unknown" for own in curves) else "nothing"
+    residuals, reach_kg = estimator.residuals, estimator.settings.payload_reach_kg
+    middle = unknown_fraction([MIDDLE], STUDY_KG, reach_kg).item()
+    other_motions = other_payloads = 0.0
+    for group in residuals.groups:
+        measured, knowledge = estimator.floor.curves_for(group, residuals.trials)
+        if knowledge == "unknown":
+            other_motions += len(group.trials)
+            continue
+        own_kg = [residuals.trials[k].meta.payload_kg for k in group.trials]
+        unknown = np.diag(unknown_fraction(own_kg, sorted(measured), reach_kg))
+        other_payloads += float(np.sum(unknown)) / middle
+    count = len(residuals.trials)
+    return KnownError(
+        any(own != "unknown" for own in patterns), any(own != "unknown" for own in curves),
+        other_motions / count, other_payloads / count,
+    )  # fmt: skip
 
 
 def null_distribution_of(
     plant: Plant,
     dof: int,
-    known_error: OwnErrorKnown = "patterns",
+    known: KnownError = KnownError(),
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
@@ -149,11 +193,11 @@ def null_distribution_of(
         As given.
     dof : int
         Number of joints of the trials.
-    known_error : str
-        What is known of the plant's own error on them. Where no distribution was measured with as
-        little known, that with the next more holds. On motions that the plant was not identified
-        on, the larger one of it and of one joint on other motions counts for each effect; with two
-        joints too [assumed].
+    known : KnownError
+        What is known of the plant's own error on them. Without patterns that counts which was
+        measured without, if it was. On motions and at payloads that the plant was not identified on
+        the variance of d′ is at least that of one joint there, with two joints too [assumed], in as
+        far as the trials are of these.
     settings : GapSettings
         Tuned numbers.
     """
@@ -162,17 +206,20 @@ def null_distribution_of(
         threshold=settings.uncalibrated_threshold,
         explained=settings.uncalibrated_residual_limit,
     )
-    known = measured.get(str(dof))
-    if known is None:
+    own = measured.get(str(dof))
+    if own is None:
         return assumed
-    if known_error != "patterns":
-        known = measured.get(f"{dof}{KEY_ENDS['curves']}", known)
-    other = measured.get(f"1{KEY_ENDS['nothing']}")
-    if known_error == "nothing" and other is not None:
-        known = _larger(known, other)
+    if not known.patterns:
+        own = measured.get(f"{dof}{KEY_ENDS['curves']}", own)
+    parts: dict[OwnErrorKnown, float] = {
+        "nothing": known.other_motions, "neighbours": known.other_payloads,
+    }  # fmt: skip
+    for kind, part in parts.items():
+        if part and (other := measured.get(f"1{KEY_ENDS[kind]}")) is not None:
+            own = _larger(own, other, min(part, 1.0))
     if settings.separate_joints:
-        known = _of_separate_joints(known, dof)
-    return msgspec.structs.replace(known, threshold=settings.least_threshold)
+        own = _of_separate_joints(own, dof)
+    return msgspec.structs.replace(own, threshold=settings.least_threshold)
 
 
 def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
@@ -183,16 +230,21 @@ def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
     return msgspec.structs.replace(known, standard_deviation=changed, unchanged_deviation=unchanged)
 
 
-def _larger(first: NullDistribution, second: NullDistribution) -> NullDistribution:
-    """The first distribution, with the larger standard deviation of both for each effect."""
+def _larger(own: NullDistribution, other: NullDistribution, part: float) -> NullDistribution:
+    """Distribution of trials of which a part has the larger variance of both, for each effect."""
     pairs = (
-        (first.standard_deviation, second.standard_deviation),
-        (first.unchanged_deviation, second.unchanged_deviation),
+        (own.standard_deviation, other.standard_deviation),
+        (own.unchanged_deviation, other.unchanged_deviation),
     )
     changed, unchanged = (
-        {e: max(a.get(e, 1.0), b.get(e, 1.0)) for e in sorted({**a, **b})} for a, b in pairs
+        {
+            e: float(np.sqrt((1 - part) * known**2 + part * max(known, b.get(e, 1.0)) ** 2))
+            for e in sorted({**a, **b})
+            for known in [a.get(e, 1.0)]
+        }
+        for a, b in pairs
     )
-    return msgspec.structs.replace(first, standard_deviation=changed, unchanged_deviation=unchanged)
+    return msgspec.structs.replace(own, standard_deviation=changed, unchanged_deviation=unchanged)
 
 
 def calibrated_null_distribution(

@@ -14,7 +14,7 @@ from models.gap.estimation.noise_floor_fit import (
 from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.null_distribution import null_distribution_of
+from models.gap.search.null_distribution import KnownError, null_distribution_of
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.composition.plant_composition import scope_of
 from models.plant.effects import EFFECTS
@@ -91,9 +91,9 @@ def test_a_fault_of_one_servo_is_found_in_its_joint(two_joints, trials_of):
 
 def test_where_no_patterns_are_known_more_counts_as_noise(two_joints, trials_of):
     plant = read_plant()
-    known, unknown = (null_distribution_of(plant, 2, own) for own in ("patterns", "curves"))
+    known, unknown = (null_distribution_of(plant, 2, KnownError(p)) for p in (True, False))
     assert unknown.explained > known.explained
-    assert null_distribution_of(plant, 1, "curves") == null_distribution_of(plant, 1)
+    assert null_distribution_of(plant, 1, KnownError(False)) == null_distribution_of(plant, 1)
     trials = trials_of(two_joints, 7, dof=2).trials
     residuals = Residuals(two_joints, trials, nuisance_and_variation(two_joints, trials))
     (group,) = residuals.groups

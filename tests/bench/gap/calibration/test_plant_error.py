@@ -49,4 +49,4 @@ def test_diagnoses_with_more_and_less_known_have_files_of_their_own():
         plant_error._null_file("out", 16, 0, joints, known)
         for joints in (1, 2) for known in KEY_ENDS
     }  # fmt: skip
-    assert len(files) == 6
+    assert len(files) == 8
