@@ -48,9 +48,10 @@ class OddTrial:
 
 
 def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
-    """Trials that lie above comparable ones by `GapSettings.odd_trial_ratio`.
+    """Trials that lie far above comparable ones.
 
-    At most a third of a motion's trials can be odd; these are the ones that differ most.
+    By `GapSettings.odd_repetition_ratio` above their repetitions, else by `odd_trial_ratio`. At
+    most a third of a motion's trials can be odd; these are the ones that differ most.
 
     Parameters
     ----------
@@ -67,12 +68,9 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
         payloads = np.array([t.meta.payload_kg for t in own])
         hz = group_frequencies_hz(group, trials)
         levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean, settings)
-        comparable = [_level_of_comparable(k, levels, payloads) for k in range(len(own))]
-        odd = [
-            k
-            for k in np.argsort(-levels)
-            if levels[k] > settings.odd_trial_ratio * max(comparable[k], 1.0)
-        ]
+        both = [_level_of_comparable(k, levels, payloads, settings) for k in range(len(own))]
+        comparable, ratios = zip(*both, strict=True)
+        odd = [k for k in np.argsort(-levels) if levels[k] > ratios[k] * max(comparable[k], 1.0)]
         found += [
             OddTrial(
                 own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), comparable[k]
@@ -112,15 +110,18 @@ def _levels(
     return np.sqrt(np.mean(power, axis=0)) if power else np.zeros(len(rows))
 
 
-def _level_of_comparable(trial: int, levels: Array, payloads_kg: Array) -> float:
-    """Level of a trial's repetitions; else of all others, where some have less and some more load.
+def _level_of_comparable(
+    trial: int, levels: Array, payloads_kg: Array, settings: GapSettings
+) -> tuple[float, float]:
+    """Level of a trial's repetitions, else of all others, and the largest usual ratio to it.
 
-    An effect may show at the least or the largest payload alone: infinity there.
+    An effect may show at the least or the largest payload alone: infinity where no others have
+    less and more load.
     """
     others = np.arange(len(levels)) != trial
     repeated = others & (payloads_kg == payloads_kg[trial])
     if repeated.any():
-        return float(np.median(levels[repeated]))
+        return float(np.median(levels[repeated])), settings.odd_repetition_ratio
     loads = payloads_kg[others]
     between = len(loads) and loads.min() < payloads_kg[trial] < loads.max()
-    return float(levels[others].max()) if between else np.inf
+    return float(levels[others].max()) if between else np.inf, settings.odd_trial_ratio

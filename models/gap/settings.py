@@ -119,9 +119,11 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     nothing hidden. On 26 changed links of these rigs residuals above 1.63 noise floors (1.8, 2.3,
     3.2, 5.0) came with higher ratios only."""
     odd_trial_ratio: float = 3.0
-    """How far a trial lies above comparable ones, in noise floors, before it is left out of the
-    diagnosis [assumed]; of 180 pairs of repetitions on 12 drawn rigs for tuning, effects hidden in
-    48 of 60 data sets, the largest ratio was 1.6."""
+    """How far a trial lies above others of its motion, in noise floors, before it is left out of
+    the diagnosis, where none repeats it [assumed]."""
+    odd_repetition_ratio: float = 2.0
+    """The same over its repetitions: a quarter more than the largest of 180 pairs of repetitions on
+    12 drawn rigs for tuning, effects hidden in 48 of 60 data sets."""
     odd_variation_sd: float = 7.0
     """How far two repetitions differ in friction, clock, place of the payload or pressure, in
     standard deviations of their usual difference, before one of them is left out [assumed]; of

@@ -4,10 +4,13 @@ import json
 
 import pytest
 
+from bench.gap import rig_plants
 from bench.gap.benchmark_run import run_benchmark
-from bench.gap.cases import draw_cases
+from bench.gap.cases import PAYLOAD_SETS, draw_cases
 from bench.gap.scores.score_summary import benchmark_figures
 from hil.campaign.case_worker import run_task
+
+FEW_KG = (0.0, 2.0)
 
 
 class OwnProcess:
@@ -28,10 +31,14 @@ def results(tmp_path_factory):
     """Directory of the result of one effect, with a plant of that rig.
 
     It runs in this process: the tests take both cores already. That nothing is named where nothing
-    is hidden: `tests/models/gap/test_two_joints.py`, on the rig too.
+    is hidden: `tests/models/gap/test_two_joints.py`, on the rig too. Two payloads in place of
+    three, for the tests' time.
     """
     out = tmp_path_factory.mktemp("slice") / "out"
-    run_benchmark(first_case(), None, out, OwnProcess())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rig_plants, "PAYLOADS_KG", FEW_KG)
+        patch.setitem(PAYLOAD_SETS, "study", FEW_KG)
+        run_benchmark(first_case(), None, out, OwnProcess())
     return out
 
 

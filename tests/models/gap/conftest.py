@@ -18,23 +18,27 @@ from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
 NOISE = {"rad": 1e-5, "a": 0.02, "di": 1e-4, "m": 2e-4}
-REST_ROWS = 60
+REST_ROWS, CYCLE_ROWS = 60, 153
 CONSIDERED = (
     "dead_time", "current_bias", "current_scale", "viscous_friction", "creep",
-    "unmodelled_payload", "marker_frame_tilt", "current_saturation", "backlash",
+    "unmodelled_payload", "marker_frame_tilt",
 )  # fmt: skip
+DEAD_ZONES = ("backlash", "current_saturation")
 VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0003}
 
 
-def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
-    """Trials of a plant, each with its own pressure, friction, clock and frame."""
+def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
+    """Trials of a plant, each with its own pressure, friction, clock and frame.
+
+    One cycle, shorter than the study's, for the tests' time; two where the other one must not
+    decide.
+    """
     rng = np.random.default_rng(seed)
     rich = plant.with_effects("sync_offset")
     compiled = CompiledModel(rich.step_model(dof, "twin"))
     known, outputs = names(compiled.model.parameters), names(compiled.model.outputs)
-    # Shorter than the study's, for the tests' time.
-    motion = Motion(period_s=2.6, phase_2_rad=np.pi / 2, dof=dof)
-    goal = motion.table_rad(rest_samples=REST_ROWS)
+    motion = Motion(period_s=CYCLE_ROWS * PERIOD_S, phase_2_rad=np.pi / 2, dof=dof)
+    goal = motion.table_rad(rest_samples=REST_ROWS)[: REST_ROWS + cycles * CYCLE_ROWS]
     trials = []
     for payload_kg in payloads:
         for number in range(1, repeats + 1):
@@ -73,8 +77,27 @@ def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1):
 @pytest.fixture(scope="session")
 def plant():
     """Nominal plant with the noise floor of its own trials."""
+    return plant_of_trials(1)
+
+
+def plant_of_trials(cycles):
     nominal = read_plant()
-    return with_noise_floor(nominal, make_trials(nominal, 1).trials)
+    return with_noise_floor(nominal, make_trials(nominal, 1, cycles=cycles).trials)
+
+
+def hiding(plant, cycles):
+    """Function (parameter=change, …) -> trials of two payloads of a plant with these changes.
+
+    Their seed is never that of the noise floor.
+    """
+
+    @functools.cache
+    def hide(**strengths):
+        full = plant.with_effects(*candidate_effects(plant))
+        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
+        return make_trials(full.with_values(values), 7, (0.0, 1.0), cycles=cycles)
+
+    return hide
 
 
 @pytest.fixture(scope="session")
@@ -85,26 +108,27 @@ def trials_of():
 
 @pytest.fixture(scope="session")
 def hidden(plant):
-    """Function (parameter=change, …) -> trials of two payloads of the plant with these changes.
+    """Function of `hiding` for the plant."""
+    return hiding(plant, 1)
 
-    Their seed is never that of the noise floor.
-    """
 
-    @functools.cache
-    def hide(**strengths):
-        full = plant.with_effects(*candidate_effects(plant))
-        values = {name: full.parameters[name].value + s for name, s in strengths.items()}
-        return make_trials(full.with_values(values), 7, (0.0, 1.0))
-
-    return hide
+@pytest.fixture(scope="session")
+def two_cycles():
+    """Plant and function of `hiding` with trials of two cycles."""
+    plant = plant_of_trials(2)
+    return plant, hiding(plant, 2)
 
 
 @pytest.fixture(scope="session")
 def diagnosed():
-    """Function (plant, trials, settings) -> diagnosis over the effects of `CONSIDERED`."""
+    """Function (plant, trials, settings) -> diagnosis over the effects of `CONSIDERED`.
 
-    def run(plant, trials, settings=DEFAULT_SETTINGS):
-        others = [e for e in candidate_effects(plant) if e not in CONSIDERED]
+    With `dead_zones` over those of `DEAD_ZONES` too, whose search takes as long as all others.
+    """
+
+    def run(plant, trials, settings=DEFAULT_SETTINGS, dead_zones=False):
+        considered = CONSIDERED + DEAD_ZONES * dead_zones
+        others = [e for e in candidate_effects(plant) if e not in considered]
         return diagnose(plant, trials, leave_out=others, settings=settings)
 
     return run

@@ -83,6 +83,34 @@ def test_an_effect_makes_no_trial_odd(plant, hidden, strengths):
     assert odd_trials(estimator, estimator.fit_nuisance(estimator.start())) == ()
 
 
+@pytest.mark.parametrize(
+    ("payloads_kg", "levels", "odd"),
+    [
+        ((0.0, 0.0, 1.0, 1.0), (1.0, 1.2, 1.1, 2.5), [3]),
+        ((0.0, 0.0, 1.0, 1.0), (1.0, 1.2, 4.0, 7.0), []),
+        ((0.0, 1.0, 2.0, 0.5), (1.0, 1.2, 1.1, 2.5), []),
+        ((0.0, 1.0, 2.0, 0.5), (1.0, 1.2, 1.1, 4.0), [3]),
+        ((0.0, 1.0, 2.0, 2.5), (1.0, 1.2, 1.1, 9.0), []),
+    ],
+)
+def test_a_trial_is_odd_by_its_repetition_else_by_trials_of_less_and_more_load(
+    monkeypatch, payloads_kg, levels, odd
+):
+    monkeypatch.setattr("models.gap.odd_trials._levels", lambda *_: np.array(levels))
+    monkeypatch.setattr("models.gap.odd_trials.group_frequencies_hz", lambda *_: np.zeros(1))
+    trials = [
+        SimpleNamespace(name=str(k), path="", meta=SimpleNamespace(payload_kg=kg))
+        for k, kg in enumerate(payloads_kg)
+    ]
+    group = SimpleNamespace(trials=range(len(trials)), signals=())
+    estimator = SimpleNamespace(
+        residuals=SimpleNamespace(trials=trials, groups=[group]), settings=DEFAULT_SETTINGS,
+        means=[np.zeros(1)], floor=None,
+    )  # fmt: skip
+    found = odd_trials(estimator, SimpleNamespace(rows=[np.zeros(1)]))
+    assert [int(o.name) for o in found] == odd
+
+
 @pytest.mark.parametrize("repetition", [1, 2])
 def test_of_two_repetitions_that_differ_the_disturbed_one_is_left_out(plant, hidden, repetition):
     trials, rougher = hidden(), hidden(coulomb_friction_1_nm=1.2 * friction_nm(plant))

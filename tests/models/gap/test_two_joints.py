@@ -113,7 +113,8 @@ def test_two_joints_are_diagnosed_against_it(
 ):
     q = two_joints.parameters["viscous_friction_1_nm_s_rad"]
     values = {f"viscous_friction_{j}_nm_s_rad": q.value + hidden for j in (1, 2)}
-    found = diagnosed(two_joints, trials_of(two_joints.with_values(values), 7, dof=2))
+    trials = trials_of(two_joints.with_values(values), 7, (1.0,), dof=2)
+    found = diagnosed(two_joints, trials)
     assert (found.verdict, found.named) == (verdict, named)
     if named:
         after = found.improved.parameters["viscous_friction_2_nm_s_rad"]

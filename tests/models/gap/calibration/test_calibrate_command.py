@@ -89,7 +89,7 @@ def test_everything_that_changes_the_files_changes_the_fingerprint(tmp_path):
 
 def test_patterns_are_measured_once_and_kept_beside_the_plant(tmp_path, capsys):
     trials, plant = tmp_path / "trials", tmp_path / "plant.json"
-    motion = ["--amplitude-deg", "15", "--period", "2", "--payloads", "0", "1", "--workers", "1"]
+    motion = ["--amplitude-deg", "15", "--period", "2", "--payloads", "1", "--workers", "1"]
     assert main(["simulate", "--out", str(trials), *motion]) == 0
     read_plant().write(plant)
     capsys.readouterr()
@@ -100,7 +100,7 @@ def test_patterns_are_measured_once_and_kept_beside_the_plant(tmp_path, capsys):
     assert list(result["motions"]) == [motion_of(patterns.key)]
     assert "sinusoid 0.2618rad 2s" in patterns.key
     assert np.isfinite(patterns.table).all() and patterns.table.any()
-    assert patterns.payload_kg.tolist() == [0.0, 1.0]
+    assert patterns.payload_kg.tolist() == [1.0]
     files = sorted(calibration_directory(plant).glob("own_error_*.npz"))
     times = [f.stat().st_mtime_ns for f in files]
     patterns_file(plant).unlink()

@@ -10,7 +10,8 @@ from models.gap.residuals.residuals import Residuals
 
 
 @pytest.fixture(scope="module")
-def estimator(plant, hidden):
+def estimator(two_cycles):
+    plant, hidden = two_cycles
     trials = hidden(dead_time_1_s=0.02).trials
     residuals = Residuals(plant, trials, all_fit_parameters(plant, trials, ["dead_time"]))
     return GaussNewton(residuals, noise_floor_for(residuals))

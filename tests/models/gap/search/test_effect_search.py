@@ -20,7 +20,7 @@ from models.plant.plant import read_plant
 
 @pytest.fixture(scope="module")
 def nothing(plant, hidden, diagnosed):
-    return diagnosed(plant, hidden())
+    return diagnosed(plant, hidden(), dead_zones=True)
 
 
 def test_without_a_hidden_effect_nothing_is_named(nothing):
@@ -54,29 +54,34 @@ def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, di
 def test_play_in_the_mount_is_named_as_backlash_and_told_from_that_in_the_gear(
     plant, hidden, diagnosed
 ):
-    found = diagnosed(plant, hidden(backlash_1_rad=0.008, backlash_mount_fraction=1.0))
+    mounted = hidden(backlash_1_rad=0.008, backlash_mount_fraction=1.0)
+    found = diagnosed(plant, mounted, dead_zones=True)
     assert found.named == ("backlash",) and found.verdict == "closed"
     known = found.improved.parameters
     assert known["backlash_1_rad"].value == pytest.approx(0.008, rel=0.1)
     assert known["backlash_mount_fraction"].value == pytest.approx(1.0, abs=0.2)
-    geared = diagnosed(plant, hidden(backlash_1_rad=0.008))
+    geared = diagnosed(plant, hidden(backlash_1_rad=0.008), dead_zones=True)
     assert geared.improved.parameters["backlash_mount_fraction"].value == pytest.approx(0, abs=0.2)
 
 
-def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(plant, hidden, diagnosed):
+@pytest.fixture(scope="module")
+def crept(plant, hidden, diagnosed):
+    """Diagnosis of a creep."""
+    return diagnosed(plant, hidden(creep_share_1=0.4))
+
+
+def test_an_effect_needs_the_separation_of_the_link_that_it_leaves(crept):
     """Creep looks like a softer link; the fit that holds the creep leaves the link as it was."""
-    found = diagnosed(plant, hidden(creep_share_1=0.4))
+    found = crept
     assert found.named == ("creep",)
     assert found.link_change == 1.0
     alone = found.null_distribution.for_link_change(0.0).least(["creep"])
     assert alone < found.inclusions[0].least < found.null_distribution.least(["creep"]) / 2
 
 
-def test_on_a_link_that_is_said_to_be_the_same_creep_needs_less(plant, hidden, diagnosed):
-    trials = hidden(creep_share_1=0.4)
-    free, told = (
-        diagnosed(plant, trials, s) for s in (DEFAULT_SETTINGS, GapSettings(same_link=True))
-    )
+def test_on_a_link_that_is_said_to_be_the_same_creep_needs_less(crept, plant, hidden, diagnosed):
+    told = diagnosed(plant, hidden(creep_share_1=0.4), GapSettings(same_link=True))
+    free = crept
     assert told.named == free.named == ("creep",)
     assert told.link_change == told.settings.least_link_change and told.settings.same_link
     assert told.inclusions[0].least < 0.7 * free.inclusions[0].least
@@ -144,7 +149,7 @@ def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden, diagnosed):
     current_a = max(np.abs(t.current_a).max() for t in before)
     limit_a = plant.parameters["current_limit_1_a"].value
     trials = hidden(current_saturation_1_a=limit_a - 0.7 * current_a)
-    found = diagnosed(plant, trials)
+    found = diagnosed(plant, trials, dead_zones=True)
     last = found.goal_not_followed_at_row
     trial = next(t for t in trials if t.name in last)
     other = {name: column.copy() for name, column in trial.columns.items()}
@@ -163,7 +168,8 @@ def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden, diagnosed):
 def test_a_limit_of_the_current_is_named_though_it_shows_nothing_at_first(plant, hidden, diagnosed):
     current_a = max(np.abs(t.current_a).max() for t in hidden())
     limit_a = plant.parameters["current_limit_1_a"].value
-    found = diagnosed(plant, hidden(current_saturation_1_a=limit_a - 0.9 * current_a))
+    trials = hidden(current_saturation_1_a=limit_a - 0.9 * current_a)
+    found = diagnosed(plant, trials, dead_zones=True)
     assert found.named[:1] == ("current_saturation",)
     cut = found.improved.parameters["current_saturation_1_a"]
     assert limit_a - cut.value == pytest.approx(0.9 * current_a, rel=0.05)
@@ -188,7 +194,8 @@ def test_an_effect_that_hides_in_the_variation_of_the_trials_is_missed(plant, hi
     assert "eccentricity_m" in gap_in_words(gap_document(found, trials))
 
 
-def test_an_effect_that_removes_a_nuisance_bias_need_not_stand_out_beside_the_first(plant, hidden):
+def test_an_effect_that_removes_a_nuisance_bias_need_not_stand_out_beside_the_first(two_cycles):
+    plant, hidden = two_cycles
     trials = hidden(hardening_share=1.5, payload_offset_share=0.04)
     kept = ("stiffness_hardening", "payload_offset")
     others = [e for e in candidate_effects(plant) if e not in kept]

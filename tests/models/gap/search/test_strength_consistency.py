@@ -130,13 +130,15 @@ def test_differences_of_four_times_the_tolerance_are_always_refused(linear):
 
 
 @pytest.fixture(scope="module")
-def fitted(plant, trials_of):
+def fitted(two_cycles, trials_of):
     """Function (hidden parameter and change, named effect, seed) -> fit of the named effect."""
+
+    plant, _ = two_cycles
 
     def fit(hidden, change, named, seed=11):
         full = plant.with_effects(*EFFECTS)
         value = full.parameters[hidden].value + change
-        trials = trials_of(full.with_values({hidden: value}), seed)
+        trials = trials_of(full.with_values({hidden: value}), seed, cycles=2)
         parameters = all_fit_parameters(plant, trials, EFFECTS)
         estimator = GaussNewton(
             Residuals(plant, trials.trials, parameters), noise_floor_of(plant, 1)

@@ -14,6 +14,7 @@ from models.plant.simulation.compiled_model import CompiledModel
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.simulation.sensitivity_c import write_sensitivity_c
 from models.plant.step_model import names
+from models.shared.c_compiler import OPTIONS_VARIABLE
 
 STEP_S = 0.017
 
@@ -66,6 +67,7 @@ def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
         finally:
             building.pop()
 
+    monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")
     monkeypatch.setattr(sensitivity, "write_sensitivity_c", watched)
     monkeypatch.setattr(sensitivity, "_LIBRARIES", {})
     chosen = [CHOSEN["observer"][:1], CHOSEN["observer"]]
@@ -99,7 +101,8 @@ def rolled_out_jacobian(model, wrt, u, p):
 
 @pytest.mark.parametrize("dof", [1, 2])
 @pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
-def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit):
+def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
+    monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")  # the run is short, and the same bits
     model = replace(read_plant().step_model(dof, unit), max_substep_s=STEP_S / 3)
     wrt, u, p = CHOSEN[unit], bench.inputs(model, 6), model.parameter_values()
     expected = rolled_out_jacobian(model, wrt, u, p)
