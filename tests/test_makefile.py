@@ -53,6 +53,13 @@ def test_the_demo_hides_nothing():
     assert not any("--hide" in c for c in planned("demo"))
 
 
+def test_the_loop_in_software_runs_a_bundle_with_the_twin_of_its_plant():
+    """Of the demo where that was run, else of one joint alone."""
+    run = planned("sil")[-1]
+    bundle, twin = re.search(r"--bundle (\S+) --fmu (\S+) ", run).groups()
+    assert Path(bundle).parent == Path(twin).parent
+
+
 def test_the_help_names_every_target():
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     declared = re.search(r"^\.PHONY: (.*)$", makefile, re.MULTILINE)[1].split()

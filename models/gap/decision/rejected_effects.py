@@ -13,7 +13,10 @@ from models.gap.search.candidate import SearchResult
 from models.gap.search.null_distribution import NullDistribution
 from models.gap.search.refused_effect import RefusedEffect, refusals
 
-UNEXCITED = "not excited by these trials"
+UNEXCITED: Final = "not excited by these trials"
+SHOWN_SEPARATION: Final = 1.0
+"""d′ from which an effect that shows nothing at small strengths shows at a large one: its standard
+deviation by noise alone."""
 IMPROBABLE: Final = "its probability is {:.0%} only; "
 STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
 NOTHING_MISSING: Final = IMPROBABLE + "with {:.0%} nothing is missing"
@@ -62,7 +65,7 @@ def rejected_effects(
         least = round(null_distribution.least([effect]), 3)
         if effect in refused:
             reason = refused[effect]
-        elif effect in result.unexcited:
+        elif effect in result.unexcited and size < SHOWN_SEPARATION:
             reason = UNEXCITED
         elif effect in refitted and not np.isnan(refitted[effect].held_out_gain):
             reason = "its gain does not hold on trials left out"
