@@ -30,8 +30,7 @@ VARIATION = {"pressure": 0.01, "friction": 0.05, "sync_s": 0.002, "frame_m": 0.0
 def make_trials(plant, seed, payloads=(0.0, 1.0), repeats=2, dof=1, cycles=1):
     """Trials of a plant, each with its own pressure, friction, clock and frame.
 
-    One cycle, shorter than the study's, for the tests' time; two where the other one must not
-    decide.
+    One cycle, shorter than the study's, for the tests' time; two where one tells too little.
     """
     rng = np.random.default_rng(seed)
     rich = plant.with_effects("sync_offset")
