@@ -95,7 +95,7 @@ help:
 
 setup: $(READY)
 
-# uv installs in a third of pip's time; pip where uv fails, as behind an index that pip alone knows.
+# uv installs faster than pip; pip where uv fails, as behind an index that pip alone knows.
 UV = uv pip install --quiet --python $(BIN)/python
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
 

@@ -85,13 +85,13 @@ def null_case(rig: int, link: int, directory: str, joints: int, known: OwnErrorK
         Driven joints, 1 or 2.
     known : str
         What counts as known of the plant's own error; with nothing the motion is one of
-        `OTHER_MOTIONS` in turn, with neighbours the payloads lie between those of the plant.
+        `OTHER_MOTIONS` in turn, with other_payloads the payloads lie between those of the plant.
     """
     path = _null_file(directory, rig, link, joints, known)
     motion = OTHER_MOTIONS[(rig + link) % len(OTHER_MOTIONS)] if known == "nothing" else "study"
     try:
         plant = read_plant(plant_of_rig(f"drawn_{rig}", Path(directory) / "plants", joints))
-        payloads = "between" if known == "neighbours" else "study"
+        payloads = "between" if known == "other_payloads" else "study"
         trials = bench_trials(drawn_link(rig, link), link_seed(rig, link), joints, motion, payloads)
     except InputError:
         path.write_text("{}")

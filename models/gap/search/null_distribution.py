@@ -29,13 +29,13 @@ from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
 
-OwnErrorKnown = Literal["patterns", "curves", "neighbours", "nothing"]
+OwnErrorKnown = Literal["patterns", "curves", "other_payloads", "nothing"]
 """What is known of the plant's own error on trials: also how it varies from link to link
 (`models.gap.estimation.model_discrepancy`), its mean curves, these at other payloads alone, or
 nothing: the plant was identified on other motions."""
 
 KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
-    "patterns": "", "curves": " without patterns", "neighbours": " at other payloads",
+    "patterns": "", "curves": " without patterns", "other_payloads": " at other payloads",
     "nothing": " on other motions",
 }  # fmt: skip
 """Follows the number of joints in the key of a distribution that was measured with less known."""
@@ -53,7 +53,7 @@ class KnownError:
 
     Attributes
     ----------
-    patterns, curves : bool
+    patterns : bool
         Whether they are known of the motion of any trial.
     other_motions : float
         Fraction of the trials whose motion the plant was not identified on.
@@ -64,7 +64,6 @@ class KnownError:
     """
 
     patterns: bool = True
-    curves: bool = True
     other_motions: float = 0.0
     other_payloads: float = 0.0
 
@@ -160,7 +159,7 @@ def known_error(estimator: GaussNewton) -> KnownError:
     estimator : GaussNewton
         Of their residuals.
     """
-    curves, patterns = zip(*estimator.knowledge().values(), strict=True)
+    patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
     residuals, reach_kg = estimator.residuals, estimator.settings.payload_reach_kg
     middle = unknown_fraction([MIDDLE], STUDY_KG, reach_kg).item()
     other_motions = other_payloads = 0.0
@@ -173,10 +172,7 @@ def known_error(estimator: GaussNewton) -> KnownError:
         unknown = np.diag(unknown_fraction(own_kg, sorted(measured), reach_kg))
         other_payloads += float(np.sum(unknown)) / middle
     count = len(residuals.trials)
-    return KnownError(
-        any(own != "unknown" for own in patterns), any(own != "unknown" for own in curves),
-        other_motions / count, other_payloads / count,
-    )  # fmt: skip
+    return KnownError(patterns, other_motions / count, other_payloads / count)
 
 
 def null_distribution_of(
@@ -212,7 +208,7 @@ def null_distribution_of(
     if not known.patterns:
         own = measured.get(f"{dof}{KEY_ENDS['curves']}", own)
     parts: dict[OwnErrorKnown, float] = {
-        "nothing": known.other_motions, "neighbours": known.other_payloads,
+        "nothing": known.other_motions, "other_payloads": known.other_payloads,
     }  # fmt: skip
     for kind, part in parts.items():
         if part and (other := measured.get(f"1{KEY_ENDS[kind]}")) is not None:

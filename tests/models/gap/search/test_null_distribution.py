@@ -14,7 +14,7 @@ from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
 
 EFFECTS = sorted(null_distributions()["1"].standard_deviation)
-KNOWN, NOTHING = KnownError(), KnownError(patterns=False, curves=False, other_motions=1.0)
+KNOWN, NOTHING = KnownError(), KnownError(patterns=False, other_motions=1.0)
 BETWEEN = KnownError(other_payloads=1.0)
 
 
@@ -35,9 +35,7 @@ def test_where_less_is_known_no_effect_needs_less(dof, change, less, effect, fac
 
 @pytest.mark.parametrize("error", [NOTHING, BETWEEN])
 def test_a_part_of_the_trials_needs_a_part_of_it(error):
-    half = KnownError(
-        error.patterns, error.curves, error.other_motions / 2, error.other_payloads / 2
-    )
+    half = KnownError(error.patterns, error.other_motions / 2, error.other_payloads / 2)
     least = [
         null_distribution_of(read_plant(), 1, own).for_link_change(0.5).least(["backlash"])
         for own in (KNOWN, half, error)
@@ -51,14 +49,14 @@ GROUPS = {"a": [0.0, 1.0, 2.0], "b": [0.5, 1.5, 1.0]}
 @pytest.mark.parametrize(
     ("knowledge", "known"),
     [
-        ({"a": ("unknown", "unknown")}, KnownError(False, False, 1.0, 0.0)),
+        ({"a": ("unknown", "unknown")}, KnownError(False, 1.0, 0.0)),
         (
             {"a": ("unknown", "unknown"), "b": ("measured", "unknown")},
-            KnownError(False, True, 0.5, 1 / 3),
+            KnownError(False, 0.5, 1 / 3),
         ),
-        ({"a": ("transferred", "unknown")}, KnownError(False, True)),
+        ({"a": ("transferred", "unknown")}, KnownError(False)),
         ({"a": ("measured", "measured")}, KnownError()),
-        ({"b": ("measured", "transferred")}, KnownError(True, True, 0.0, 2 / 3)),
+        ({"b": ("measured", "transferred")}, KnownError(True, 0.0, 2 / 3)),
     ],
 )
 def test_motions_and_payloads_that_the_plant_was_not_identified_on_count(knowledge, known):
@@ -76,6 +74,6 @@ def test_motions_and_payloads_that_the_plant_was_not_identified_on_count(knowled
             floor=SimpleNamespace(curves_for=lambda g, _: (measured, knowledge[g.key][0])),
         )
     )  # fmt: skip
-    assert (found.patterns, found.curves) == (known.patterns, known.curves)
+    assert found.patterns == known.patterns
     assert found.other_motions == known.other_motions
     assert found.other_payloads == pytest.approx(known.other_payloads)
