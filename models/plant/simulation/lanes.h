@@ -51,14 +51,20 @@ OF_ONE(sinh) OF_ONE(cosh) OF_ONE(tanh) OF_ONE(asinh) OF_ONE(acosh) OF_ONE(atanh)
 OF_ONE(exp) OF_ONE(log) OF_ONE(expm1) OF_ONE(log1p) OF_ONE(erf) OF_ONE(floor) OF_ONE(ceil)
 OF_TWO(pow) OF_TWO(atan2) OF_TWO(fmod) OF_TWO(hypot) OF_TWO(copysign)
 
-void sincos(double x, double *sine, double *cosine); /* of glibc, not of C99 */
+/* glibc's sincos, which is not of C99, has the bits of two calls. */
+#ifdef __GLIBC__
+void sincos(double x, double *sine, double *cosine);
+#define SINE_COSINE(x, sine, cosine) sincos(x, sine, cosine)
+#else
+#define SINE_COSINE(x, sine, cosine) (*(sine) = sin(x), *(cosine) = cos(x))
+#endif
 
 static __attribute__((noinline, unused)) void lanes_sincos(Real x, Real *sine, Real *cosine,
                                                            int lanes) {
     Real s = x, c = x;
     for (int i = 0; i < lanes; i++) {
         double own, other;
-        sincos(x[i], &own, &other);
+        SINE_COSINE(x[i], &own, &other);
         s[i] = own, c[i] = other;
     }
     *sine = s, *cosine = c;

@@ -14,7 +14,6 @@
 #include <string.h>
 
 #include "lanes.h"
-#include "sensitivity_initial.h"
 
 /* Places of the entries of a sparse Jacobian, row after row. Entries x_start[k] to x_start[k + 1]
  * belong to row[k]; x_place is the row of S that an entry multiplies, p_place a column. */
@@ -50,7 +49,7 @@ typedef struct {
     Real x[N_STATES], x_stage[N_STATES], x_sum[N_STATES], u[N_INPUTS + 1], p[N_PARAMETERS + 1];
     Real constants[N_CONSTANTS + 1]; /* of p and the length of a step alone */
     int lanes, columns, blocks, chosen[N_COLUMNS + 1]; /* wanted columns, as chosen parameters */
-    Additions initial, begin, rate, finish, output;
+    Additions begin, rate, finish, output;
     const char *wanted; /* of each chosen parameter */
 } Run;
 
@@ -178,32 +177,22 @@ static void observe(Run *r, int lane, double *y, double *slope) {
             if (r->wanted[j->p_place[e]]) slope[j->p_place[e]] += r->by_p[e][lane];
 }
 
-/* State and slope of a lane at rest. Returns 1 when memory is short. */
-static int begin_at_rest(Run *r, int lane, const double *u, const double *p) {
-    casadi_int need[4];
-    sensitivity_initial_work(&need[0], &need[1], &need[2], &need[3]);
-    const double **arg = malloc((need[0] + 2) * sizeof *arg);
-    double **res = malloc((need[1] + 3) * sizeof *res);
-    casadi_int *iw = malloc((need[2] + 1) * sizeof *iw);
-    double *w = malloc((need[3] + N_STATES + MOST_BY_X + MOST_BY_P) * sizeof *w);
-    const int failed = !arg || !res || !iw || !w;
-    if (!failed) {
-        const Jacobian *j = &INITIAL;
-        const Additions *add = &r->initial;
-        double *by_p = w + need[3] + N_STATES + MOST_BY_X;
-        arg[0] = u, arg[1] = p;
-        res[0] = w + need[3], res[1] = w + need[3] + N_STATES, res[2] = by_p;
-        sensitivity_initial(arg, res, iw, w, 0);
-        for (int i = 0; i < N_STATES; i++) r->x[i][lane] = res[0][i];
-        for (int b = 0; b < r->blocks; b++)
-            for (int i = add->start[b]; i < add->start[b + 1]; i++)
-                r->slope[lane][b][j->row[add->k[i]]][add->column[i]] += by_p[add->entry[i]];
+/* Parameters, states at the start and their slopes, of which only wanted columns are kept. */
+static void begin_run(Run *r, const int *place, const double *p, const double *x,
+                      const double *slope) {
+    memset(r->slope, 0, sizeof r->slope);
+    for (int l = 0; l < N_LANES; l++) {
+        const int lane = l < r->lanes ? l : r->lanes - 1;
+        for (int i = 0; i < N_PARAMETERS; i++) r->p[i][l] = p[lane * N_PARAMETERS + i];
+        for (int i = 0; i < N_STATES; i++) r->x[i][l] = x[lane * N_STATES + i];
+        for (int k = 0; k < N_ROWS; k++)
+            for (int c = 0; c < N_COLUMNS; c++) {
+                const int own = place[c];
+                if (own < 0) continue;
+                r->slope[l][own / N_BLOCK][k][own % N_BLOCK] =
+                    slope[(lane * N_ROWS + k) * N_COLUMNS + c];
+            }
     }
-    free(arg);
-    free(res);
-    free(iw);
-    free(w);
-    return failed;
 }
 
 /* Inputs of a step; lanes that are left over repeat the last. */
@@ -223,57 +212,45 @@ static void observe_all(Run *r, long rows, long k, double *y, double *slope) {
     }
 }
 
-static int run_all(Run *r, long steps, double step_s, double max_substep_s, const double *first,
-                   const double *u, const double *p, double *y, double *slope) {
+static void run_all(Run *r, long steps, double step_s, double max_substep_s, const double *first,
+                    const double *u, double *y, double *slope) {
     const double substeps = fmax(1.0, ceil(step_s / max_substep_s - 1e-9)), dt = step_s / substeps;
     const Real time = EACH(step_s);
-    int place[N_COLUMNS + 1], failed = 0;
-    const int lanes = r->lanes;
-    select_columns(r, place);
-    const Jacobian *all[] = {&INITIAL, &BEGIN, &RATE, &FINISH};
-    Additions *add[] = {&r->initial, &r->begin, &r->rate, &r->finish};
-    for (int k = 0; k < 4; k++) sort_additions(r, all[k], place, add[k]);
-    memset(r->output.start, 0, sizeof r->output.start); /* `observe` adds these itself */
-    memset(r->slope, 0, sizeof r->slope);
-    for (int l = 0; l < N_LANES; l++) {
-        const int lane = l < lanes ? l : lanes - 1;
-        const double *own = p + lane * N_PARAMETERS;
-        for (int i = 0; i < N_PARAMETERS; i++) r->p[i][l] = own[i];
-        if (l < lanes)
-            failed |= begin_at_rest(r, l, first + l * N_INPUTS, own);
-        else
-            for (int i = 0; i < N_STATES; i++) r->x[i][l] = r->x[i][lane];
-    }
     const Real *arg[] = {r->p, &time};
     Real *res[] = {r->constants};
-    sensitivity_constants(arg, res, lanes);
+    sensitivity_constants(arg, res, r->lanes);
     read_inputs(r, steps ? u : first, steps ? steps : 1, 0);
     observe_all(r, steps + 1, 0, y, slope);
-    for (long k = 0; k < steps && !failed; k++) {
+    for (long k = 0; k < steps; k++) {
         read_inputs(r, u, steps, k);
         update(r, sensitivity_begin, &BEGIN, &r->begin, &time);
         for (long i = 0; i < (long)substeps; i++) flow(r, dt);
         update(r, sensitivity_finish, &FINISH, &r->finish, &time);
         observe_all(r, steps + 1, k + 1, y, slope);
     }
-    return failed;
 }
 
 /* Outputs y and their slopes at the start and after each step, of `lanes` trials one after the
- * other, at most N_LANES. The state at the start is the one at rest under the inputs `first`; u[k]
- * drives step k. `wanted` holds 1 for each chosen parameter whose slopes are asked for. Returns 0,
- * or 1 when memory is short. */
-__attribute__((visibility("default"))) int run_sensitive(int lanes, long steps, double step_s,
-                                                         double max_substep_s, const char *wanted,
-                                                         const double *first, const double *u,
-                                                         const double *p, double *y,
-                                                         double *slope) {
+ * other, at most N_LANES. x and x_slope are the state at the start, and its slope in N_ROWS rows
+ * and N_COLUMNS columns; `first` are the inputs there, u[k] drives step k. `wanted` holds 1 for each
+ * chosen parameter whose slopes are asked for. Returns 0, or 1 when memory is short. */
+__attribute__((visibility("default"))) int run_sensitive(
+    int lanes, long steps, double step_s, double max_substep_s, const char *wanted,
+    const double *first, const double *u, const double *p, const double *x, const double *x_slope,
+    double *y, double *slope) {
     const size_t boundary = 256;
     void *memory = malloc(sizeof(Run) + boundary);
     if (!memory) return 1;
     Run *r = (Run *)((char *)memory + boundary - (uintptr_t)memory % boundary);
     r->lanes = lanes, r->wanted = wanted;
-    const int failed = run_all(r, steps, step_s, max_substep_s, first, u, p, y, slope);
+    int place[N_COLUMNS + 1];
+    select_columns(r, place);
+    const Jacobian *all[] = {&BEGIN, &RATE, &FINISH};
+    Additions *add[] = {&r->begin, &r->rate, &r->finish};
+    for (int k = 0; k < 3; k++) sort_additions(r, all[k], place, add[k]);
+    memset(r->output.start, 0, sizeof r->output.start); /* `observe` adds these itself */
+    begin_run(r, place, p, x, x_slope);
+    run_all(r, steps, step_s, max_substep_s, first, u, y, slope);
     free(memory);
-    return failed;
+    return 0;
 }

@@ -6,9 +6,9 @@ import ctypes
 import hashlib
 import threading
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -76,7 +76,7 @@ class SensitiveModel:
         self.model = replace(model, max_substep_s=max_substep_s or model.max_substep_s)
         self.wrt, self.lanes = tuple(wrt), lanes
         known = names(model.parameters)
-        self._library = _library(model, [known.index(n) for n in wrt], lanes)
+        self._compiled = _compiled(model, [known.index(n) for n in wrt], lanes)
 
     def simulate(
         self,
@@ -156,11 +156,12 @@ class SensitiveModel:
         first, u, p = (np.ascontiguousarray(a, dtype=np.float64) for a in (first, u, p))
         y = np.empty((len(u), u.shape[1] + 1, len(self.model.outputs)))
         slope = np.empty((*y.shape, len(self.wrt)))
+        x, x_slope = self._compiled.start(first, p)
         times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
         sizes = ctypes.c_int(len(u)), ctypes.c_long(u.shape[1])
-        pointers = [a.ctypes.data_as(_POINTER) for a in (first, u, p, y, slope)]
+        pointers = [a.ctypes.data_as(_POINTER) for a in (first, u, p, x, x_slope, y, slope)]
         chosen = (np.ones(len(self.wrt), dtype=bool) if wanted is None else wanted).tobytes()
-        if self._library.run_sensitive(*sizes, *times, chosen, *pointers):
+        if self._compiled.library.run_sensitive(*sizes, *times, chosen, *pointers):
             raise MemoryError(f"{self.model.name}: run_sensitive")
         return y, slope
 
@@ -199,15 +200,40 @@ def run_sensitive_trial(
     return sensitive.simulate(u, trial.step_s, p, first, wanted)
 
 
-_LIBRARIES: Final[dict[bytes, ctypes.CDLL]] = {}
-"""Loaded libraries by content of the model: to differentiate an observer takes seconds."""
-
 _SYMBOLIC_WORK: Final = threading.Lock()
 """CasADi marks the nodes of expressions while it sorts them, shared constants too: two threads that
-build functions at once may corrupt its memory. The compiler needs no lock."""
+work with its functions at once may corrupt its memory. The compiler needs no lock."""
 
 
-def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
+@dataclass(frozen=True)
+class _Compiled:
+    """Derivatives of a model, compiled.
+
+    Attributes
+    ----------
+    library : ctypes.CDLL
+        `run_sensitive.c` with the code of the model.
+    initial : casadi.Function
+        Of the start, as `write_sensitivity_c` builds it.
+    """
+
+    library: ctypes.CDLL
+    initial: Any
+
+    def start(self, u: Array, p: Array) -> tuple[Array, Array]:
+        """State at rest of each trial, and its slope."""
+        with _SYMBOLIC_WORK:
+            starts = [self.initial(*own) for own in zip(u, p, strict=True)]
+        parts = zip(*([part.full() for part in start] for start in starts), strict=True)
+        x, slope = (np.ascontiguousarray(np.stack(part)) for part in parts)
+        return x, slope
+
+
+_COMPILED: Final[dict[bytes, _Compiled]] = {}
+"""Compiled derivatives by content of the model: to differentiate an observer takes seconds."""
+
+
+def _compiled(model: StepModel, index: Sequence[int], lanes: int) -> _Compiled:
     """Compiled derivatives of a model by the parameters of these indices."""
     flags = (*_vector_flags(), f"-DN_LANES={lanes}")
     digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
@@ -216,14 +242,18 @@ def _library(model: StepModel, index: Sequence[int], lanes: int) -> ctypes.CDLL:
             if isinstance(part, ca.Function):
                 digest.update(part.serialize().encode())
     key = digest.digest()
-    if key not in _LIBRARIES:
+    if key not in _COMPILED:
+        initial: list[Any] = []
 
         def write(directory: Path) -> list[Path]:
             with _SYMBOLIC_WORK:
-                return [*write_sensitivity_c(model, index, directory), _DRIVER]
+                sources, start = write_sensitivity_c(model, index, directory)
+            initial.append(start)
+            return [*sources, _DRIVER]
 
-        _LIBRARIES[key] = load_library(write, include=[LANES_H.parent], flags=flags, at_once=True)
-    return _LIBRARIES[key]
+        library = load_library(write, include=[LANES_H.parent], flags=flags, at_once=True)
+        _COMPILED[key] = _Compiled(library, initial[0])
+    return _COMPILED[key]
 
 
 def _vector_flags() -> tuple[str, ...]:

@@ -2,15 +2,16 @@
 
 A function of the model becomes a C function with three results: the value, and the entries of its
 derivatives by the states and by the chosen parameters, row after row. Constant tables in `tables.h`
-tell the place of each entry; `run_sensitive.c` reads them. All but the start, which is evaluated
-once, is written for several trials in lockstep (`models.plant.simulation.lanes_c`). What depends on
-the parameters and the length of a step alone is calculated once in a run: a function of its own
-gives these constants.
+tell the place of each entry; `run_sensitive.c` reads them. The functions run several trials in
+lockstep (`models.plant.simulation.lanes_c`). What depends on the parameters and the length of a
+step alone is calculated once in a run: a function of its own gives these constants. The start is
+evaluated once in a run too, and its function is long: CasADi's interpreter takes less time for it
+than a compiler.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,21 +25,16 @@ from models.plant.step_model import StepModel
 BLOCK: Final = 16
 """Columns that `run_sensitive.c` adds at once: four registers of AVX, eight of SSE2."""
 
-_NOT_OPTIMISED: Final = "#pragma clang optimize off\n"
-"""Before the derivatives of `initial`, which are long and evaluated once in a run. Measured on the
-link with every effect and one joint: a third of the compiler's processor time."""
-
-FUNCTIONS: Final = ("initial", "begin", "rate", "finish", "output")
+FUNCTIONS: Final = ("begin", "rate", "finish", "output")
 
 _FILE: Final = {"begin": "step", "rate": "step", "finish": "step", "output": "output"}
-"""Files of the functions that run in lanes: two that take the compiler as long as each other."""
-
-_LANES: Final = ("output", "step")
-"""The largest first."""
+"""Files of these functions: two that take the compiler as long as each other."""
 
 
-def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path) -> list[Path]:
-    """Write `sensitivity_initial.c` and its header, the files of `_LANES`, and `tables.h`.
+def write_sensitivity_c(
+    model: StepModel, index: Sequence[int], directory: Path
+) -> tuple[list[Path], Any]:
+    """Write `tables.h` and the C code of the derivatives; build the function of the start.
 
     Parameters
     ----------
@@ -51,52 +47,64 @@ def write_sensitivity_c(model: StepModel, index: Sequence[int], directory: Path)
 
     Returns
     -------
-    list of Path
+    sources : list of Path
         The C files.
+    start : casadi.Function
+        Of inputs and parameters: the state at rest, and its slope in the N_ROWS rows and N_COLUMNS
+        columns of `tables.h`.
     """
+    initial = _Derivatives(model.initial, index)
     derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
     if model.smooth_finish is not None:
         derived["finish"] = _Derivatives(model.finish, index, model.smooth_finish)
-    states, columns = _reached(derived)
-    start = ca.CodeGenerator("sensitivity_initial.c", {"with_header": True, "mex": False})
-    others = {what: ca.CodeGenerator(f"sensitivity_{what}.c", {"mex": False}) for what in _LANES}
-    tables = {
-        "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
-        "PARAMETERS": len(model.parameters), "CHOSEN": len(index),
-        "ROWS": max(1, len(states)), "COLUMNS": len(columns),
-        "BLOCKS": max(1, -(-len(columns) // BLOCK)), "BLOCK": BLOCK,
-    }  # fmt: skip
-    lines = [f"#define N_{name} {size}" for name, size in tables.items()]
-    lines.append(_table("CHOSEN", columns))
-    most, results = np.ones(3, dtype=int), {}
+    states, columns = _reached(initial, derived)
+    most, results, tables = np.ones(3, dtype=int), {}, [_table("CHOSEN", columns)]
     for what, own in derived.items():
         rows = own.rows(what, states)
-        by_x = own.by_x[rows, states if own.by_x.size2() else []].T
+        by_x = own.by_x[rows, states].T
         by_p = own.by_p[rows, columns if what != "output" else range(len(index))].T
         results[what] = ca.cse([own.value, ca.vec(by_x.nz[:]), ca.vec(by_p.nz[:])])
         most = np.maximum(most, [part.numel() for part in results[what]])
         place = rows if what == "output" else [states.index(i) for i in rows]
-        lines += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
-    start.add(ca.Function("sensitivity_initial", derived["initial"].arguments, results["initial"]))
-    constants = _Constants(len(model.parameters))
-    parts = {w: constants.take_out(results[w], *_constant_in(w, derived)) for w in _FILE}
-    symbols = ca.vertcat(*constants.symbols)
-    others["step"].add(constants.function("sensitivity_constants"))
-    for what, file in _FILE.items():
-        x, u, p, *time = derived[what].arguments
-        function = ca.Function(f"sensitivity_{what}", [x, u, p, symbols, *time], parts[what])
-        others[file].add(function)
-    lines.append(f"#define N_CONSTANTS {symbols.numel()}")
+        tables += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
+    code, constants = _code(derived, results, len(model.parameters))
+    sizes = {
+        "STATES": len(model.states), "INPUTS": len(model.inputs), "OUTPUTS": len(model.outputs),
+        "PARAMETERS": len(model.parameters), "CHOSEN": len(index),
+        "ROWS": max(1, len(states)), "COLUMNS": len(columns), "CONSTANTS": constants,
+        "BLOCKS": max(1, -(-len(columns) // BLOCK)), "BLOCK": BLOCK,
+    }  # fmt: skip
+    lines = [f"#define N_{name} {size}" for name, size in sizes.items()]
     lines += [
         f"#define MOST_{n} {m}" for n, m in zip(("VALUES", "BY_X", "BY_P"), most, strict=True)
     ]
-    _write(directory / "tables.h", "\n".join(lines) + "\n")
-    start.generate(f"{directory}/")
-    sources = {what: directory / f"sensitivity_{what}.c" for what in (*_LANES, "initial")}
-    for what, generator in others.items():
-        _write(sources[what], in_lanes(generator.dump()))
-    _write(sources["initial"], _NOT_OPTIMISED + sources["initial"].read_text(encoding="utf-8"))
-    return [*sources.values()]
+    _write(directory / "tables.h", "\n".join([*lines, *tables]) + "\n")
+    sources = {file: directory / f"sensitivity_{file}.c" for file in code}
+    for file, path in sources.items():
+        _write(path, code[file])
+    slope = ca.densify(initial.by_p[states, columns])
+    start = ca.Function("start", initial.arguments, ca.cse([initial.value, slope]))
+    return [*sources.values()], start
+
+
+def _code(
+    derived: Mapping[str, _Derivatives], results: Mapping[str, Sequence[Any]], parameters: int
+) -> tuple[dict[str, str], int]:
+    """Text of each file, and how many constants the functions share."""
+    constants = _Constants(parameters)
+    parts = {w: constants.take_out(results[w], *_constant_in(w, derived)) for w in FUNCTIONS}
+    symbols = ca.vertcat(*constants.symbols)
+    files = {
+        file: ca.CodeGenerator(f"sensitivity_{file}.c", {"mex": False})
+        for file in ("output", "step")  # the largest first
+    }
+    files["step"].add(constants.function("sensitivity_constants"))
+    for what, file in _FILE.items():
+        x, u, p, *time = derived[what].arguments
+        function = ca.Function(f"sensitivity_{what}", [x, u, p, symbols, *time], parts[what])
+        files[file].add(function)
+    code = {file: in_lanes(generator.dump()) for file, generator in files.items()}
+    return code, symbols.numel()
 
 
 def _write(path: Path, text: str) -> None:
@@ -143,7 +151,7 @@ class _Constants:
         return ca.Function(name, [self._p, self._step_s], results)
 
 
-def _constant_in(what: str, derived: dict[str, _Derivatives]) -> tuple[Any, list[Any]]:
+def _constant_in(what: str, derived: Mapping[str, _Derivatives]) -> tuple[Any, list[Any]]:
     """Parameters of a function, and its arguments that hold the length of a step.
 
     `begin` may keep that length in a state, which the rates find there; `output` is evaluated
@@ -188,8 +196,6 @@ class _Derivatives:
         """
         if what == "output":
             return list(range(self.value.size1()))
-        if what == "initial":
-            return list(states)
         if what == "rate":
             both = _pattern(ca.horzcat(self.by_x, self.by_p))
             return [i for i in states if both[i].any()]
@@ -197,9 +203,11 @@ class _Derivatives:
         return [i for i in states if not ca.is_equal(self.smooth[i], x[i])]
 
 
-def _reached(derived: dict[str, _Derivatives]) -> tuple[list[int], list[int]]:
+def _reached(
+    initial: _Derivatives, derived: Mapping[str, _Derivatives]
+) -> tuple[list[int], list[int]]:
     """States whose derivatives can differ from zero at some time, and parameters that move any."""
-    found = np.array(_pattern(derived["initial"].by_p))
+    found = np.array(_pattern(initial.by_p))
     step = np.eye(len(found), dtype=bool)
     for what in ("begin", "rate", "finish"):
         step |= _pattern(derived[what].by_x)

@@ -69,7 +69,7 @@ def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
 
     monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")
     monkeypatch.setattr(sensitivity, "write_sensitivity_c", watched)
-    monkeypatch.setattr(sensitivity, "_LIBRARIES", {})
+    monkeypatch.setattr(sensitivity, "_COMPILED", {})
     chosen = [CHOSEN["observer"][:1], CHOSEN["observer"]]
     with ThreadPoolExecutor(2) as pool:
         built = list(pool.map(lambda wrt: SensitiveModel(model, wrt), chosen))
