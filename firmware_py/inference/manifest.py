@@ -1,12 +1,14 @@
-"""Manifest of a bundle: its contents with units and ranges, and the hash of every file."""
+"""Manifest of a bundle: its contents with units and ranges, and the hashes of it and every file."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -27,6 +29,7 @@ FILES: Final = frozenset(
     }
 )  # fmt: skip
 """Files that a manifest may name; whatever else lies in the directory is never read."""
+_OWN_HASH: Final = "content_sha256"
 _MOST_DOF: Final = 2
 _PERIOD_S: Final = (1e-3, 1.0)
 """Range of the period in robot.toml, too."""
@@ -92,6 +95,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     servo_gains : tuple of ServoGains
         Gains of the servos with which the plant was identified, by joint; empty where nobody said.
         A robot whose servos have others is refused.
+    content_sha256 : str
+        Hash of all other fields; empty in bundles of earlier versions, which are not compared.
     """
 
     schema: int = SCHEMA
@@ -110,6 +115,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     files: dict[str, str]
     predictor: str = ""
     servo_gains: tuple[ServoGains, ...] = ()
+    content_sha256: str = ""
 
 
 @dataclass(frozen=True)
@@ -178,10 +184,7 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
         path, "copy the whole bundle here; 'python -m models train' makes one, in a checkout"
     )
     signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
-    try:
-        manifest = msgspec.json.decode(raw.data, type=Manifest)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(path, str(error), "train the bundle again with this version") from None
+    manifest = _decoded(raw.data, path)
     if manifest.schema != SCHEMA:
         raise InputError(
             path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
@@ -197,6 +200,39 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
                 "copy or train the bundle again",
             )  # fmt: skip
     return BundleFiles(directory, manifest, raw.sha256, signed_by, contents)
+
+
+def _decoded(data: bytes, path: Path) -> Manifest:
+    """Manifest in a file; refuses one that was damaged, and one of another version."""
+    try:
+        document = msgspec.json.decode(data)
+        damaged = _hash_differs(document)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise InputError(path, f"is damaged ({error})", "copy the bundle again") from None
+    if damaged:
+        raise InputError(
+            path, f"does not match the hash of its own content ({_OWN_HASH})",
+            "copy the bundle again",
+        )  # fmt: skip
+    try:
+        return msgspec.convert(document, Manifest)
+    except (msgspec.ValidationError, RecursionError) as error:
+        raise InputError(
+            path, str(error), "copy the bundle again, or train it again with this version"
+        ) from None
+
+
+def _hash_differs(document: Any) -> bool:
+    """Whether a manifest has a hash of its own content that is not that of its content."""
+    own = document.get(_OWN_HASH, "") if isinstance(document, dict) else ""
+    return own != "" and own != _content_sha256(document)
+
+
+def _content_sha256(document: dict[str, Any]) -> str:
+    """Hash of the fields of a manifest, in whatever order and layout they are written."""
+    content = {name: value for name, value in document.items() if name != _OWN_HASH}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
@@ -233,7 +269,7 @@ def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
 
 
 def write_manifest(directory: Path, manifest: Manifest) -> None:
-    """Replace `manifest.json` atomically, with the hashes of the bundle's other files.
+    """Replace `manifest.json` atomically, with the hashes of its content and of the other files.
 
     A signature of the old manifest is removed.
 
@@ -242,7 +278,7 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
     directory : Path
         The bundle.
     manifest : Manifest
-        Manifest to write; its `files` are replaced.
+        Manifest to write; its `files` and `content_sha256` are replaced.
     """
     files = {
         name: content_of(directory / name).sha256
@@ -250,6 +286,8 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
         if (directory / name).is_file()
     }
     manifest = msgspec.structs.replace(manifest, files=files)
+    own = _content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
+    manifest = msgspec.structs.replace(manifest, content_sha256=own)
     with replacing(directory / MANIFEST) as scratch:
         scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
         (directory / SIGNATURE).unlink(missing_ok=True)

@@ -31,10 +31,10 @@ def _changed_file(bundle: Path) -> tuple[str, ...]:
 
 
 def _unnamed_file(bundle: Path) -> tuple[str, ...]:
-    """Take the predictor out of the manifest, then change it: no hash tells."""
+    """Take the predictor and its own hash out of the manifest, then change it: no hash tells."""
     manifest = read_manifest(bundle)
     files = {name: sha256 for name, sha256 in manifest.files.items() if name != PREDICTOR}
-    manifest = msgspec.structs.replace(manifest, files=files)
+    manifest = msgspec.structs.replace(manifest, files=files, content_sha256="")
     (bundle / MANIFEST).write_bytes(msgspec.json.encode(manifest))
     _change_a_byte(bundle / PREDICTOR)
     return ()
@@ -42,7 +42,8 @@ def _unnamed_file(bundle: Path) -> tuple[str, ...]:
 
 def _file_outside(bundle: Path) -> tuple[str, ...]:
     manifest = read_manifest(bundle)
-    manifest = msgspec.structs.replace(manifest, files=manifest.files | {"../ticks.mcap": "0" * 64})
+    files = manifest.files | {"../ticks.mcap": "0" * 64}
+    manifest = msgspec.structs.replace(manifest, files=files, content_sha256="")
     (bundle / MANIFEST).write_bytes(msgspec.json.encode(manifest))
     return ()
 

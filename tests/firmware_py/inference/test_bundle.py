@@ -1,5 +1,6 @@
 """Loading of a bundle: hashes, golden ticks, and refusals."""
 
+import json
 import shutil
 
 import msgspec
@@ -80,8 +81,66 @@ def test_a_bundle_without_golden_ticks_is_refused(bundle):
 )
 def test_a_damaged_manifest_is_one_sentence(bundle, content, said):
     (bundle / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=f"{said}.*copy the bundle again"):
         ModelBundle.load(bundle)
+
+
+def test_every_manifest_that_was_cut_off_says_to_copy_the_bundle_again(bundle):
+    path = bundle / "manifest.json"
+    whole = path.read_bytes()
+    for size in range(0, len(whole), 97):
+        path.write_bytes(whole[:size])
+        with pytest.raises(InputError, match=r"manifest\.json: is damaged.*; copy the bundle again"):
+            ModelBundle.load(bundle)
+
+
+def changed_manifest(bundle, *keys, to):
+    """The manifest with another value in one place, as damage leaves it."""
+    document = json.loads((bundle / "manifest.json").read_bytes())
+    place = document
+    for key in keys[:-1]:
+        place = place[key]
+    assert place[keys[-1]] != to
+    place[keys[-1]] = to
+    (bundle / "manifest.json").write_text(json.dumps(document), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("keys", "to"),
+    [
+        (("period_s",), 0.016),
+        (("degree",), 5),
+        (("lag_ticks",), [0, 4, 8, 17]),
+        (("features", 0, "maximum"), 5.25),
+        (("outputs", 2, "maximum"), 9.0),
+        (("plant_sha256",), "0" * 64),
+        (("training_data_sha256",), "0" * 64),
+        (("servo_gains",), [{"position_p": 1}]),
+        (("coefficients", "1", 0), 3.0),
+        (("libraries", "numpy"), "1.0"),
+        (("files",), {}),
+        (("content_sha256",), "0" * 64),
+        (("content_sha256",), 0),
+    ],
+)
+def test_a_changed_value_in_the_manifest_is_refused(bundle, keys, to):
+    changed_manifest(bundle, *keys, to=to)
+    with pytest.raises(InputError, match=r"manifest\.json: does not match.*; copy the bundle again"):
+        ModelBundle.load(bundle)
+
+
+def test_the_hash_of_a_manifest_is_of_its_values_and_not_of_their_layout(bundle):
+    document = json.loads((bundle / "manifest.json").read_bytes())
+    reordered = dict(sorted(document.items(), reverse=True))
+    (bundle / "manifest.json").write_text(json.dumps(reordered), encoding="utf-8")
+    assert read_manifest(bundle).content_sha256 == document["content_sha256"] != ""
+
+
+def test_a_bundle_of_an_earlier_version_has_no_such_hash_and_loads(bundle):
+    document = json.loads((bundle / "manifest.json").read_bytes())
+    del document["content_sha256"]
+    (bundle / "manifest.json").write_text(json.dumps(document), encoding="utf-8")
+    assert ModelBundle.load(bundle).manifest.content_sha256 == ""
 
 
 def test_another_schema_is_refused(bundle):
