@@ -23,7 +23,7 @@ from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import RunSummary
 
-__all__ = ["PayloadEstimate", "contradicted_payload"]
+__all__ = ["PayloadEstimate", "contradicted_payload", "unused_payload"]
 
 Array = NDArray[np.float64]
 
@@ -79,6 +79,25 @@ class PayloadEstimate(NamedTuple):
             LEAST_DIFFERENCE * self.prior_deviation_kg, LEAST_DEVIATIONS * self.deviation_kg
         )
         return abs(self.payload_kg - told_kg) > least_kg
+
+
+def unused_payload(bundle: ModelBundle, told_kg: float | None) -> str:
+    """Return a sentence where a bundle has no use of the payload that it is told, or "".
+
+    Parameters
+    ----------
+    bundle : ModelBundle
+        Of the run.
+    told_kg : float or None
+        `payload_kg` of the run. It is kept for the log and for the goals of a plan.
+    """
+    if told_kg is None or isinstance(bundle.estimator, ObserverEstimator):
+        return ""
+    return (
+        f"payload_kg = {told_kg:g} changes no prediction and is not checked: the bundle "
+        f"{bundle.directory} has no observer, which alone uses it; the log and a plan take the "
+        "value as it is"
+    )
 
 
 def contradicted_payload(

@@ -2,8 +2,9 @@
 
 Every end that the program can handle brings the arm to rest and switches the torque off: the end of
 the motion, Ctrl-C, SIGTERM, SIGHUP (a closed terminal, a lost ssh session) and every other signal
-that can be handled, a stop by the supervisor, an exception. Exit 0 only where no fault was seen and
-every servo confirmed torque off; else 1.
+that can be handled, a stop by the supervisor, an exception. Exit 0 only where no fault stopped the
+robot or was seen while it stopped, every servo confirmed torque off, and the log holds every tick;
+else 1. Reads that were repeated, single ticks without data and missed slots are in the summary.
 
 After SIGKILL or a power loss of the PC the torque stays on; so it does after SIGSTOP and a crash of
 Python or of the kernel. A servo with a bus watchdog stops and holds its position; a legacy PRO
@@ -27,9 +28,9 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
-from firmware_py.commands.payload_check import contradicted_payload
+from firmware_py.commands.payload_check import contradicted_payload, unused_payload
 from firmware_py.config import RobotConfig, check_config, read_config
-from firmware_py.console import DONE, emit
+from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.display_units import CPU_TIME
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
@@ -122,8 +123,10 @@ def run(args: argparse.Namespace) -> int:
             note = outside.note
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
-        for sentence in filter(None, (_origin(bundle), *_uncompared(config, settings), note)):
-            print(f"dropstitch: {sentence}", file=sys.stderr)
+        unused = unused_payload(bundle, config.payload_kg)
+        for sentence in (_origin(bundle), *_uncompared(config, settings), unused, note):
+            if sentence:
+                print(f"dropstitch: {sentence}", file=sys.stderr)
         # Goals of another program end when that says so.
         last = goals.slots if slots is None and args.goals is None else slots
         facts = {} if last is None else {SLOTS_KEY: str(last)}
@@ -147,11 +150,30 @@ def run(args: argparse.Namespace) -> int:
     if log is not None:
         _write_summary(log.with_suffix(".timing.json"), document)
     _tell(args, document, describe(summary, document))
-    if doubt:
-        print(f"warning: {doubt}", file=sys.stderr)
+    lacking = lacking_ticks(document)
+    for sentence in filter(None, (doubt, lacking)):
+        print(f"warning: {sentence}", file=sys.stderr)
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
-    return DONE
+    return NEGATIVE if lacking else DONE
+
+
+def lacking_ticks(document: RunDocument) -> str:
+    """Return a sentence where the log of a run lacks ticks, or "".
+
+    Parameters
+    ----------
+    document : RunDocument
+        The run; without a log nothing lacks.
+    """
+    logged = document.logged_ticks
+    if document.log is None or logged == document.ticks:
+        return ""
+    held = "an unknown number" if logged is None else str(logged)
+    return (
+        f"the log {document.log} holds {held} of {document.ticks} ticks (exit code 1): look for a "
+        "full disk, or for a recorder that was killed or too slow"
+    )
 
 
 def _write_summary(path: Path, document: RunDocument) -> None:

@@ -113,11 +113,14 @@ REQUIREMENTS: Final = (
          "SIGUSR2 in motion", "SIGPIPE in motion", "SIGTSTP in motion"),
     ),
     SafetyRequirement(
-        "SR-08", "A run is a success only where no fault was seen and every torque confirmed off.",
+        "SR-08",
+        "A run is a success only where no fault stopped it or was seen while it stopped, every "
+        "torque confirmed off and the log holds every tick.",
         (
             f"{_T}/test_loop_ends.py::test_a_servo_that_does_not_confirm_torque_off_is_no_success",
             f"{_T}/bus/test_torque_off.py::test_a_late_answer_to_a_read_confirms_no_torque_off",
             f"{_T}/test_robot_commands.py::test_a_trip_is_reported_and_is_a_negative_verdict",
+            f"{_T}/commands/test_run_verdict.py::test_a_log_that_lacks_ticks_is_no_success",
         ),
         (_REASON, _SUPERVISOR),
         ("* while stopping", "torque off unheard, late replies", "unplug and replug"),
@@ -293,6 +296,7 @@ REQUIREMENTS: Final = (
             f"{_T}/inference/test_bundle_trust.py::test_a_manifest_that_names_another_file_is_refused",
             f"{_T}/inference/test_bundle_trust.py::test_a_signed_bundle_is_trusted_by_its_key_alone",
             f"{_T}/inference/test_bundle.py::test_golden_ticks_that_prove_nothing_are_refused",
+            f"{_T}/inference/test_bundle.py::test_a_changed_value_in_the_manifest_is_refused",
         ),
         (),
         ("unfit bundle",),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_py.commands.payload_check import PayloadEstimate, contradicted_payload
+from firmware_py.commands.payload_check import PayloadEstimate, contradicted_payload, unused_payload
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import Motion
 from firmware_py.realtime.timing import Timing
@@ -62,6 +62,13 @@ def test_a_wrong_payload_is_told_and_a_right_one_is_not(bundle, kind):
         assert f"told {payload_kg + 0.5:g} kg (payload_kg)" in told
         assert f"fit a payload of {payload_kg:.1f}" in told
         assert "leave it out" in told
+
+
+def test_a_payload_is_used_by_an_observer_alone(bundle, toy_bundle):
+    assert unused_payload(bundle, 1.0) == "" == unused_payload(bundle, None)
+    lagged = ModelBundle.load(toy_bundle)
+    assert unused_payload(lagged, None) == ""
+    assert "payload_kg = 0 changes no prediction" in unused_payload(lagged, 0.0)
 
 
 def test_an_arm_that_hardly_moves_says_nothing(bundle):

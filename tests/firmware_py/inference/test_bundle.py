@@ -90,7 +90,9 @@ def test_every_manifest_that_was_cut_off_says_to_copy_the_bundle_again(bundle):
     whole = path.read_bytes()
     for size in range(0, len(whole), 97):
         path.write_bytes(whole[:size])
-        with pytest.raises(InputError, match=r"manifest\.json: is damaged.*; copy the bundle again"):
+        with pytest.raises(
+            InputError, match=r"manifest\.json: is damaged.*; copy the bundle again"
+        ):
             ModelBundle.load(bundle)
 
 
@@ -125,7 +127,9 @@ def changed_manifest(bundle, *keys, to):
 )
 def test_a_changed_value_in_the_manifest_is_refused(bundle, keys, to):
     changed_manifest(bundle, *keys, to=to)
-    with pytest.raises(InputError, match=r"manifest\.json: does not match.*; copy the bundle again"):
+    with pytest.raises(
+        InputError, match=r"manifest\.json: does not match.*; copy the bundle again"
+    ):
         ModelBundle.load(bundle)
 
 
