@@ -69,6 +69,14 @@ def test_wheel_holds_the_robot_room_and_the_library_only(wheel: Path) -> None:
     assert {r for r in rooms if not r.endswith(".dist-info")} == {"firmware_py", "dropstitch"}
 
 
+def test_the_stated_size_of_the_wheel_is_that_of_the_wheel(wheel: Path) -> None:
+    """Claim `image-wheel` of the documentation, within a tenth."""
+    claims = json.loads((ROOT / "docs" / "claims.json").read_text(encoding="utf-8"))
+    stated_kb = claims["figures"]["image-wheel"]["value"]
+    remedy = "python -m bench.claims --only image-wheel --accept"
+    assert wheel.stat().st_size / 1000 == pytest.approx(stated_kb, rel=0.1), remedy
+
+
 def sbom(wheel: Path) -> dict:
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (n for n in archive.namelist() if "/sboms/" in n)
@@ -121,6 +129,13 @@ def test_help_shows_every_command(robot: Path, tmp_path: Path) -> None:
     for command in ("run", "doctor", "replay", "bench", "install-service"):
         assert command in shown.stdout
         assert run(robot / "dropstitch", command, "--help", cwd=tmp_path).returncode == 0
+
+
+def test_the_package_runs_as_the_command(robot: Path, tmp_path: Path) -> None:
+    by_name = run(robot / "dropstitch", "replay", cwd=tmp_path)
+    by_package = run(robot / "python", "-m", "dropstitch", "replay", cwd=tmp_path)
+    assert by_name.returncode == by_package.returncode == 2
+    assert by_name.stderr == by_package.stderr != ""
 
 
 def test_nothing_of_the_workshop_is_importable(robot: Path, tmp_path: Path) -> None:
