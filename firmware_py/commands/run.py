@@ -124,9 +124,7 @@ def run(args: argparse.Namespace) -> int:
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
         unused = unused_payload(bundle, config.payload_kg)
-        for sentence in (_origin(bundle), *_uncompared(config, settings), unused, note):
-            if sentence:
-                print(f"dropstitch: {sentence}", file=sys.stderr)
+        _say("dropstitch", _origin(bundle), *_uncompared(config, settings), unused, note)
         # Goals of another program end when that says so.
         last = goals.slots if slots is None and args.goals is None else slots
         facts = {} if last is None else {SLOTS_KEY: str(last)}
@@ -140,8 +138,7 @@ def run(args: argparse.Namespace) -> int:
             config, bundle, bus, clock, goals=goals, correction=correction, slots=slots,
             telemetry=telemetry, counters=counters, service=service,
         )  # fmt: skip
-        for sentence in stack.enter_context(real_time(config.real_time)):
-            print(f"dropstitch: {sentence}", file=sys.stderr)
+        _say("dropstitch", *stack.enter_context(real_time(config.real_time)))
         summary = loop.run()
     doubt = contradicted_payload(bundle, config.payload_kg, config.period_s, summary, log)
     if plan is not None:
@@ -151,8 +148,7 @@ def run(args: argparse.Namespace) -> int:
         _write_summary(log.with_suffix(".timing.json"), document)
     _tell(args, document, describe(summary, document))
     lacking = lacking_ticks(document)
-    for sentence in filter(None, (doubt, lacking)):
-        print(f"warning: {sentence}", file=sys.stderr)
+    _say("warning", doubt, lacking)
     if summary.ended is Ended.TRIPPED:
         raise SafetyTrip(summary.reason, summary.records)
     return NEGATIVE if lacking else DONE
@@ -174,6 +170,12 @@ def lacking_ticks(document: RunDocument) -> str:
         f"the log {document.log} holds {held} of {document.ticks} ticks (exit code 1): look for a "
         "full disk, or for a recorder that was killed or too slow"
     )
+
+
+def _say(who: str, *sentences: str) -> None:
+    """Print the sentences that are not empty on stderr."""
+    for sentence in filter(None, sentences):
+        print(f"{who}: {sentence}", file=sys.stderr)
 
 
 def _write_summary(path: Path, document: RunDocument) -> None:
