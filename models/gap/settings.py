@@ -274,6 +274,16 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     uncalibrated_residual_limit: float = 1.6
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
+    # Verdict
+    closed_error_floors: float = 3.0
+    """Largest held-out error of a signal, in noise floors, up to which a gap counts as closed
+    [assumed]. Measured on a simulated robot with other equations: up to 2.0 where all that was
+    hidden was named, up to 1.5 with nothing hidden, 4.2 and 5.1 where one of two effects was."""
+    closed_error_fraction: float = 0.3
+    """Fraction of the error before from which that counts [assumed]: where the floor is far below
+    what varies between trials, which it leaves out, no plant errs by as little. Measured on the
+    same robot: half was left of the current's error where one of two effects was named."""
+
     # Certainty
     noise_residual: float = 1.25
     """Mean square up to which what is left resembles noise: 6 % of 190 data sets without an effect

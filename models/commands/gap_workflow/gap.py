@@ -79,7 +79,11 @@ def run(args: argparse.Namespace) -> int:
         plant, trials, inputs, args.out, progress.step, args.without, patterns, settings
     )
     progress.step("done", 0)
-    emit(args, msgspec.to_builtins(document), f"{gap_in_words(document)}\n{page}")
+    emit(
+        args,
+        msgspec.to_builtins(document),
+        f"{gap_in_words(document, str(args.out / 'gap.json'))}\n{page}",
+    )
     if found.verdict != "not in the catalogue":
         return DONE
     for warning in evaluation_doubts(evaluate_plant(plant, found.trials), plant):

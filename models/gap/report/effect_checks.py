@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.posterior import DECIDED
 from models.gap.report.gap_json import GapDocument
 
@@ -77,6 +78,8 @@ MOST_CHECKS: Final = 5
 def effects_to_check(document: GapDocument) -> dict[str, str]:
     """Check of each effect that is named, looks like a named one, or is not excluded; likely first.
 
+    The effect that would take up most of what is left is checked too.
+
     Parameters
     ----------
     document : GapDocument
@@ -86,5 +89,19 @@ def effects_to_check(document: GapDocument) -> dict[str, str]:
     named = [e for row in document.named if row.kept for e in row.effect.split(" + ")]
     alike = [c.effect for row in document.named if row.kept for c in row.look_alikes]
     likely = [e for e, p in sorted(known.items(), key=lambda r: -r[1]) if p > 1 - DECIDED]
-    order = [e for e in dict.fromkeys([*named, *likely, *alike]) if e in EFFECT_CHECKS]
+    further = further_missing(document)
+    left = [further.effect] if further is not None and document.verdict == "reduced" else []
+    order = [e for e in dict.fromkeys([*named, *likely, *alike, *left]) if e in EFFECT_CHECKS]
     return {effect: EFFECT_CHECKS[effect] for effect in order[:MOST_CHECKS]}
+
+
+def further_missing(document: GapDocument) -> FurtherEffect | None:
+    """Effect that would explain more beside the named ones than noise and their equations miss.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    """
+    further = document.tested[-1].further if document.tested else None
+    return further if further is not None and further.is_missing else None

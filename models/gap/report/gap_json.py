@@ -108,13 +108,20 @@ class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bound: Literal["lower", "upper"] | None = None
 
     def __str__(self) -> str:
-        """Value with its error, rounded, without its unit."""
-        return f"{self.value:.4g} ± {self.error or 0:.2g}"
+        """Value with its error where it has one, rounded, without its unit."""
+        return f"{self.value:.4g}" + (f" ± {self.error:.2g}" if self.error is not None else "")
+
+    @property
+    def unit_in_words(self) -> str:
+        """Its unit behind a space; empty where it has none."""
+        return f" {self.unit}" if self.unit not in ("", "1") else ""
 
     @property
     def bound_in_words(self) -> str:
-        """The bound that the value is at, in brackets; empty where it is within."""
-        return f" (at its {self.bound} bound)" if self.bound else ""
+        """The bound that the value is at, or that it was not fitted, in brackets; else empty."""
+        if self.bound:
+            return f" (at its {self.bound} bound)"
+        return " (not fitted)" if self.error is None else ""
 
 
 class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -17,14 +17,13 @@ from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_json import GapDocument, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
-    is_plant_as_given,
-    next_step_in_words,
     probabilities_in_words,
     refusals_in_words,
     verdict_in_words,
 )
 from models.gap.report.localisation_maps import localisation_maps
 from models.gap.report.missing_effects import compared_effects, named_effects
+from models.gap.report.next_step import is_plant_as_given, next_step_in_words
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
@@ -71,15 +70,26 @@ def write_gap_page(
     """
     page = render_page(
         "The gap between plant and measurement",
-        [origin_notice(origins_of(trials)), *gap_lead(document)],
+        [
+            origin_notice(origins_of(trials)),
+            *gap_lead(document, str(path.with_name("gap.json"))),
+        ],
         gap_sections(document, before, after, trials),
     )
     path.write_text(page, encoding="utf-8")
     return path
 
 
-def gap_lead(document: GapDocument) -> list[Part]:
-    """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
+def gap_lead(document: GapDocument, gap_json: str = "OUT/gap.json") -> list[Part]:
+    """Verdict, place of the gap, the plant's tip error before and after, and what to do next.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of the diagnosis.
+    gap_json : str
+        Path of its file.
+    """
     said = document.sentence
     for more in notes_in_words(document):
         said += f" {more[0].upper() + more[1:]}."
@@ -88,7 +98,7 @@ def gap_lead(document: GapDocument) -> list[Part]:
         before, after = (LENGTH.significant(value) for value in tip_m)
         said += f" The tip error of the plant is {before} RMS before and {after} RMS after."
     known = probabilities_in_words(document)
-    next_step = Markup("{} <b>Next:</b> {}").format(known, next_step_in_words(document))
+    next_step = Markup("{} <b>Next:</b> {}").format(known, next_step_in_words(document, gap_json))
     return [
         Paragraph(Markup("<b>{}</b> {}").format(verdict_in_words(document), said), "lead"),
         Paragraph(next_step),

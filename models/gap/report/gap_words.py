@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Final
 
 from firmware_py.signals import without_unit
-from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.posterior import DECIDED
 from models.gap.decision.rejected_effects import UNEXCITED
-from models.gap.report.effect_checks import effects_to_check
+from models.gap.report.effect_checks import effects_to_check, further_missing
 from models.gap.report.gap_json import GapDocument, NamedEffect
+from models.gap.report.next_step import (
+    in_percent,
+    is_plant_as_given,
+    next_step_in_words,
+    separated_in_words,
+)
 from models.gap.report.trial_notes import notes_in_words
+from models.gap.settings import GapSettings
 
 MOST_TOLD: Final = 3
 """Effects, or sets of these, that are told where none is sure enough to be named."""
+
+MOSTLY: Final = 3.0
+"""Ratio of the changes in two joints from which an effect is told as one joint's [assumed]."""
 
 TOLD_CHANGE: Final = 0.02
 """Change of a parameter of the link, as a fraction, from which it is told [assumed]."""
@@ -22,17 +32,21 @@ TOLD_CHANGE: Final = 0.02
 
 def verdict_in_words(document: GapDocument) -> str:
     """Verdict as one or two sentences."""
-    names = ", ".join(r.effect.replace("_", " ") for r in document.named if r.kept)
+    names = ", ".join(
+        r.effect.replace("_", " ") + (f" of joint {joint}" if (joint := joint_of(r)) else "")
+        for r in document.named
+        if r.kept
+    )
     if document.verdict == "no floor":
         return (f"Reduced by {names}. " if names else "Nothing was named. ") + unexplained_in_words(
             document
         )
     answers = document.answers
     if answers is not None and answers.catalogue < DECIDED:
-        names += f" (probability {_percent(answers.catalogue)})" if names else ""
+        names += f" (probability {in_percent(answers.catalogue)})" if names else ""
     no_gap = "These trials show nothing that is missing."
     if answers is not None and answers.nothing < 0.5:
-        missing = _percent(1 - answers.nothing)
+        missing = in_percent(1 - answers.nothing)
         no_gap = f"No effect can be named; that one is missing has a probability of {missing}."
     return {
         "no gap": no_gap + (f" {changed}" if (changed := change_in_words(document)) else ""),
@@ -41,6 +55,25 @@ def verdict_in_words(document: GapDocument) -> str:
         "not in the catalogue": _outside_in_words(document)
         + (f" {names.capitalize()} explains a part of it only." if names else ""),
     }[document.verdict]
+
+
+def joint_of(row: NamedEffect) -> int | None:
+    """Joint that an effect changed in most; None where it changed in both, or has one strength.
+
+    Parameters
+    ----------
+    row : NamedEffect
+        With a strength for each joint.
+    """
+    for name, first in row.parameters.items():
+        second = row.parameters.get(re.sub(r"_1(?=_|$)", "_2", name))
+        if "_1" not in name or second is None:
+            continue
+        changes = [abs(q.value - q.before) for q in (first, second)]
+        if max(changes) > MOSTLY * min(changes):
+            return 1 + changes.index(max(changes))
+        return None
+    return None
 
 
 def change_in_words(document: GapDocument) -> str:
@@ -68,21 +101,21 @@ def _outside_in_words(document: GapDocument) -> str:
             return "The missing effect is not in the catalogue."
         return (
             f"An effect that is not in the catalogue is missing with a probability of "
-            f"{_percent(answers.outside)}, nothing with {_percent(answers.nothing)}."
+            f"{in_percent(answers.outside)}, nothing with {in_percent(answers.nothing)}."
         )
-    named = ", ".join(f"{e.replace('_', ' ')} {_percent(effects[e])}" for e in likely[:MOST_TOLD])
+    named = ", ".join(f"{e.replace('_', ' ')} {in_percent(effects[e])}" for e in likely[:MOST_TOLD])
     return (
         "No effect is sure enough to be named. Effects of the catalogue are missing with a "
-        f"probability of {_percent(answers.catalogue)} ({named}), something outside of it with "
-        f"{_percent(answers.outside)}."
+        f"probability of {in_percent(answers.catalogue)} ({named}), something outside of it with "
+        f"{in_percent(answers.outside)}."
     )
 
 
 def _left_in_words(document: GapDocument) -> str:
     """What is left beside the named effects."""
-    further = _further_missing(document)
+    further = further_missing(document)
     if further is None:
-        return "a residual above the noise floor is left"
+        return _largest_error_in_words(document)
     return (
         "more is left than noise and errors of the named equations explain. Of the catalogue "
         f"{further.effect.replace('_', ' ')} would take up most of it (by d′ "
@@ -91,10 +124,14 @@ def _left_in_words(document: GapDocument) -> str:
     )
 
 
-def _further_missing(document: GapDocument) -> FurtherEffect | None:
-    """Effect that would explain more beside the named ones than noise and their equations miss."""
-    further = document.tested[-1].further if document.tested else None
-    return further if further is not None and further.is_missing else None
+def _largest_error_in_words(document: GapDocument) -> str:
+    """The signal whose error with the named effects is the largest, in noise floors."""
+    errors = document.after.get("held_out", document.after["fitted"])
+    sizes = {signal: row.floors for signal, row in errors.items() if row.floors is not None}
+    if not sizes:
+        return "a residual above the noise floor is left"
+    signal = max(sizes, key=lambda name: sizes[name])
+    return f"more than noise is left, in {signal} {sizes[signal]:.1f} noise floors"
 
 
 def unexplained_in_words(document: GapDocument) -> str:
@@ -135,10 +172,17 @@ def refusals_in_words(document: GapDocument) -> list[str]:
         elif row.effect:
             result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
         else:
-            result.append(
-                f"refitted, {row.reason}; plant.json keeps the value of the plant as given."
-            )
+            result.append(f"refitted, {row.reason}; {_kept_in_words(document, row.name)}.")
     return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
+
+
+def _kept_in_words(document: GapDocument, parameter: str) -> str:
+    """What plant.json holds of a refitted value that was undone."""
+    for row in document.named:
+        if row.kept and parameter in row.parameters:
+            q = row.parameters[parameter]
+            return f"plant.json holds {q.value:.4g}{q.unit_in_words}, where the fit began"
+    return "plant.json keeps the value of the plant as given"
 
 
 def _judged_sets(document: GapDocument) -> dict[str, float]:
@@ -154,19 +198,8 @@ def _judged_sets(document: GapDocument) -> dict[str, float]:
 def _judged_in_words(judged: Mapping[str, float]) -> str:
     """Sentence on sets of effects none of which is sure enough."""
     likeliest = list(judged.items())[:MOST_TOLD]
-    listed = ", ".join(f"{name.replace('_', ' ')} {_percent(p)}" for name, p in likeliest)
+    listed = ", ".join(f"{name.replace('_', ' ')} {in_percent(p)}" for name, p in likeliest)
     return f"none of {len(judged)} answers is sure enough to be named; the likeliest: {listed}."
-
-
-def is_plant_as_given(document: GapDocument) -> bool:
-    """Whether the plant that was written is the one as given."""
-    named = {e for row in document.named if row.kept for e in row.effect.split(" + ")}
-    return not (document.refitted or named - _withheld(document))
-
-
-def _withheld(document: GapDocument) -> set[str]:
-    rows = [row for row in document.refused if row.kind == "not written"]
-    return {effect for row in rows for effect in row.effect.split(" + ")}
 
 
 def probabilities_in_words(document: GapDocument) -> str:
@@ -175,108 +208,31 @@ def probabilities_in_words(document: GapDocument) -> str:
     if answers is None:
         return ""
     rows = ", ".join(
-        f"{effect.replace('_', ' ')} {_percent(probability)}"
+        f"{effect.replace('_', ' ')} {in_percent(probability)}"
         for effect, probability in document.effect_probabilities.items()
         if probability > 1 - DECIDED
     )
     return (
-        f"Probabilities: nothing is missing {_percent(answers.nothing)}; effects of the catalogue "
-        f"are {_percent(answers.catalogue)}{rows and f' ({rows})'}; something else is "
-        f"{_percent(answers.outside)}."
+        f"Probabilities: nothing is missing {in_percent(answers.nothing)}; effects of the "
+        f"catalogue are {in_percent(answers.catalogue)}{rows and f' ({rows})'}; something else is "
+        f"{in_percent(answers.outside)}."
     )
 
 
-def _percent(probability: float) -> str:
-    """Probability as a person reads it: no finite number of trials gives 0 or 100 %."""
-    return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"
-
-
-def next_step_in_words(document: GapDocument) -> str:
-    """What the user does next, in one sentence; odd trials come first."""
-    if not document.odd_trials:
-        return _next_step_of_the_rest(document)
-    names = ", ".join(o.name for o in document.odd_trials)
-    return (
-        f"Check payload_kg, conditions and recording of {names} (python -m models validate), "
-        f"mend or repeat it, and run gap again. Without it: {_next_step_of_the_rest(document)}"
-    )
-
-
-def _next_step_of_the_rest(document: GapDocument) -> str:
-    """The same, by what the other trials show."""
-    if document.verdict == "no floor":
-        return "Repeat at least one trial: only repetitions tell noise from error."
-    if document.verdict == "not in the catalogue":
-        return _next_step_outside(document)
-    if not any(row.kept for row in document.named):
-        answers = document.answers
-        if answers is None or answers.nothing >= DECIDED:
-            if document.refitted:
-                return "Use the refitted plant: train a bundle with it (python -m models train)."
-            return "Nothing: the plant explains these trials."
-        refitted = "plant.json holds the refitted link, the better plant so far. "
-        return (
-            f"{refitted if document.refitted else ''}Record another motion or payload, or more "
-            f"repetitions: with a probability of {_percent(1 - answers.nothing)} something is "
-            "missing that these trials show too faintly to be named."
-        )
-    undecided = [
-        effect.replace("_", " ")
-        for effect, probability in document.effect_probabilities.items()
-        if 1 - DECIDED < probability < DECIDED
-    ]
-    if undecided:
-        return (
-            f"These trials do not decide on {', '.join(undecided)}: 'python -m models experiment "
-            "--gap OUT/gap.json --limits robot.toml --out MOTION.toml' designs the one that does."
-        )
-    further = _further_missing(document)
-    refused = {row.effect for row in document.refused}
-    if further is not None and further.effect not in refused:
-        return (
-            "Record another motion or payload: these trials do not decide whether "
-            f"{further.effect.replace('_', ' ')} is missing too."
-        )
-    if is_plant_as_given(document):
-        return (
-            "Identify the plant again on these trials, or record another motion or payload: with "
-            "the effect alone the plant as given would not err less on what was left out."
-        )
-    if lacks := _withheld(document):
-        lacking = ", ".join(sorted(effect.replace("_", " ") for effect in lacks))
-        return (
-            f"Identify the plant again on these trials: the improved plant lacks {lacking}, with "
-            "which it would not err less on what was left out."
-        )
-    return "Use the improved plant: train a bundle with it (python -m models train --plant)."
-
-
-def _next_step_outside(document: GapDocument) -> str:
-    """The same where something outside of the catalogue is likelier than nothing."""
-    record = "Record another motion or payload, so that more is left out"
-    answers = document.answers
-    if answers is None or answers.nothing <= 1 - DECIDED:
-        return f"{record}, or describe the effect in one file (models/plant/effects)."
-    if document.settings.same_link:
-        return f"{record}."
-    return (
-        f"{record}. If the link may have changed since, identify the plant again first: a changed "
-        "link adds to the plant's own error."
-    )
-
-
-def gap_in_words(document: GapDocument) -> str:
+def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
     """Text for the console.
 
     Parameters
     ----------
     document : GapDocument
         Of a diagnosis.
+    gap_json : str
+        Path of its file.
     """
     lines = [f"verdict: {document.verdict}", verdict_in_words(document), document.sentence]
     lines += notes_in_words(document)
     for row in document.named:
-        lines += _named_in_words(row)
+        lines += _named_in_words(row, document.settings)
     if said := probabilities_in_words(document):
         lines.append(said)
     lines += refusals_in_words(document)
@@ -298,23 +254,25 @@ def gap_in_words(document: GapDocument) -> str:
         lines.append("not excited: " + ", ".join(unexcited))
     for effect, check in effects_to_check(document).items():
         lines.append(f"check on the robot, for {effect.replace('_', ' ')}: {check}")
-    lines.append("next: " + next_step_in_words(document))
+    lines.append("next: " + next_step_in_words(document, gap_json))
     return "\n".join(lines)
 
 
-def _named_in_words(row: NamedEffect) -> list[str]:
+def _named_in_words(row: NamedEffect, settings: GapSettings) -> list[str]:
     """An effect with its values, its look-alikes and whether its strength is consistent."""
+    if not row.kept:
+        return [f"found, then refused: {row.effect} (d′ {row.evidence.separation:.1f})"]
     values = ", ".join(
-        f"{name} = {q} {q.unit}{q.bound_in_words}" for name, q in row.parameters.items()
+        f"{name} = {q}{q.unit_in_words}{q.bound_in_words}"
+        + (f", before {q.before:.4g}" if q.before else "")
+        for name, q in row.parameters.items()
     )
-    word = "named" if row.kept else "found, then refused"
-    lines = [f"{word}: {row.effect} (d′ {row.evidence.separation:.1f})"]
-    if row.kept:
-        lines[0] += f"; {values}"
-    if row.separated_by:
+    lines = [f"named: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
+    if row.look_alikes:
         others = ", ".join(c.effect for c in row.look_alikes)
         lines.append(
-            f"  these trials cannot tell it from {others}; {row.separated_by.motion} would"
+            f"  these trials cannot tell {row.effect} from {others}; "
+            + separated_in_words(row.separated_by, settings)
         )
     if not row.evidence.strength_holds:
         differs = row.evidence.strength_standard_deviation

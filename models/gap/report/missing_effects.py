@@ -9,6 +9,8 @@ from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, symbol_of
 from models.gap.report.gap_json import GapDocument, NamedEffect, NamingEvidence
+from models.gap.report.next_step import separated_in_words
+from models.gap.settings import GapSettings
 from models.shared.catalogue import CATALOGUE, EVERY_EFFECT, effect_and_joint
 from models.shared.gap_charts import draw_bars
 from models.shared.page_parts import Cell, Figure, Paragraph, Part, Table
@@ -28,8 +30,10 @@ def named_effects(document: GapDocument, hidden: Mapping[str, float] | None) -> 
     hidden : mapping of str to float, optional
         Effects that were hidden with their strengths; adds a column.
     """
-    kept = [_row(entry, hidden) for entry in document.named if entry.kept]
-    taken_out = [_row(entry, hidden) for entry in document.named if not entry.kept]
+    kept = [_row(entry, hidden, document.settings) for entry in document.named if entry.kept]
+    taken_out = [
+        _row(entry, hidden, document.settings) for entry in document.named if not entry.kept
+    ]
     head = ["effect", "value found", "d′", "strength differs by", "look-alikes"]
     if hidden is not None:
         head.insert(1, "hidden")
@@ -39,7 +43,9 @@ def named_effects(document: GapDocument, hidden: Mapping[str, float] | None) -> 
     return parts
 
 
-def _row(entry: NamedEffect, hidden: Mapping[str, float] | None) -> list[Cell]:
+def _row(
+    entry: NamedEffect, hidden: Mapping[str, float] | None, settings: GapSettings
+) -> list[Cell]:
     effects = entry.effect.split(" + ")
     meaning = "; ".join(EVERY_EFFECT[e].strength for e in effects if e in EVERY_EFFECT)
     values = Markup("<br>").join(
@@ -47,8 +53,8 @@ def _row(entry: NamedEffect, hidden: Mapping[str, float] | None) -> list[Cell]:
         for name, q in entry.parameters.items()
     )
     alike = ", ".join(_words(c.effect) for c in entry.look_alikes) or "none"
-    if entry.separated_by:
-        alike += f"; separated by: {_words(entry.separated_by.motion)}"
+    if entry.look_alikes and entry.kept:
+        alike += f"; {separated_in_words(entry.separated_by, settings)}"
     effect = Markup("<b>{}</b><br><small>{}</small>").format(_words(entry.effect), meaning)
     row: list[Cell] = [
         effect, values if entry.kept else "not written", f"{entry.evidence.separation:.1f}",

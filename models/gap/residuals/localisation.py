@@ -273,8 +273,7 @@ def location_sentence(
         parts.append("growing with payload")
     elif len(payload) > 1 and payload[0].floors > ratio * payload[-1].floors:
         parts.append("falling with payload")
-    text = ", ".join(parts) + "."
-    return text[0].upper() + text[1:]
+    return f"With link and set-up refitted, {', '.join(parts)}."
 
 
 def _payload(region: GapRegion) -> float:

@@ -2,12 +2,15 @@
 
 from types import SimpleNamespace
 
+from models.gap.decision.further_effect import FurtherEffect
 from models.gap.report.effect_checks import EFFECT_CHECKS, MOST_CHECKS, effects_to_check
 from models.shared.catalogue import EVERY_EFFECT
 
 
-def document(*named, probabilities=None):
+def document(*named, probabilities=None, verdict="closed", further=None):
     return SimpleNamespace(
+        verdict=verdict,
+        tested=[SimpleNamespace(further=further)],
         named=[
             SimpleNamespace(
                 kept=kept, effect=effect, look_alikes=[SimpleNamespace(effect=e) for e in alike]
@@ -38,3 +41,11 @@ def test_no_more_are_told_than_a_person_looks_at_and_none_of_ones_own_effects():
     assert len(effects_to_check(document(probabilities=many))) == MOST_CHECKS
     assert effects_to_check(document(("hose_spring", True, []))) == {}
     assert effects_to_check(document()) == {}
+
+
+def test_what_would_take_up_the_rest_is_checked_too():
+    further = FurtherEffect("unmodelled_payload", separation=57.0, least=16.0)
+    given = {"verdict": "reduced", "further": further}
+    assert list(effects_to_check(document(("backlash", True, []), **given))) == [
+        "backlash", "unmodelled_payload",
+    ]  # fmt: skip

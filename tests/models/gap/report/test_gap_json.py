@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from firmware_py.errors import InputError
-from models.gap.report.gap_json import read_gap_document, write_gap_document
+from models.gap.report.gap_json import FittedValue, read_gap_document, write_gap_document
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
@@ -78,11 +78,17 @@ def test_console_and_page_name_the_effect(document, late, tmp_path):
     assert "http" not in page.replace("http://www.w3.org/2000/svg", "")
 
 
+def test_a_value_without_an_error_is_told_as_not_fitted():
+    assert str(FittedValue(0.04, "s", None, 0.0)) == "0.04"
+    assert FittedValue(0.04, "s", None, 0.0).bound_in_words == " (not fitted)"
+    assert str(FittedValue(0.04, "s", 0.001, 0.0)) == "0.04 ± 0.001"
+
+
 def test_a_value_at_its_bound_is_said(document, late, tmp_path):
     found, trials = late
     (row,) = document.named
     name, phase = row.parameters  # of the dead time: its strength, and where it meets the sampling
-    assert row.parameters[phase].unit == "1"
+    assert row.parameters[phase].unit_in_words == "" and row.parameters[name].unit_in_words == " s"
     assert row.parameters[name].bound is None and "bound)" not in gap_in_words(document)
     high = found.fitted.parameters[name].high
     ended = found.fitted.with_values({name: high})

@@ -3,25 +3,29 @@
 from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import replace
 
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.rejected_effects import STAND_IN_BESIDE_OTHERS
 from models.gap.report.gap_json import FittedValue
 from models.gap.report.gap_words import (
-    is_plant_as_given,
-    next_step_in_words,
+    joint_of,
     probabilities_in_words,
     refusals_in_words,
     verdict_in_words,
 )
+from models.gap.report.next_step import is_plant_as_given, next_step_in_words
 from models.gap.search.refused_effect import RefusedEffect
 
 
 def document(verdict, *named, answers=None, further=None, refitted=(), **probabilities):
     return SimpleNamespace(
         verdict=verdict,
-        named=[SimpleNamespace(kept=True, effect=effect) for effect in named],
+        named=[
+            SimpleNamespace(kept=True, effect=effect, parameters={}, look_alikes=())
+            for effect in named
+        ],
         effect_probabilities=probabilities,
         answers=answers,
         refused=[],
@@ -29,6 +33,8 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
         refitted=dict(refitted),
         tested=[SimpleNamespace(further=further)],
         odd_trials=(),
+        before={"fitted": {"angle_1_rad": None}},
+        after={"fitted": {"tip_z_m": SimpleNamespace(floors=3.4)}},
     )
 
 
@@ -39,7 +45,10 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
         (document("not in the catalogue", creep=0.99), "Record another motion"),
         (document("not in the catalogue", answers=Answers(0.0, 0.1, 0.9)), "describe the effect"),
         (document("not in the catalogue", answers=Answers(0.3, 0.0, 0.7)), "identify the plant"),
-        (document("closed", "creep", creep=0.6, hysteresis=0.4), "creep, hysteresis: 'python -m"),
+        (
+            document("closed", "creep", creep=0.6, hysteresis=0.4),
+            "creep, hysteresis: 'python -m models experiment --gap OUT/gap.json",
+        ),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
         (
             document("reduced", "creep", further=FurtherEffect("backlash", 40.0, 20.0), creep=0.97),
@@ -62,12 +71,46 @@ def test_an_odd_trial_is_mended_first_and_a_refitted_link_is_the_better_plant():
     assert "Without it: plant.json holds the refitted link" in said
 
 
-def test_a_further_effect_that_was_refused_is_not_asked_for():
-    further = FurtherEffect("backlash", separation=40.0, least=20.0)
-    found = document("reduced", "creep", further=further)
-    assert "whether backlash is missing too" in next_step_in_words(found)
-    found.refused = [SimpleNamespace(effect="backlash", kind="held-out error")]
-    assert "backlash" not in next_step_in_words(found)
+@pytest.mark.parametrize("kind", [None, "held-out error", "stand-in"])
+def test_where_more_is_left_the_next_step_is_to_look_for_it(kind):
+    further = FurtherEffect("unmodelled_payload", separation=57.0, least=16.0)
+    found = document("reduced", "backlash", further=further, backlash=0.98)
+    found.refused = [SimpleNamespace(effect=further.effect, kind=kind)] if kind else []
+    said = next_step_in_words(found)
+    assert "whether unmodelled payload is missing too. Weigh the payload" in said
+    assert "run gap again before you train" in said
+    nothing_further = next_step_in_words(document("reduced", "backlash", backlash=0.98))
+    assert "more than noise is left" in nothing_further and "Weigh" not in nothing_further
+
+
+def test_the_next_command_has_the_path_of_the_diagnosis_and_tells_of_both_servos():
+    found = document("closed", "creep", creep=0.6)
+    assert "--gap 'my gap/gap.json'" in next_step_in_words(found, "my gap/gap.json")
+    assert "both servos" not in next_step_in_words(found)
+    found.before = {"fitted": {"angle_2_rad": None}}
+    assert "both servos" in next_step_in_words(found)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "joint"),
+    [((3.59, 3.22), (3.38, 5.26), 2), ((0.0, 0.02), (0.0, 0.0), 1), ((1.0, 2.0), (1.0, 2.5), None)],
+)
+def test_an_effect_is_told_with_the_joint_that_it_changed_in(first, second, joint):
+    values = [FittedValue(after, "N.m", 0.1, before) for before, after in (first, second)]
+    row = SimpleNamespace(
+        kept=True, effect="coulomb_friction",
+        parameters={f"coulomb_friction_{j}_nm": q for j, q in zip((1, 2), values, strict=True)},
+    )  # fmt: skip
+    found = document("closed")
+    found.named = [row]
+    assert joint_of(row) == joint
+    of_joint = f" of joint {joint}" if joint else ""
+    assert verdict_in_words(found) == f"Closed by coulomb friction{of_joint}."
+
+
+def test_an_effect_with_one_strength_is_of_no_joint():
+    row = SimpleNamespace(parameters={"unmodelled_payload_kg": FittedValue(0.3, "kg", 0.1, 0.0)})
+    assert joint_of(row) is None
 
 
 def test_every_answer_has_its_probability_and_likely_effects_are_listed():
@@ -93,7 +136,7 @@ def test_no_probability_is_said_to_be_certain():
             40.0,
             "backlash would take up most of it (by d′ 40, noise and these errors by 20)",
         ),
-        (19.0, "a residual above the noise floor is left"),
+        (19.0, "more than noise is left, in tip_z_m 3.4 noise floors"),
     ],
 )
 def test_what_is_left_is_told_where_a_further_effect_would_explain_it(separation, words):
@@ -180,4 +223,14 @@ def test_where_several_sets_were_judged_in_vain_one_sentence_has_their_probabili
 def test_a_sentence_keeps_the_name_of_a_value_as_it_is_spelled():
     found = document("closed", "creep")
     found.refused = [refused("", "at a bound", "root_damping_1_nm_s_rad ended at its upper bound")]
-    assert refusals_in_words(found)[0].startswith("Refitted, root_damping_1_nm_s_rad ended")
+    (said,) = refusals_in_words(found)
+    assert said.startswith("Refitted, root_damping_1_nm_s_rad ended")
+    assert said.endswith("plant.json keeps the value of the plant as given.")
+
+
+def test_a_value_of_a_named_effect_at_its_bound_is_told_with_what_is_written():
+    found = document("reduced", "backlash")
+    found.named[0].parameters = {"backlash_mount_fraction": FittedValue(0.5, "1", None, 0.0)}
+    row = refused("", "at a bound", "backlash_mount_fraction ended at its lower bound of -0.5")
+    found.refused = [replace(row, name="backlash_mount_fraction")]
+    assert refusals_in_words(found)[0].endswith("; plant.json holds 0.5, where the fit began.")

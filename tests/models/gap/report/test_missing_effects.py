@@ -4,7 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from models.gap.report.gap_json import SeparatingMotion
 from models.gap.report.missing_effects import compared_effects, named_effects
+from models.gap.settings import DEFAULT_SETTINGS
 
 
 def named(effect, kept, separation=15.0):
@@ -22,18 +24,32 @@ def rejected(effect, separation):
 
 
 def test_an_effect_that_was_taken_out_is_not_in_the_table_of_those_named():
-    found = SimpleNamespace(named=[named("creep", True), named("backlash", False)])
+    found = SimpleNamespace(
+        named=[named("creep", True), named("backlash", False)], settings=DEFAULT_SETTINGS
+    )
     kept, taken_out = named_effects(found, None)
     assert "creep" in kept.rows[0][0] and len(kept.rows) == 1
     assert "backlash" in taken_out.rows[0][0] and "taken out" in taken_out.title
-    nothing, _ = named_effects(SimpleNamespace(named=[named("creep", False)]), None)
+    found.named = [named("creep", False)]
+    nothing, _ = named_effects(found, None)
     assert nothing.text == "No effect is named."
 
 
 def test_what_was_hidden_in_one_joint_is_told_with_the_joint():
-    found = SimpleNamespace(named=[named("backlash", True), named("creep", True)])
+    found = SimpleNamespace(
+        named=[named("backlash", True), named("creep", True)], settings=DEFAULT_SETTINGS
+    )
     table, *_ = named_effects(found, {"backlash:2": 0.01, "creep": 0.3})
     assert [row[1] for row in table.rows] == ["0.01 rad, joint 2", "0.3"]
+
+
+@pytest.mark.parametrize(("separation", "words"), [(2.65, "no fixed motion"), (4.8, "'multisine'")])
+def test_a_motion_is_told_only_where_it_tells_look_alikes_apart(separation, words):
+    row = named("encoder_offset", True)
+    row.look_alikes = [SimpleNamespace(effect="prebend")]
+    row.separated_by = SeparatingMotion("multisine", {"multisine": separation, "triangle": 1.5})
+    table, *_ = named_effects(SimpleNamespace(named=[row], settings=DEFAULT_SETTINGS), None)
+    assert words in table.rows[0][-1]
 
 
 @pytest.mark.parametrize("kept", [True, False])

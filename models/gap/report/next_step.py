@@ -1,0 +1,159 @@
+"""Next step after a diagnosis, in words."""
+
+from __future__ import annotations
+
+import shlex
+
+from models.gap.decision.posterior import DECIDED
+from models.gap.report.effect_checks import EFFECT_CHECKS, further_missing
+from models.gap.report.gap_json import GapDocument, SeparatingMotion
+from models.gap.settings import GapSettings
+
+
+def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
+    """What the user does next, in one sentence; odd trials come first.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    gap_json : str
+        Path of its file.
+    """
+    if not document.odd_trials:
+        return _next_step_of_the_rest(document, gap_json)
+    names = ", ".join(o.name for o in document.odd_trials)
+    return (
+        f"Check payload_kg, conditions and recording of {names} (python -m models validate), mend "
+        f"or repeat it, and run gap again. Without it: {_next_step_of_the_rest(document, gap_json)}"
+    )
+
+
+def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
+    """The same, by what the other trials show."""
+    if document.verdict == "no floor":
+        return "Repeat at least one trial: only repetitions tell noise from error."
+    if document.verdict == "not in the catalogue":
+        return _next_step_outside(document)
+    if not any(row.kept for row in document.named):
+        return _next_step_without_a_name(document)
+    undecided = [
+        effect.replace("_", " ")
+        for effect, probability in document.effect_probabilities.items()
+        if 1 - DECIDED < probability < DECIDED
+    ]
+    if undecided:
+        limits = "robot.toml"
+        if any("_2_" in signal for signal in document.before["fitted"]):
+            limits += " (with both servos)"
+        return (
+            f"These trials do not decide on {', '.join(undecided)}: 'python -m models experiment "
+            f"--gap {shlex.quote(gap_json)} --limits robot.toml --out MOTION.toml' designs the "
+            f"motion that tells most of it, within the limits of {limits}."
+        )
+    if is_plant_as_given(document):
+        return (
+            "Identify the plant again on these trials, or record another motion or payload: with "
+            "the effect alone the plant as given would not err less on what was left out."
+        )
+    if lacks := _withheld(document):
+        lacking = ", ".join(sorted(effect.replace("_", " ") for effect in lacks))
+        return (
+            f"Identify the plant again on these trials: the improved plant lacks {lacking}, with "
+            "which it would not err less on what was left out."
+        )
+    if document.verdict == "reduced":
+        return _next_step_of_more(document)
+    return "Use the improved plant: train a bundle with it (python -m models train --plant)."
+
+
+def _next_step_of_more(document: GapDocument) -> str:
+    """The same where the named effects leave more than noise."""
+    record = "record another motion or payload and run gap again before you train with it."
+    further = further_missing(document)
+    if further is None:
+        return f"The improved plant is the better one, but more than noise is left: {record}"
+    effect = further.effect.replace("_", " ")
+    check = EFFECT_CHECKS.get(further.effect, "")
+    return (
+        f"The improved plant is the better one, but these trials do not decide whether {effect} is "
+        f"missing too.{check and f' {check}'} Or {record}"
+    )
+
+
+def _next_step_without_a_name(document: GapDocument) -> str:
+    """The same where no effect is named, and nothing outside of the catalogue is likely."""
+    answers = document.answers
+    if answers is None or answers.nothing >= DECIDED:
+        if document.refitted:
+            return "Use the refitted plant: train a bundle with it (python -m models train)."
+        return "Nothing: the plant explains these trials."
+    refitted = "plant.json holds the refitted link, the better plant so far. "
+    return (
+        f"{refitted if document.refitted else ''}Record another motion or payload, or more "
+        f"repetitions: with a probability of {in_percent(1 - answers.nothing)} something is "
+        "missing that these trials show too faintly to be named."
+    )
+
+
+def _next_step_outside(document: GapDocument) -> str:
+    """The same where something outside of the catalogue is likelier than nothing."""
+    record = "Record another motion or payload, so that more is left out"
+    answers = document.answers
+    if answers is None or answers.nothing <= 1 - DECIDED:
+        return f"{record}, or describe the effect in one file (models/plant/effects)."
+    if document.settings.same_link:
+        return f"{record}."
+    return (
+        f"{record}. If the link may have changed since, identify the plant again first: a changed "
+        "link adds to the plant's own error."
+    )
+
+
+def is_plant_as_given(document: GapDocument) -> bool:
+    """Whether the plant that was written is the one as given.
+
+    Parameters
+    ----------
+    document : GapDocument
+        Of a diagnosis.
+    """
+    named = {e for row in document.named if row.kept for e in row.effect.split(" + ")}
+    return not (document.refitted or named - _withheld(document))
+
+
+def _withheld(document: GapDocument) -> set[str]:
+    rows = [row for row in document.refused if row.kind == "not written"]
+    return {effect for row in rows for effect in row.effect.split(" + ")}
+
+
+def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSettings) -> str:
+    """Whether a fixed motion tells an effect from its look-alikes, and which.
+
+    Parameters
+    ----------
+    separated_by : SeparatingMotion, optional
+        The best motion of the menu.
+    settings : GapSettings
+        With the d′ below which effects cannot be told apart.
+    """
+    largest = max(separated_by.separation.values(), default=0.0) if separated_by else 0.0
+    if separated_by is None or largest < settings.indistinguishable_separation:
+        return "no fixed motion would, a designed one may (python -m models experiment)"
+    return f"the motion '{separated_by.motion}' would (d′ {largest:.1f})"
+
+
+def in_percent(probability: float) -> str:
+    """Probability as a person reads it: no finite number of trials gives 0 or 100 %.
+
+    Parameters
+    ----------
+    probability : float
+        From 0 to 1.
+
+    Examples
+    --------
+    >>> in_percent(0.002), in_percent(0.674), in_percent(1.0)
+    ('<1%', '67%', '99%')
+    """
+    return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"
