@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 from firmware_py.errors import InputError
 from models.gap.decision.decision import JudgedNames, decide
 from models.gap.decision.gap_verdict import GapVerdict
-from models.gap.decision.look_alikes import LookAlike, look_alikes_of
 from models.gap.decision.posterior import Hypothesis, posterior_of
 from models.gap.decision.rejected_effects import RejectedEffect, rejected_effects
 from models.gap.estimation.curve_transfer import Knowledge
@@ -20,6 +19,7 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.improved_plant import improved_plant
+from models.gap.inclusion import Inclusion, inclusions_of
 from models.gap.odd_repetitions import disturbed_trials
 from models.gap.odd_trials import OddTrial, without_odd
 from models.gap.residuals.aligned_trials import aligned
@@ -32,44 +32,16 @@ from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.gap.residuals.time_blocks import in_time_blocks
-from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.null_distribution import NullDistribution
 from models.gap.search.refused_effect import RefusedEffect
+from models.gap.search.separate_joints import joints_differ
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 
-__all__ = ["Diagnosis", "Inclusion", "all_fit_parameters", "diagnose"]
-
-
-@dataclass(frozen=True)
-class Inclusion:
-    """One turn of the effect search that included something.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        One effect, or a pair.
-    kept : bool
-        Whether they were still needed beside those included later.
-    separation, least : float
-        Their d′, and the least that they need.
-    held_out_gain, held_out_error : float
-        Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors,
-        and what it must exceed.
-    look_alikes : tuple of LookAlike
-        Effects that these trials cannot tell from them.
-    """
-
-    effects: tuple[str, ...]
-    kept: bool
-    separation: float
-    least: float
-    held_out_gain: float
-    held_out_error: float
-    look_alikes: tuple[LookAlike, ...]
+__all__ = ["Diagnosis", "all_fit_parameters", "diagnose"]
 
 
 @dataclass(frozen=True)
@@ -235,14 +207,18 @@ def diagnose(
             kept = without_odd(recorded, odd)
             rest = diagnose(plant, kept, report, leave_out, settings, given_floor, patterns)
             return replace(rest, odd=(*odd, *rest.odd))
-        result = search.search()
-        decision = decide(search, result)
-    joints_alike = trials[0].meta.dof > 1 and not settings.separate_joints
-    if decision.verdict == "not in the catalogue" and joints_alike:
+        result = search.first_round()
         by_joint = msgspec.structs.replace(settings, separate_joints=True)
-        found = diagnose(plant, recorded, report, leave_out, by_joint, given_floor, patterns)
-        if found.named:
+        given = plant, recorded, report, leave_out, by_joint, given_floor, patterns
+        alike = trials[0].meta.dof > 1 and not settings.separate_joints
+        separate = all_fit_parameters(plant, trials, catalogue, by_joint) if alike else []
+        differ = alike and joints_differ(search, result, separate)
+        if differ and (found := diagnose(*given)).named:
             return found
+        decision = decide(search, search.include(result))
+    outside = decision.verdict == "not in the catalogue"
+    if outside and alike and not differ and (found := diagnose(*given)).named:
+        return found
     result, accepted = decision.result, decision.accepted
     hypotheses = posterior_of(search, result, decision.answers)
     report("tested on what was left out", 1)
@@ -279,7 +255,7 @@ def diagnose(
         located=tuple(located),
         remaining=tuple(remaining),
         named=tuple(result.named),
-        inclusions=_inclusions(result),
+        inclusions=inclusions_of(result),
         hypotheses=hypotheses,
         tested=decision.tested,
         strength_consistency=dict(decision.consistencies),
@@ -320,21 +296,6 @@ def all_fit_parameters(
     own = trials[0].meta.dof, settings.separate_joints
     effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, *own)]
     return nuisance_and_variation(plant, trials, settings) + effects
-
-
-def _inclusions(result: SearchResult) -> tuple[Inclusion, ...]:
-    return tuple(
-        Inclusion(
-            effects=c.effects,
-            kept=all(e in result.named for e in c.effects),
-            separation=c.separation,
-            least=c.least,
-            held_out_gain=c.held_out_gain,
-            held_out_error=c.held_out_error,
-            look_alikes=look_alikes_of(result, turn),
-        )
-        for turn, c in enumerate(result.chosen)
-    )
 
 
 def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:

@@ -84,6 +84,10 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Whether every effect has a strength for each joint. Servos of a type have the same effects,
     so one strength for both comes first; a fault of one servo is looked for where that leaves a gap
     that no effect of the catalogue explains."""
+    separate_joints_gain_ratio: float = 1.5
+    """Fall of the cost by one effect with a strength for each joint, over the best one with one
+    strength, from which the former are searched first [assumed]. Where they name nothing the
+    others follow."""
 
     # Noise floor
     noise_floor_rounds: int = 3
@@ -276,13 +280,11 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     # Verdict
     closed_error_floors: float = 3.0
-    """Largest held-out error of a signal, in noise floors, up to which a gap counts as closed
-    [assumed]. Measured on a simulated robot with other equations: up to 2.0 where all that was
-    hidden was named, up to 1.5 with nothing hidden, 4.2 and 5.1 where one of two effects was."""
+    """Largest held-out error of a current, in noise floors, up to which a gap counts as closed
+    [assumed]. Measured on two simulated robots with other equations: up to 2.1 where all that was
+    hidden was named, up to 1.3 with nothing hidden, 5.1 where one of two effects was named."""
     closed_error_fraction: float = 0.3
-    """Fraction of the error before from which that counts [assumed]: where the floor is far below
-    what varies between trials, which it leaves out, no plant errs by as little. Measured on the
-    same robot: half was left of the current's error where one of two effects was named."""
+    """Fraction of its error before from which that counts [assumed]: 0.5 in that case."""
 
     # Certainty
     noise_residual: float = 1.25

@@ -31,7 +31,7 @@ def gap_verdict(
     """Verdict on a tested search.
 
     Where what is named is believed the verdict is "closed", or "reduced" where more is left than
-    noise explains, or a signal still errs by several noise floors, or a further effect would
+    noise explains, or a current still errs by several noise floors, or a further effect would
     explain more than noise and an error in the equations of those named. Else it is the likelier
     one of "no gap" and "not in the catalogue". Without a learned noise floor nobody knows what
     noise is: the verdict is "no floor", or "not in the catalogue" where strengths differ or all
@@ -61,18 +61,19 @@ def gap_verdict(
         return "not in the catalogue" if biased or differing or unlike_noise else "no floor"
     if believed:
         more = further is not None and further.is_missing
-        largest = largest_error_floors(search, errors) if errors is not None else 0.0
+        largest = largest_current_error(search, errors) if errors is not None else 0.0
         errs = largest > search.settings.closed_error_floors
         return "reduced" if biased or more or errs or search.has_gap(result.after) else "closed"
     return "not in the catalogue" if answers.is_outside else "no gap"
 
 
-def largest_error_floors(search: EffectSearch, errors: HeldOutErrors) -> float:
-    """Largest held-out error that much of is left, root mean square in noise floors; 0 for none.
+def largest_current_error(search: EffectSearch, errors: HeldOutErrors) -> float:
+    """Largest held-out error of a current that much of is left, root mean square in noise floors.
 
-    It counts in signals that still err by `GapSettings.closed_error_fraction` of what they did.
-    Unlike the fit's, this floor does not allow for the error of an equation: it tells what a person
-    sees who compares plant and trials, whatever the reason.
+    It counts in currents that still err by `GapSettings.closed_error_fraction` of what they did; 0
+    for none. The fit may call such an error a variation of friction between trials, or an error of
+    an equation. Other signals vary more between trials, with the mocap frame or below the
+    resolution of an encoder, than a floor of repetitions says.
 
     Parameters
     ----------
@@ -81,13 +82,13 @@ def largest_error_floors(search: EffectSearch, errors: HeldOutErrors) -> float:
     errors : HeldOutErrors
         With the named effects.
     """
-    floor, fraction = search.first.floor, search.settings.closed_error_fraction
-    ratios, sizes = errors.ratios(search.held_out.given), errors.rms()
+    floor, least = search.first.floor, search.settings.closed_error_fraction
+    sizes = errors.rms()
     return max(
         (
             sizes[s] / float(np.sqrt(np.mean(floor.noise[s] + floor.model[s])))
-            for s, ratio in ratios.items()
-            if s in floor.noise and ratio > fraction
+            for s, ratio in errors.ratios(search.held_out.given).items()
+            if s.startswith("current_") and s in floor.noise and ratio > least
         ),
         default=0.0,
     )

@@ -9,8 +9,9 @@ import msgspec
 import numpy as np
 
 from models.gap.decision.posterior import Hypothesis, effect_probabilities
-from models.gap.diagnosis import Diagnosis, Inclusion
+from models.gap.diagnosis import Diagnosis
 from models.gap.improved_plant import written_values
+from models.gap.inclusion import Inclusion
 from models.gap.report.changed_conditions import changed_conditions
 from models.gap.report.gap_json import (
     FittedValue,

@@ -97,14 +97,13 @@ class EffectSearch:
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         return before
 
-    def search(self) -> SearchResult:
-        """Result of the whole search."""
+    def first_round(self) -> SearchResult:
+        """Every effect alone, screened and the best ones refitted; nothing is named yet."""
         before = self.nuisance_fit
         self.report("nuisance fitted", 2 + self._most_refitted())
         flat = unexcited_effects(self.estimator, before, self.base, self.of)
         found = SearchResult(before, before, unexcited=self.absent + flat)
         self._round(found, [self.estimator.linearise(self.estimator.at(0.0 * before.values))])
-        self._include(found)
         return found
 
     def search_without(self, earlier: SearchResult, effects: Collection[str]) -> SearchResult:
@@ -113,7 +112,7 @@ class EffectSearch:
         Parameters
         ----------
         earlier : SearchResult
-            Of `search`, on a learned floor.
+            Its `first_round`, on a learned floor.
         effects : collection of str
             That may not be named.
         """
@@ -121,10 +120,9 @@ class EffectSearch:
         self.excluded = frozenset(effects)
         found = replace(earlier, named=[], chosen=[], refused=[], rounds=earlier.rounds[:1])
         found.after = found.before
-        self._include(found)
-        return found
+        return self.include(found)
 
-    def _include(self, found: SearchResult) -> None:
+    def include(self, found: SearchResult) -> SearchResult:
         """Include the best candidates of the last round, and go on with further rounds."""
         while len(found.named) < self.settings.most_named:
             here = found.after
@@ -134,7 +132,7 @@ class EffectSearch:
             if choice is None and (self._is_open(here) or not (self.learned or found.named)):
                 choice = self._pairs(here, found)
             if choice is None:
-                return
+                break
             found.named += list(choice.effects)
             self.held[list(choice.held)] = True
             found.chosen.append(choice)
@@ -145,6 +143,7 @@ class EffectSearch:
                 self._delete(found)
             elif len(found.chosen) == 1:
                 self._flatten(found)
+        return found
 
     def _round(self, found: SearchResult, others: Sequence[FitPoint]) -> None:
         """Screen every effect and refit the best candidates."""

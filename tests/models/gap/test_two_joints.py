@@ -80,7 +80,11 @@ def test_a_fault_of_one_servo_is_found_in_its_joint(two_joints, trials_of):
     value = two_joints.parameters[name].value
     trials = trials_of(two_joints.with_values({name: value + FRICTION_NM_S_RAD}), 7, (1.0,), dof=2)
     left_out = [e for e in candidate_effects(two_joints) if e not in ("viscous_friction", "creep")]
-    found = diagnose(two_joints, trials, leave_out=left_out)
+    done: list[str] = []
+    found = diagnose(two_joints, trials, lambda part, further: done.append(part), left_out)
+    screened = [k for k, part in enumerate(done) if part.endswith("effects screened")]
+    second = [k for k, part in enumerate(done) if part == "nuisance fitted"][1]
+    assert sum(k < second for k in screened) == 1, "one round tells that the joints differ"
     assert (found.verdict, found.named) == ("closed", ("viscous_friction",))
     assert found.settings.separate_joints
     after = found.improved.parameters
@@ -116,6 +120,7 @@ def test_two_joints_are_diagnosed_against_it(
     trials = trials_of(two_joints.with_values(values), 7, (1.0,), dof=2)
     found = diagnosed(two_joints, trials)
     assert (found.verdict, found.named) == (verdict, named)
+    assert not found.settings.separate_joints, "the joints are alike"
     if named:
         after = found.improved.parameters["viscous_friction_2_nm_s_rad"]
         assert after.value - q.value == pytest.approx(hidden, rel=0.1)

@@ -13,7 +13,7 @@ from models.gap.decision.further_effect import FurtherEffect
 from models.gap.decision.gap_verdict import (
     gap_left_fraction,
     gap_verdict,
-    largest_error_floors,
+    largest_current_error,
 )
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult
@@ -67,18 +67,18 @@ def test_what_is_believed_closes_the_gap_or_reduces_it(after, bias, verdict):
     ("current_a", "before_a", "verdict"),
     [(0.29, 0.5, "closed"), (0.31, 0.5, "reduced"), (0.31, 2.0, "closed")],
 )
-def test_a_signal_that_errs_by_several_noise_floors_is_not_closed(current_a, before_a, verdict):
+def test_a_current_that_errs_by_several_noise_floors_is_not_closed(current_a, before_a, verdict):
     half = np.full(10, 0.005)  # noise, and the same of the plant's own error: 0.1 A together
-    search, unknown = Search(), {"unknown_to_the_floor": 9.0}
-    floor = SimpleNamespace(noise={"current_1_a": half}, model={"current_1_a": half})
+    table, search, others = {"current_1_a": half, "tip_x_m": half}, Search(), {"tip_x_m": 9.0}
+    floor = SimpleNamespace(noise=table, model=table)
     search.first = SimpleNamespace(floor=floor, whitened=lambda rows: rows)
     search.held_out = SimpleNamespace(given=SimpleNamespace(before_a=before_a))
     errors = SimpleNamespace(
-        rms=lambda: {"current_1_a": current_a} | unknown,
-        ratios=lambda given: {"current_1_a": current_a / given.before_a} | unknown,
+        rms=lambda: {"current_1_a": current_a} | others,
+        ratios=lambda given: {"current_1_a": current_a / given.before_a} | others,
     )
-    largest = largest_error_floors(search, errors)
-    assert largest == pytest.approx(10 * current_a if current_a > 0.3 * before_a else 0.0)
+    expected = 10 * current_a if current_a > 0.3 * before_a else 0.0
+    assert largest_current_error(search, errors) == pytest.approx(expected)
     found = result(9.0, 1.0, "dead_time")
     assert gap_verdict(search, found, {}, CERTAIN, None, True, errors) == verdict
 
