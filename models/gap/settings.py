@@ -278,14 +278,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     uncalibrated_residual_limit: float = 1.6
     """Mean square up to which a residual counts as noise for these loads [assumed]."""
 
-    # Verdict
-    closed_error_floors: float = 3.0
-    """Largest held-out error of a current, in noise floors, up to which a gap counts as closed
-    [assumed]. Measured on two simulated robots with other equations: up to 2.1 where all that was
-    hidden was named, up to 1.3 with nothing hidden, 5.1 where one of two effects was named."""
-    closed_error_fraction: float = 0.3
-    """Fraction of its error before from which that counts [assumed]: 0.5 in that case."""
-
     # Certainty
     noise_residual: float = 1.25
     """Mean square up to which what is left resembles noise: 6 % of 190 data sets without an effect

@@ -171,8 +171,7 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
     judged = _judged_sets(Acceptance(search, result), model)
     kept, tested = judged[-1], tuple(j.tested for j in judged)
     result, answers, accepted = kept.acceptance.result, kept.tested.answers, kept.accepted
-    errors = kept.acceptance.judged.errors
-    own = kept.consistencies, answers, kept.tested.further, kept.believed, errors
+    own = kept.consistencies, answers, kept.tested.further, kept.believed
     verdict, left = gap_verdict(search, result, *own), 1.0
     if result.named:
         left = gap_left_fraction(search, result)

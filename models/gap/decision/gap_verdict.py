@@ -13,7 +13,6 @@ from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
-from models.gap.search.held_out_errors import HeldOutErrors
 from models.gap.search.strength_consistency import StrengthConsistency
 
 GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
@@ -26,16 +25,14 @@ def gap_verdict(
     answers: Answers,
     further: FurtherEffect | None,
     believed: bool,
-    errors: HeldOutErrors | None = None,
 ) -> GapVerdict:
     """Verdict on a tested search.
 
     Where what is named is believed the verdict is "closed", or "reduced" where more is left than
-    noise explains, or a current still errs by several noise floors, or a further effect would
-    explain more than noise and an error in the equations of those named. Else it is the likelier
-    one of "no gap" and "not in the catalogue". Without a learned noise floor nobody knows what
-    noise is: the verdict is "no floor", or "not in the catalogue" where strengths differ or all
-    trials deviate alike.
+    noise explains, or a further effect would explain more than noise and an error in the equations
+    of those named. Else it is the likelier one of "no gap" and "not in the catalogue". Without a
+    learned noise floor nobody knows what noise is: the verdict is "no floor", or "not in the
+    catalogue" where strengths differ or all trials deviate alike.
 
     Parameters
     ----------
@@ -51,8 +48,6 @@ def gap_verdict(
         What would explain most beside them.
     believed : bool
         Whether they are named (`models.gap.decision.answers.Answers.is_believed`).
-    errors : HeldOutErrors, optional
-        With the named effects.
     """
     biased = bool(search.nuisance_bias(result.after))
     if not search.learned:
@@ -61,37 +56,8 @@ def gap_verdict(
         return "not in the catalogue" if biased or differing or unlike_noise else "no floor"
     if believed:
         more = further is not None and further.is_missing
-        largest = largest_current_error(search, errors) if errors is not None else 0.0
-        errs = largest > search.settings.closed_error_floors
-        return "reduced" if biased or more or errs or search.has_gap(result.after) else "closed"
+        return "reduced" if biased or more or search.has_gap(result.after) else "closed"
     return "not in the catalogue" if answers.is_outside else "no gap"
-
-
-def largest_current_error(search: EffectSearch, errors: HeldOutErrors) -> float:
-    """Largest held-out error of a current that much of is left, root mean square in noise floors.
-
-    It counts in currents that still err by `GapSettings.closed_error_fraction` of what they did; 0
-    for none. The fit may call such an error a variation of friction between trials, or an error of
-    an equation. Other signals vary more between trials, with the mocap frame or below the
-    resolution of an encoder, than a floor of repetitions says.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    errors : HeldOutErrors
-        With the named effects.
-    """
-    floor, least = search.first.floor, search.settings.closed_error_fraction
-    sizes = errors.rms()
-    return max(
-        (
-            sizes[s] / float(np.sqrt(np.mean(floor.noise[s] + floor.model[s])))
-            for s, ratio in errors.ratios(search.held_out.given).items()
-            if s.startswith("current_") and s in floor.noise and ratio > least
-        ),
-        default=0.0,
-    )
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:

@@ -1,4 +1,4 @@
-"""Whether the joints differ: an effect of one servo, which no strength for both explains.
+"""Difference of the joints: an effect of one servo, which no strength for both explains.
 
 Every effect first has one strength for all joints (`GapSettings.separate_joints`). Where the best
 of them leaves a gap, and by derivatives one with a strength for each joint would explain much more,

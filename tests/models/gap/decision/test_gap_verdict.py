@@ -10,11 +10,7 @@ from models.gap.decision import acceptance
 from models.gap.decision.acceptance import Acceptance
 from models.gap.decision.answers import CATALOGUE_ONLY, Answers
 from models.gap.decision.further_effect import FurtherEffect
-from models.gap.decision.gap_verdict import (
-    gap_left_fraction,
-    gap_verdict,
-    largest_current_error,
-)
+from models.gap.decision.gap_verdict import gap_left_fraction, gap_verdict
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.search.candidate import SearchResult
 from models.gap.search.null_distribution import NullDistribution
@@ -61,26 +57,6 @@ def result(before, after, *named):
 def test_what_is_believed_closes_the_gap_or_reduces_it(after, bias, verdict):
     found = result(9.0, after, "creep")
     assert gap_verdict(Search(bias), found, {}, CERTAIN, None, True) == verdict
-
-
-@pytest.mark.parametrize(
-    ("current_a", "before_a", "verdict"),
-    [(0.29, 0.5, "closed"), (0.31, 0.5, "reduced"), (0.31, 2.0, "closed")],
-)
-def test_a_current_that_errs_by_several_noise_floors_is_not_closed(current_a, before_a, verdict):
-    half = np.full(10, 0.005)  # noise, and the same of the plant's own error: 0.1 A together
-    table, search, others = {"current_1_a": half, "tip_x_m": half}, Search(), {"tip_x_m": 9.0}
-    floor = SimpleNamespace(noise=table, model=table)
-    search.first = SimpleNamespace(floor=floor, whitened=lambda rows: rows)
-    search.held_out = SimpleNamespace(given=SimpleNamespace(before_a=before_a))
-    errors = SimpleNamespace(
-        rms=lambda: {"current_1_a": current_a} | others,
-        ratios=lambda given: {"current_1_a": current_a / given.before_a} | others,
-    )
-    expected = 10 * current_a if current_a > 0.3 * before_a else 0.0
-    assert largest_current_error(search, errors) == pytest.approx(expected)
-    found = result(9.0, 1.0, "dead_time")
-    assert gap_verdict(search, found, {}, CERTAIN, None, True, errors) == verdict
 
 
 @pytest.mark.parametrize(("separation", "verdict"), [(11.0, "closed"), (13.0, "reduced")])
