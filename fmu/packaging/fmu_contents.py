@@ -67,8 +67,9 @@ def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuCo
     if parts.plant:
         related["resources/plant.json"] = "model"
     files = reference_files(reference_run(model, u, PERIOD_S), related)
-    files |= terminal_files(interface_of(model), fmi)
-    return FmuContents(files, plant_sections(parts), _amplitudes(u[:STEPS]))
+    interface = interface_of(model)
+    files |= terminal_files(interface, fmi)
+    return FmuContents(files, plant_sections(parts, interface), _amplitudes(u[:STEPS]))
 
 
 def _amplitudes(u: NDArray[np.float64]) -> tuple[float, ...]:

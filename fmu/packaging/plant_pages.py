@@ -14,13 +14,14 @@ from markupsafe import Markup, escape
 from firmware_py.display_units import LENGTH, symbol_of
 from firmware_py.realtime.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
+from fmu.interface import Interface
 from models.plant.components import lagrange
 from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition import observer
 from models.plant.effects import EFFECTS
 from models.plant.effects.order import in_order
 from models.plant.plant import LOADS, Plant
-from models.shared.page_parts import Paragraph, Section, Table
+from models.shared.page_parts import Paragraph, Part, Section, Table
 
 __all__ = ["plant_sections"]
 
@@ -29,8 +30,7 @@ _HELD: Final[dict[Kind, str]] = {
     "holds the goal that it was sent last. A host that samples a moving goal delays it by half a "
     "step on average: the angle is off by 0.39 mrad for each ms of the step at the fastest point "
     "of the study's motion. Choose the robot's 17 ms to see the robot's delay, 1 ms or less to see "
-    "the link alone. The current follows a changed goal directly, within the same "
-    "communication point.",
+    "the link alone.",
     "observer": "Angles and currents are samples at the end of the step: set those of time t + h, "
     "then step from t to t + h. The control period of the robot is 17 ms.",
     "predictor": "The outputs follow the inputs directly; the FMU has no state. Its inputs are "
@@ -39,15 +39,20 @@ _HELD: Final[dict[Kind, str]] = {
 """How inputs are held, by kind; measured, docs/sources.md, "FMI"."""
 
 
-def plant_sections(parts: FmuParts) -> list[Section]:
+def plant_sections(parts: FmuParts, interface: Interface) -> list[Section]:
     """Return the sections on what an FMU is made of.
 
     Parameters
     ----------
     parts : FmuParts
         Parts of the FMU.
+    interface : Interface
+        Its variables and their dependencies.
     """
-    sections = [Section("inputs", "How inputs are held", [Paragraph(_HELD[parts.kind])])]
+    held: list[Part] = [Paragraph(_HELD[parts.kind])]
+    if parts.kind != "predictor":
+        held.append(Paragraph(_direct_outputs(interface)))
+    sections = [Section("inputs", "How inputs are held", held)]
     if parts.plant:
         sections += [_equations(parts, parts.plant), _parameters(parts.plant)]
         sections.append(_validation(parts.plant))
@@ -55,6 +60,23 @@ def plant_sections(parts: FmuParts) -> list[Section]:
     if card:
         sections.append(Section("card", "Model card", [Paragraph(_preformatted(card))]))
     return sections
+
+
+def _direct_outputs(interface: Interface) -> str:
+    """Sentences on the outputs that follow an input without a step, as the FMU declares them."""
+    inputs = {v.reference: v.name for v in interface.of("input")}
+    direct = []
+    for output in interface.of("output"):
+        known = interface.dependencies[output.reference]
+        if of := [inputs[reference] for reference in known if reference in inputs]:
+            direct.append(f"{output.name} ({', '.join(of)})")
+    if not direct:
+        return "No output follows a changed input directly: each changes with the next step."
+    return (
+        "These outputs depend directly on the inputs in brackets, and follow a change of them "
+        f"within the same communication point: {', '.join(direct)}. Whatever else an input "
+        "changes, it changes with the next step."
+    )
 
 
 def _equations(parts: FmuParts, plant: Plant) -> Section:

@@ -1,5 +1,6 @@
 """Documents of an FMU: reference run, terminals, icon, sections of its documentation."""
 
+import re
 import struct
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -24,9 +25,11 @@ from fmu.packaging.reference_run import (
 )
 from fmu.packaging.terminals import terminal_files
 from fmu.parity import check_reference_run
+from models.plant import plant as plant_module
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 
+EXAMPLES = Path(plant_module.__file__).parent / "examples"
 SCHEMAS = Path(fmpy.__file__).parent / "schema"
 
 
@@ -113,10 +116,35 @@ def test_terminals_and_icon_are_valid(kind):
 
 def test_the_documentation_tells_every_equation_and_parameter():
     plant = read_plant()
-    sections = {s.id: s for s in plant_sections(FmuParts("observer", 1, plant, None))}
+    parts = FmuParts("observer", 1, plant, None)
+    sections = {s.id: s for s in plant_sections(parts, interface_of(parts.model()))}
     equations = sections["equations"].parts[0].text
     assert all(f"Effect: {name}" in equations for name in plant.effects)
     assert "τ_root" in equations
     rows = sections["parameters"].parts[0].rows
     assert [row[0] for row in rows] == list(plant.parameters)
     assert {"inputs", "validation"} <= set(sections)
+
+
+@pytest.mark.parametrize(
+    ("plant", "follows"),
+    [(None, {"di": "payload_kg"}), ("xl330_pendulum", {"current_1_a": "goal_1_rad"})],
+    ids=["link on a cascade", "pendulum on a duty cycle"],
+)
+def test_the_documentation_tells_which_outputs_follow_a_changed_input(plant, follows):
+    """What the page says is what the model does before the next step."""
+    read = read_plant(EXAMPLES / f"{plant}.toml") if plant else read_plant()
+    model = read.step_model(1, "twin")
+    sections = plant_sections(FmuParts("twin", 1, read, None), interface_of(model))
+    told = next(s for s in sections if s.id == "inputs").parts[-1].text
+    outputs, inputs = names(model.outputs), names(model.inputs)
+    u = np.array([v.start for v in model.inputs]) + 0.01
+    x, p = model.initial(u, model.parameter_values()), model.parameter_values()
+    before = np.asarray(model.output(x, u, p)).ravel()
+    for k, name in enumerate(inputs):
+        after = np.asarray(model.output(x, u + 0.2 * (np.arange(len(u)) == k), p)).ravel()
+        for output in np.array(outputs)[after != before]:
+            assert re.search(rf"\b{output} \([^)]*\b{name}\b[^)]*\)", told)
+    for output, name in follows.items():
+        assert re.search(rf"\b{output} \([^)]*\b{name}\b", told)
+    assert ("current" in told) == ("current_1_a" in follows)
