@@ -1,12 +1,15 @@
 """Campaign that injects every fault of the table by name and seed, and checks what happens.
 
-Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix). Exit 0 every fault
-ended as the table says, 1 one did not, 3 inconclusive: the host preempted the loop.
+Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix), anew after each case:
+a campaign that is ended early leaves what it found, marked as incomplete. Exit 0 every fault ended
+as the table says, 1 one did not, 3 inconclusive: the host preempted the loop.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -49,9 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from hil.faults.campaign import cases_of, run_campaign
     from hil.faults.cases.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS
-    from hil.faults.fault_verdict import faults_junit
-    from hil.faults.faults_document import faults_document, write_faults
-    from hil.report import write_fault_report
+    from hil.faults.faults_document import faults_document
 
     if args.seeds < 1:
         raise InputError("--seeds", f"is {args.seeds}", "give at least 1")
@@ -70,21 +71,44 @@ def run(args: argparse.Namespace) -> int:
     with TemporaryDirectory(prefix="dropstitch-faults-") as scratch:
         plant = bundle.directory / "plant.json"
         fmu = args.fmu or build_twin(plant, bundle.manifest.dof, Path(scratch))
-        judged = run_campaign(CaseRobot(bundle, fmu), cases)
+        judged: Sequence[CaseVerdict] = ()
+
+        def keep(so_far: Sequence[CaseVerdict]) -> None:
+            nonlocal judged
+            judged = so_far
+            left = len(cases) - len(judged)
+            _write(args.out, faults_document(bundle.manifest, judged, left), judged)
+
+        try:
+            run_campaign(CaseRobot(bundle, fmu), cases, keep)
+        finally:
+            if 0 < len(judged) < len(cases):
+                print(
+                    f"incomplete: {len(judged)} of {len(cases)} cases were run; see "
+                    f"{args.out}/report.html and faults.json", file=sys.stderr
+                )  # fmt: skip
     document = faults_document(bundle.manifest, judged)
-    write_faults(args.out / "faults.json", document)
-    (args.out / "faults.xml").write_bytes(faults_junit(judged))
-    write_fault_report(document, args.out / "report.html")
     emit(args, msgspec.to_builtins(document), describe_campaign(judged, document, args.out))
     return document.verdict.exit_code
 
 
-def describe_campaign(judged: list[CaseVerdict], document: FaultsDocument, out: Path) -> str:
+def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -> None:
+    from firmware_py.files.output_files import write_whole
+    from hil.faults.fault_verdict import faults_junit
+    from hil.faults.faults_document import write_faults
+    from hil.report import write_fault_report
+
+    write_faults(out / "faults.json", document)
+    write_whole(out / "faults.xml", faults_junit(judged, document.not_run))
+    write_fault_report(document, out / "report.html")
+
+
+def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:
     """Return the result as text: the cases that did not pass, then the counts.
 
     Parameters
     ----------
-    judged : list of CaseVerdict
+    judged : sequence of CaseVerdict
         Every case.
     document : FaultsDocument
         Contents of `faults.json`.

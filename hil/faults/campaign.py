@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import contextlib
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
-from firmware_py.console import Progress
+from firmware_py.console import Progress, Terminated, terminations_raised
+from firmware_py.realtime.stop_signals import STOP_SIGNALS
 from hil.faults.cases.case_robot import CaseRobot
 from hil.faults.cases.process_case import run_process
 from hil.faults.cases.real_time_case import run_real_time
@@ -54,7 +59,11 @@ def cases_of(
     return cases
 
 
-def run_campaign(robot: CaseRobot, cases: Sequence[FaultCase]) -> list[CaseVerdict]:
+def run_campaign(
+    robot: CaseRobot,
+    cases: Sequence[FaultCase],
+    keep: Callable[[Sequence[CaseVerdict]], None] = lambda judged: None,
+) -> list[CaseVerdict]:
     """Run and judge every case.
 
     Parameters
@@ -63,11 +72,55 @@ def run_campaign(robot: CaseRobot, cases: Sequence[FaultCase]) -> list[CaseVerdi
         Common part of the campaign.
     cases : sequence of FaultCase
         Cases, in order.
+    keep : callable
+        Called after each case with the verdicts so far.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C; `firmware_py.console.Terminated` after another signal that ends a program. The
+        case that it befell has no verdict.
     """
     progress = Progress("faults", len(cases))
-    judged = []
-    for case in cases:
-        seen = RUNNERS[case.line](robot, case.row, case.number, case.seed)
-        judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
-        progress.step(case.row.fault)
+    judged: list[CaseVerdict] = []
+    with terminations_raised(), _signals_noted() as raise_noted:
+        for case in cases:
+            try:
+                seen = RUNNERS[case.line](robot, case.row, case.number, case.seed)
+            finally:  # a signal to the whole group ends the servos as well, and the case with them
+                raise_noted()
+            judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
+            keep(judged)
+            progress.step(case.row.fault)
     return judged
+
+
+@contextlib.contextmanager
+def _signals_noted() -> Iterator[Callable[[], None]]:
+    """Function that raises for a signal since its last call (main thread only).
+
+    The loop of a case takes a signal for the request to stop, as it does on the robot. It is meant
+    for the campaign.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    noted, notes = socket.socketpair()
+    noted.setblocking(False)
+    notes.setblocking(False)
+    before = signal.set_wakeup_fd(notes.fileno(), warn_on_full_buffer=False)
+
+    def raise_noted() -> None:
+        numbers = b""
+        with contextlib.suppress(BlockingIOError):
+            numbers = noted.recv(4096)
+        stops = set(numbers) & set(STOP_SIGNALS)
+        if stops:
+            raise KeyboardInterrupt if stops == {signal.SIGINT} else Terminated
+
+    try:
+        yield raise_noted
+    finally:
+        signal.set_wakeup_fd(before)
+        noted.close()
+        notes.close()

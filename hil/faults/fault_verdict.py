@@ -158,8 +158,18 @@ def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
     return complaints
 
 
-def faults_junit(judged: Sequence[CaseVerdict]) -> bytes:
-    """Return the verdicts as JUnit XML, one test case each."""
+def faults_junit(judged: Sequence[CaseVerdict], not_run: int = 0) -> bytes:
+    """Return the verdicts as JUnit XML, one test case each.
+
+    Parameters
+    ----------
+    judged : sequence of CaseVerdict
+        Every case that was run.
+    not_run : int
+        Cases that were planned and not run; where there are any, one test case is skipped.
+    """
+    words = f"incomplete: {not_run} cases were not run"
+    missing = [JUnitCase("all cases run", Verdict.INCONCLUSIVE, words, "must: every case is run")]
     return junit_xml(
         "faults",
         [
@@ -170,5 +180,6 @@ def faults_junit(judged: Sequence[CaseVerdict]) -> bytes:
                 f"must: {one.case.row.must}",
             )
             for one in judged
-        ],
+        ]
+        + (missing if not_run else []),
     )

@@ -56,7 +56,7 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     Attributes
     ----------
     verdict : Verdict
-        The worst of the cases.
+        The worst of the cases; inconclusive where cases were not run and none failed.
     counts : dict of Verdict to int
         Cases by verdict.
     dof : int
@@ -74,7 +74,9 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     environment : HostEnvironment
         Machine.
     cases : tuple of CaseResult
-        Every case.
+        Every case that was run.
+    not_run : int
+        Cases that were planned and not run: the campaign was ended before. 0 where it is complete.
     """
 
     VERSION: ClassVar[int] = 2
@@ -91,20 +93,28 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     seeds: tuple[int, ...]
     environment: HostEnvironment
     cases: tuple[CaseResult, ...]
+    not_run: int = 0
 
 
-def faults_document(manifest: Manifest, judged: Sequence[CaseVerdict]) -> FaultsDocument:
+def faults_document(
+    manifest: Manifest, judged: Sequence[CaseVerdict], not_run: int = 0
+) -> FaultsDocument:
     """Return the contents of `faults.json`.
+
+    Where cases were not run and none failed, the verdict is inconclusive.
 
     Parameters
     ----------
     manifest : Manifest
         Of the bundle that the robot ran.
     judged : sequence of CaseVerdict
-        Every case.
+        Every case that was run.
+    not_run : int
+        Cases that were planned and not run.
     """
     counts = {verdict: sum(one.verdict is verdict for one in judged) for verdict in Verdict}
-    worst = next((v for v in (Verdict.FAIL, Verdict.INCONCLUSIVE) if counts[v]), Verdict.PASS)
+    otherwise = Verdict.INCONCLUSIVE if not_run else Verdict.PASS
+    worst = next((v for v in (Verdict.FAIL, Verdict.INCONCLUSIVE) if counts[v]), otherwise)
     cases = [one.case for one in judged]
     rows = {case.row for case in cases}
     return FaultsDocument(
@@ -120,6 +130,7 @@ def faults_document(manifest: Manifest, judged: Sequence[CaseVerdict]) -> Faults
         seeds=tuple(sorted({case.seed for case in cases})),
         environment=host_environment(),
         cases=tuple(_result(one) for one in judged),
+        not_run=not_run,
     )
 
 

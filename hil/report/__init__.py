@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from firmware_py.files.output_files import write_whole
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import read_build
 from hil.report.gap.before_after import before_after, describe_before_after
@@ -86,5 +87,5 @@ def write_gap_report(
 def _write(page: str, out: Path) -> int:
     data = page.encode("utf-8")
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_bytes(data)
+    write_whole(out, data)
     return len(data)

@@ -41,6 +41,13 @@ def campaign_sentences(document: FaultsDocument) -> list[str]:
         "no old data are taken for new, and no servo is still driven at the end. The emulated "
         "servos report the first and the last, not the loop.",
     ]
+    if document.not_run:
+        planned = len(cases) + document.not_run
+        sentences.insert(
+            0,
+            f"This campaign is incomplete: it was ended after {len(cases)} of {planned} cases. "
+            "What follows is about those alone.",
+        )
     if watched:
         longest_ns = max(case.unheard_ns for case in watched)
         sentences.append(
