@@ -26,6 +26,7 @@ from typing import NamedTuple
 import hypothesis
 import pytest
 
+from firmware_py.console import Progress
 from firmware_py.realtime import stop_signals
 from firmware_py.safety import supervisor
 
@@ -156,9 +157,13 @@ def survives(mutant: Mutant) -> bool:
 def survivors(step: int = 1, first: int = 0) -> tuple[int, list[Mutant]]:
     """How many mutants were tried, every `step`-th from `first` on, and which survived."""
     chosen = [mutant for module in TARGETS for mutant in mutants(module)][first::step]
+    progress, alive = Progress("mutants", len(chosen)), []
+    progress.begin("0 survive")
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        verdicts = pool.map(survives, chosen)
-        return len(chosen), [m for m, alive in zip(chosen, verdicts, strict=True) if alive]
+        for mutant, survived in zip(chosen, pool.map(survives, chosen), strict=True):
+            alive += [mutant] if survived else []
+            progress.step(f"{len(alive)} survive")
+    return len(chosen), alive
 
 
 if __name__ == "__main__":
