@@ -25,8 +25,9 @@ _UNHANDLED: Final = frozenset({
     "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH",
 })  # fmt: skip
 """By name: Windows has few of them, and imports the loop to plan for it."""
-_NUMBERS: Final = {int(getattr(signal, name, 0)) for name in _UNHANDLED}
-STOP_SIGNALS: Final = tuple(sorted(set(map(int, signal.valid_signals())) - _NUMBERS))
+STOP_SIGNALS: Final = tuple(
+    sorted(int(s) for s in signal.valid_signals() if getattr(s, "name", "") not in _UNHANDLED)
+)
 """Numbers of the signals that request a controlled stop, real-time signals included."""
 
 

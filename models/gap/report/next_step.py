@@ -43,13 +43,11 @@ def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
         if 1 - DECIDED < probability < DECIDED
     ]
     if undecided:
-        limits = "robot.toml"
-        if any("_2_" in signal for signal in document.before["fitted"]):
-            limits += " (with both servos)"
+        two = any("_2_" in signal for signal in document.before["fitted"])
         return (
             f"These trials do not decide on {', '.join(undecided)}: 'python -m models experiment "
             f"--gap {shlex.quote(gap_json)} --limits robot.toml --out MOTION.toml' designs the "
-            f"motion that tells most of it, within the limits of {limits}."
+            f"motion that tells best{', for a robot.toml with both servos' if two else ''}."
         )
     if is_plant_as_given(document):
         return (
@@ -139,8 +137,8 @@ def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSetti
     """
     largest = max(separated_by.separation.values(), default=0.0) if separated_by else 0.0
     if separated_by is None or largest < settings.indistinguishable_separation:
-        return "no fixed motion would, a designed one may (python -m models experiment)"
-    return f"the motion '{separated_by.motion}' would (d′ {largest:.1f})"
+        return "no fixed motion tells them apart, a designed one may (python -m models experiment)"
+    return f"the motion '{separated_by.motion}' tells them apart (d′ {largest:.1f})"
 
 
 def in_percent(probability: float) -> str:

@@ -132,6 +132,14 @@ def test_a_join_leaves_room_beside_a_motion_that_is_almost_at_the_limit(slot):
     assert ticks == longest or np.abs(np.diff(goals)).max() <= 0.9 * EXACT_S * (1 + 1e-9)
 
 
+def test_a_join_into_a_steady_motion_takes_no_longer_where_acceleration_is_scarce():
+    """A motion at a steady rate does not accelerate, however fast it is."""
+    motion = np.minimum(0.4 * EXACT_S * np.arange(3000), 0.5)
+    scarce = msgspec.structs.replace(LIMITS, acceleration_rad_s2=20.0)
+    assert scarce.acceleration_rad_s2 < 0.4 / EXACT_S
+    assert joining(0.2, motion, scarce)[1] == joining(0.2, motion)[1] < 480
+
+
 def test_the_last_tick_of_a_join_counts_for_its_distance():
     motion = np.full(900, 0.129)
     motion[63:] += 0.008
