@@ -11,12 +11,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.display_units import SMALL_CURRENT, signal_unit, signal_words
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
 from firmware_py.safety.stop_reason import Fault
 
 __all__ = [
-    "Ended", "FeedbackUse", "RunDocument", "RunSummary", "read_run_summary", "write_run_summary",
+    "Ended", "FeedbackUse", "InputBeyond", "RangeReasons", "RunDocument", "RunSummary",
+    "read_run_summary", "write_run_summary",
 ]  # fmt: skip
 
 
@@ -64,6 +66,75 @@ class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
             f"feedback of the tip was lost in {self.lost_ticks} of {self.ticks} ticks, last "
             f"because {self.reason}"
         )
+
+
+class InputBeyond(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Measured input that lay beyond its training range in ticks that were out of range.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal.
+    unit : str
+        SI unit of the values; "1" for none.
+    ticks : int
+        Ticks in which it did.
+    extreme : float
+        Value that was furthest beyond.
+    minimum, maximum : float
+        Range in the training data.
+    """
+
+    name: str
+    unit: str
+    ticks: int
+    extreme: float
+    minimum: float
+    maximum: float
+
+
+class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Why ticks of a run were outside the predictor's training range.
+
+    Attributes
+    ----------
+    inputs : tuple of InputBeyond
+        Angles, currents and DI that were beyond their ranges, in the predictor's order.
+    other_ticks : int
+        Ticks out of range in which none of them was.
+
+    Examples
+    --------
+    >>> beyond = InputBeyond(
+    ...     name="angle_1_rad", unit="rad", ticks=7, extreme=0.72, minimum=-0.52, maximum=0.52
+    ... )
+    >>> RangeReasons(inputs=(beyond,)).note.replace("\u00a0", " ")
+    'angle 1 reached 41.3 deg in 7 of them (trained from -29.8 to 29.8 deg)'
+    >>> RangeReasons().note
+    ''
+    """
+
+    inputs: tuple[InputBeyond, ...] = ()
+    other_ticks: int = 0
+
+    @property
+    def note(self) -> str:
+        """Continuation of a sentence on how many ticks were out of range; empty without any."""
+        told = []
+        for row in self.inputs:
+            shown = SMALL_CURRENT if row.unit == "A" else signal_unit(row.name)
+            low, high = shown.number(row.minimum), shown.text(row.maximum)
+            told.append(
+                f"{signal_words(row.name)} reached {shown.text(row.extreme)} in {row.ticks} of "
+                f"them (trained from {low} to {high})"
+            )
+        if self.other_ticks:
+            told.append(
+                f"in {self.other_ticks} of them no angle, current or DI was beyond its trained "
+                "range: the prediction interval was too wide, as it is with late samples and with "
+                "currents that do not fit the plant"
+            )
+        return "; ".join(told)
 
 
 @dataclass(frozen=True)
@@ -120,6 +191,7 @@ class RunSummary:
         bus_plan: str,
         payload_note: str = "",
         logged_ticks: int | None = None,
+        out_of_range_reasons: RangeReasons | None = None,
     ) -> RunDocument:
         """Return everything but the records as a document.
 
@@ -129,7 +201,7 @@ class RunSummary:
             Log of the run, where one was written.
         bus_plan : str
             Name of the plan by which the servos were read.
-        payload_note, logged_ticks
+        payload_note, logged_ticks, out_of_range_reasons
             See `RunDocument`.
         """
         return RunDocument(
@@ -138,7 +210,7 @@ class RunSummary:
             telemetry_drops=self.telemetry_drops, replugs=self.replugs, released=self.released,
             timing=self.timing.summary(), log=str(log) if log else None, bus_plan=bus_plan,
             held_up_ticks=self.held_up_ticks, payload_note=payload_note, feedback=self.feedback,
-            logged_ticks=logged_ticks,
+            logged_ticks=logged_ticks, out_of_range_reasons=out_of_range_reasons or RangeReasons(),
         )  # fmt: skip
 
 
@@ -164,6 +236,8 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         estimated payload is beyond those of the plan; else empty.
     logged_ticks : int or None
         Ticks that the log holds; None where there is no log, or the recorder did not say.
+    out_of_range_reasons : RangeReasons
+        Which inputs of the predictor were beyond their ranges in the ticks out of range.
     """
 
     MADE_BY: ClassVar[str] = "dropstitch run"
@@ -183,6 +257,7 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     payload_note: str = ""
     feedback: FeedbackUse = FeedbackUse()
     logged_ticks: int | None = None
+    out_of_range_reasons: RangeReasons = RangeReasons()
 
 
 def read_run_summary(path: Path) -> RunDocument:

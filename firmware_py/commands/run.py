@@ -29,6 +29,7 @@ import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
 from firmware_py.commands.payload_check import contradicted_payload, unused_payload
+from firmware_py.commands.range_check import RangeWatch
 from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.display_units import CPU_TIME
@@ -134,8 +135,9 @@ def run(args: argparse.Namespace) -> int:
         )
         counters = stack.enter_context(contextlib.closing(KernelCounters()))
         service = stack.enter_context(contextlib.closing(SystemdService(clock)))
+        watch = RangeWatch(bundle)
         loop = build_loop(
-            config, bundle, bus, clock, goals=goals, correction=correction, slots=slots,
+            config, watch, bus, clock, goals=goals, correction=correction, slots=slots,
             telemetry=telemetry, counters=counters, service=service,
         )  # fmt: skip
         _say("dropstitch", *stack.enter_context(real_time(config.real_time)))
@@ -143,7 +145,7 @@ def run(args: argparse.Namespace) -> int:
     doubt = contradicted_payload(bundle, config.payload_kg, config.period_s, summary, log)
     if plan is not None:
         doubt = doubt or payload_beyond_plan(plan, config.payload_kg, summary)
-    document = summary.document(log, bus.plan.name, doubt, telemetry.logged)
+    document = summary.document(log, bus.plan.name, doubt, telemetry.logged, watch.reasons())
     if log is not None:
         _write_summary(log.with_suffix(".timing.json"), document)
     _tell(args, document, describe(summary, document))
@@ -318,7 +320,8 @@ def describe(summary: RunSummary, document: RunDocument) -> str:
     if summary.replugs:
         lines.append(f"continued {summary.replugs} times after the port had gone")
     if summary.out_of_range:
-        lines.append(f"{summary.out_of_range} ticks outside the predictor's training range")
+        outside = f"{summary.out_of_range} ticks outside the predictor's training range"
+        lines.append(": ".join(filter(None, (outside, document.out_of_range_reasons.note))))
     if summary.feedback.note:
         lines.append(summary.feedback.note)
     if document.log is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -186,6 +187,9 @@ class OnnxPredictor:
         `wanted`.
     wanted : tuple of str
         Those that only the observer knows; `predict` takes them as `signals`, in this order.
+    ranges : dict of str to (float, float)
+        Least and largest value of each input in its training data, SI units; empty where the file
+        does not say.
 
     Raises
     ------
@@ -201,7 +205,9 @@ class OnnxPredictor:
         self._graph = OnnxGraph(source, None, outputs)
         self._prediction = Prediction(*self._graph.results)
         measured, row = feature_names(dof), self._graph.row
-        self.inputs = named_inputs(self._graph.metadata, path) or measured
+        features = _features(self._graph.metadata, path)
+        self.ranges = {f.name: (f.minimum, f.maximum) for f in features}
+        self.inputs = tuple(f.name for f in features) or measured
         first, rest = self.inputs[: len(measured)], self.inputs[len(measured) :]
         aged = rest[:1] == (AGE.name,)
         self.wanted = rest[aged:]
@@ -237,9 +243,11 @@ class OnnxPredictor:
 
 
 class _Feature(msgspec.Struct, frozen=True):
-    """Input column as the metadata name it; what else they hold is for people."""
+    """Input column as the metadata name it; its unit is for people."""
 
     name: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
 
 
 def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ...]:
@@ -257,10 +265,13 @@ def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ..
     InputError
         If the metadata are damaged.
     """
+    return tuple(feature.name for feature in _features(metadata, path))
+
+
+def _features(metadata: Mapping[str, str], path: Path | str) -> list[_Feature]:
     try:
-        features = msgspec.json.decode(metadata.get("features", "[]"), type=list[_Feature])
+        return msgspec.json.decode(metadata.get("features", "[]"), type=list[_Feature])
     except msgspec.DecodeError as error:
         raise InputError(
             path, f"names its inputs in damaged metadata ({error})", "train the bundle again"
         ) from None
-    return tuple(feature.name for feature in features)
