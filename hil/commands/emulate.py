@@ -1,7 +1,8 @@
 """Emulated servos for any Dynamixel program, until Ctrl-C; prints the name of the port to open.
 
 The servos share one bus with the plant behind them. Goals that a program writes move the plant, and
-the measurements that it reads come from the plant.
+the measurements that it reads come from the plant. Where the kernel permits it, they are served at
+the real-time priority that a robot's loop has by default.
 """
 
 from __future__ import annotations
@@ -12,15 +13,25 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
+from typing import Final
 
 from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, Terminated, emit, terminations_raised
 from firmware_py.errors import InputError
+from firmware_py.realtime.clock import RealTimeOptions, real_time
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.twin_fmu import build_twin
 
+SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)
+"""That of a loop by default. A loop that waits for a reply sleeps, so the servos need no more; and
+they run for days, so garbage is collected."""
+NOT_REAL_TIME: Final = (
+    "python -m hil emulate: warning: the kernel refuses real-time priority, so on a busy machine "
+    "the servos answer late and the ticks of a loop may be out of range; run it as root or grant "
+    "CAP_SYS_NICE"
+)
 EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
 
 
@@ -62,9 +73,11 @@ def run(args: argparse.Namespace) -> int:
             text = f"{name}\n{model.name}, id {ids}, {args.baud} baud; Ctrl-C ends it"
             emit(args, announced, text)
             sys.stdout.flush()
+            if refused:
+                print(NOT_REAL_TIME, file=sys.stderr, flush=True)
 
         try:
-            with terminations_raised():
+            with terminations_raised(), real_time(SCHEDULING) as refused:
                 serve_forever(specification, args.line, args.path, announce)
         except Terminated:
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -9,7 +10,10 @@ import sys
 import dynamixel_sdk as sdk
 import pytest
 
+from firmware_py.realtime.clock import RealTimeOptions
 from hil.__main__ import main
+from hil.commands.emulate import NOT_REAL_TIME
+from hil.emulator.emulator import open_physics
 from models.plant.plant import NOMINAL
 
 
@@ -28,13 +32,54 @@ def started(*options):
 
 
 @pytest.fixture(scope="module")
-def emulator():
-    """Name of a port behind which two PH54 stand."""
+def emulating():
+    """A process behind whose port two PH54 stand, and the name of that port."""
     process, port = started("--line", "pty", "--ids", "1", "2")
-    yield port
+    yield process, port
+    granted = policy_of(process) == os.SCHED_FIFO
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    said = process.communicate(timeout=30)[1]
     assert process.returncode == 0
+    assert said.count("real-time priority") == (not granted)
+
+
+@pytest.fixture(scope="module")
+def emulator(emulating):
+    """Name of that port."""
+    return emulating[1]
+
+
+def policy_of(process):
+    return os.sched_getscheduler(process.pid) & ~os.SCHED_RESET_ON_FORK
+
+
+def test_the_servos_ask_for_the_priority_of_a_loop_and_not_for_more(emulating):
+    process, _ = emulating
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
+    except OSError:
+        assert policy_of(process) == os.SCHED_OTHER
+        return
+    os.sched_setscheduler(0, *before)
+    assert policy_of(process) == os.SCHED_FIFO
+    assert os.sched_getparam(process.pid).sched_priority <= RealTimeOptions().priority
+
+
+def test_a_refused_priority_is_told_once_and_the_servos_are_served(monkeypatch, capsys, tmp_path):
+    def refuse(*_):
+        raise PermissionError
+
+    def serve(specification, kind, path, announce):
+        with open_physics(specification.source, 1).fmu:
+            announce("the port")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr("hil.commands.emulate.serve_forever", serve)
+    assert main(["emulate", "--plant", str(NOMINAL), "--path", str(tmp_path / "bus")]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("the port\n")
+    assert said.err == f"{NOT_REAL_TIME}\n"
 
 
 def test_a_termination_leaves_no_socket(tmp_path):
