@@ -1,7 +1,7 @@
-"""Payload that a robot estimated during a plan, compared with the payloads that the plan holds.
+"""Payload of a run of a plan, compared with the payloads that the plan holds.
 
 A known payload beyond them is refused before the run; an estimated one shows only in the run, whose
-goals are then those of the nearest payload.
+goals are then those of the nearest payload. So it is with the run that a recording holds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import RunSummary
 
-__all__ = ["payload_beyond_plan"]
+__all__ = ["payload_beyond_plan", "recording_beyond_plan"]
 
 TOLERANCE: Final = 0.05
 """Excess that is told, over the largest payload of the plan, or in kg where that is none [assumed:
@@ -44,12 +44,38 @@ def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummar
     if not len(settled_kg):
         return ""
     payload_kg = float(np.median(settled_kg))
-    low, high = float(plan.grid_kg[0]), float(plan.grid_kg[-1])
-    nearest = min(max(payload_kg, low), high)
-    if abs(payload_kg - nearest) <= TOLERANCE * (high or 1.0):
+    nearest_kg = _nearest_kg(plan, payload_kg)
+    if nearest_kg is None:
         return ""
     return (
-        f"the payload is estimated at {payload_kg:.2f} kg, the plan holds {low:g} to {high:g} kg: "
-        f"its goals were those for {nearest:g} kg, and the tip is further off its path than the "
-        "plan expects; plan again with --payloads that enclose it"
+        f"the payload is estimated at {payload_kg:.2f} kg, the plan holds "
+        f"{plan.payloads_in_words}: its goals were those for {nearest_kg:g} kg, and the tip is "
+        "further off its path than the plan expects; plan again with --payloads that enclose it"
     )
+
+
+def recording_beyond_plan(plan: TipPlan, payload_kg: float) -> str:
+    """Return a sentence where a recorded run of a plan has a payload outside of the plan's, or "".
+
+    Parameters
+    ----------
+    plan : TipPlan
+        The plan that is to learn from it.
+    payload_kg : float
+        Mass at the tip in the recording.
+    """
+    nearest_kg = _nearest_kg(plan, payload_kg)
+    if nearest_kg is None:
+        return ""
+    return (
+        f"the payload of the recording is {payload_kg:g} kg, the plan holds "
+        f"{plan.payloads_in_words}: what it learns is for {nearest_kg:g} kg, and it stays without "
+        f"goals for {payload_kg:g} kg; plan again with --payloads that enclose it, and run that"
+    )
+
+
+def _nearest_kg(plan: TipPlan, payload_kg: float) -> float | None:
+    """Payload of the grid that is nearest to one beyond it; None where it is not beyond."""
+    low, high = float(plan.grid_kg[0]), float(plan.grid_kg[-1])
+    nearest_kg = min(max(payload_kg, low), high)
+    return nearest_kg if abs(payload_kg - nearest_kg) > TOLERANCE * (high or 1.0) else None

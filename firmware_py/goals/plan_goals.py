@@ -66,8 +66,9 @@ class PlanGoals(OwnGoals):
         low, high = self._grid[0], self._grid[-1]
         if payload_kg is not None and not low <= payload_kg <= high:
             raise InputError(
-                "payload_kg", f"is {payload_kg:g}, the plan holds {low:g} to {high:g} kg",
-                "plan again with --payloads that enclose it",
+                "payload_kg",
+                f"is {payload_kg:g} kg, the plan {plan.path} holds {plan.payloads_in_words}",
+                "plan again with --payloads that enclose it, or correct payload_kg",
             )  # fmt: skip
         self.known = payload_kg is not None
         self._rate_kg_s = plan.payload_rate_kg_s

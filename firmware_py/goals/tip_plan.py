@@ -218,6 +218,12 @@ class TipPlan(Document, frozen=True):
         """Payloads, rising, shape (p,)."""
         return np.array([own.payload_kg for own in self.payloads])
 
+    @property
+    def payloads_in_words(self) -> str:
+        """Range of its payloads, like "0 to 2 kg"."""
+        low, high = self.payloads[0].payload_kg, self.payloads[-1].payload_kg
+        return f"{low:g} to {high:g} kg" if low < high else f"{low:g} kg alone"
+
     def conditions(self) -> dict[str, str | float]:
         """Conditions of a trial that is a run of the plan, named as in its TOML file."""
         return {

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from firmware_py.console import DONE, Progress, emit
 from firmware_py.display_units import ANGLE, CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
+from firmware_py.goals.payload_beyond_plan import recording_beyond_plan
 from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files
@@ -140,6 +142,8 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
     from models.plan.recorded_plan_run import read_plan_run
 
     run = read_plan_run(args.improve, plan)
+    if beyond := recording_beyond_plan(plan, run.payload_kg):
+        print(f"warning: {args.improve}: {beyond}", file=sys.stderr)
     plant = read_plant(args.plant)
     plant_for_bundle(plant, args.plant, files, "this plan")
     found = improve_plan(plan, run, plant, _limits(args.limits, plant))

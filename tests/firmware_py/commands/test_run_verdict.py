@@ -5,8 +5,10 @@ import resource
 
 import pytest
 
+from firmware_py.documents import write_document
 from firmware_py.log.recording import read_recording
 from tests.firmware_py import test_robot_commands as robot
+from tests.firmware_py.goals.small_plan import small_plan
 
 servos, config, call = robot.servos, robot.config, robot.call
 
@@ -55,3 +57,11 @@ def test_a_payload_that_the_bundle_does_not_use_is_told(servos, config, toy_bund
     log = read_recording(json.loads(output.out)["log"])
     assert log.metadata["payload_kg"] == "9.0"
     assert len([line for line in output.err.splitlines() if "payload_kg" in line]) == 1
+
+
+def test_a_payload_beyond_those_of_a_plan_is_refused(servos, config, toy_bundle, tmp_path, capsys):
+    plan = tmp_path / "plan.json"
+    write_document(plan, small_plan(toy_bundle))
+    code, output = call(capsys, "run", "--config", config, "--plan", plan, "--payload", "2.5")
+    assert code == 2
+    assert "payload_kg: is 2.5 kg, the plan circle holds 0 to 1 kg; plan again" in output.err

@@ -1,9 +1,10 @@
 """Estimated payloads inside and outside of those of a plan."""
 
+import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
+from firmware_py.goals.payload_beyond_plan import payload_beyond_plan, recording_beyond_plan
 from firmware_py.realtime.timing import Timing
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tick_dtype
@@ -52,3 +53,15 @@ def test_only_what_the_estimate_settles_to_counts(said):
     before = np.where(np.arange(100) < 90, -1, 5)  # an approach that outlasts the motion
     assert said(np.where(before < 0, 1.4, 0.8), tick=before) == ""
     assert said(1.4, state=SafetyState.STOPPING) == ""
+
+
+def test_a_recording_of_a_payload_beyond_the_plan_is_told(toy_bundle):
+    plan = small_plan(toy_bundle)
+    assert recording_beyond_plan(plan, 3.0) == (
+        "the payload of the recording is 3 kg, the plan holds 0 to 1 kg: what it learns is for "
+        "1 kg, and it stays without goals for 3 kg; plan again with --payloads that enclose it, "
+        "and run that"
+    )
+    assert recording_beyond_plan(plan, 0.4) == "" == recording_beyond_plan(plan, 1.04)
+    alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:])
+    assert "the plan holds 1 kg alone" in recording_beyond_plan(alone, 0.4)

@@ -203,7 +203,7 @@ def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):
         ({"bundle_sha256": "0"}, {}, "was made for another bundle"),
         ({"period_s": 0.02}, {}, r"has a period of 0\.02 s, the robot 0\.017 s"),
         ({}, {"payload_known": False}, "needs the payload, which the estimator 'none'"),
-        ({}, {"payload_kg": 2.5}, r"payload_kg: is 2\.5, the plan holds 0\.5 to 1\.5 kg"),
+        ({}, {"payload_kg": 2.5}, r"payload_kg: is 2\.5 kg, the plan line holds 0\.5 to 1\.5 kg"),
     ],
 )
 def test_a_plan_that_does_not_fit_the_robot_is_refused(options, plan, changes, robot, sentence):

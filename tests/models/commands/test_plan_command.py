@@ -1,9 +1,14 @@
 """The command `models plan`: options that contradict each other or would change nothing."""
 
+import numpy as np
 import pytest
 
+from firmware_py.documents import write_document
+from firmware_py.errors import InputError
 from models.__main__ import main
+from models.plan.recorded_plan_run import RecordedRun
 from models.plant.plant import NOMINAL
+from tests.firmware_py.goals.small_plan import small_plan
 
 
 @pytest.mark.parametrize(
@@ -36,3 +41,28 @@ def test_the_plant_that_is_read_is_not_overwritten(bare_bundle, tmp_path, capsys
     assert main([str(word) for word in words]) == 2
     assert "is a file that is read" in capsys.readouterr().err
     assert plant.read_bytes() == NOMINAL.read_bytes()
+
+
+@pytest.mark.parametrize(("payload_kg", "told"), [(3.0, 1), (0.5, 0)])
+def test_a_recording_of_a_payload_beyond_the_plan_is_told(
+    bare_bundle, tmp_path, capsys, monkeypatch, payload_kg, told
+):
+    def recorded(path, plan):
+        none = np.zeros((plan.rows, 1))
+        return RecordedRun(none, none, none, payload_kg, 1.0, "mocap", "0" * 64)
+
+    def stop(*_):
+        raise InputError("the test", "ends here", "go on")
+
+    monkeypatch.setattr("models.plan.recorded_plan_run.read_plan_run", recorded)
+    monkeypatch.setattr("models.plan.plan_learning.improve_plan", stop)
+    monkeypatch.setattr("models.commands.plan.plant_for_bundle", lambda *_: None)
+    plan = tmp_path / "plan.json"
+    write_document(plan, small_plan(bare_bundle))
+    words = ["plan", plan, "--improve", tmp_path / "run.csv", "--plant", NOMINAL,
+             "--bundle", bare_bundle, "--out", tmp_path / "better.json"]  # fmt: skip
+    assert main([str(word) for word in words]) == 2
+    error = capsys.readouterr().err
+    assert "the test: ends here" in error
+    sentence = f"warning: {tmp_path}/run.csv: the payload of the recording is 3 kg, the plan holds"
+    assert error.count(sentence) == told
