@@ -16,6 +16,7 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup, check_assumed
 from firmware_py.bus.transport import BAUD_RATES
+from firmware_py.display_units import symbol_of
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
@@ -29,7 +30,7 @@ from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.signals import PERIOD_S, unit_of
 
 __all__ = [
     "BusConfig", "RobotConfig", "ServoConfig", "check_config", "read_config",
@@ -278,8 +279,8 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     >>> try:
     ...     check_config(msgspec.structs.replace(config, bus=slow), "example")
     ... except InputError as error:
-    ...     print(error.what)
-    bus.reply_timeout_s is 1.0, outside 0.0001 to 0.017
+    ...     print(error)
+    example: bus.reply_timeout_s is 1 s; give 0.0001 to 0.017 s.
     """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")
@@ -334,10 +335,10 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
     )
     for key, value, low, high in ranges:
         if value is not None and not low <= value <= high:
+            unit = f" {symbol_of(unit_of(key) or '1')}".rstrip()
+            what = "a mass from " if unit == " kg" else ""
             raise InputError(
-                path,
-                f"{key} is {value}, outside {low:g} to {high:g}",
-                "give it in the unit of its name",
+                path, f"{key} is {value:.10g}{unit}", f"give {what}{low:g} to {high:g}{unit}"
             )
     low, high = limits.angle_rad
     if not -math.pi <= low < high <= math.pi:

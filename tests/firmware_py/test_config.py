@@ -100,7 +100,7 @@ WRONG = {
     "id too large": (MINIMAL.replace("id = 1", "id = 253"), "253"),
     "odd baud rate": (MINIMAL.replace("[bus]", "[bus]\nbaud = 1000"), "1000000"),
     "too slow a bus": (MINIMAL.replace("[bus]", "[bus]\nbaud = 57600"), "need 10.4 ms"),
-    "a period of zero": ("period_s = 0.0\n" + MINIMAL, "period_s is 0.0"),
+    "a period of zero": ("period_s = 0.0\n" + MINIMAL, "period_s is 0 s"),
     "limits the wrong way round": (MINIMAL + "[limits]\nangle_rad = [0.5, -0.5]\n", "low < high"),
     "limits in degrees": (MINIMAL + "[limits]\nangle_rad = [-30, 30]\n", "in rad"),
     "a tip box without room": (MINIMAL + "[limits]\ntip_min_m = [0, 0, 2]\n", "along z"),
@@ -160,3 +160,18 @@ def test_servos_without_a_watchdog_are_driven_more_slowly(tmp_path, model, limit
     rate_rad_s = 1.0 if limited else config.limits.rate_rad_s
     assert config.limits_in_force.rate_rad_s == rate_rad_s
     assert {setup.max_rate_rad_s for setup in config.setups()} == {rate_rad_s}
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("payload_kg = -1.0", "payload_kg is -1 kg; give a mass from 0 to 100 kg."),
+        ("[limits]\nrate_rad_s = 0.0", "limits.rate_rad_s is 0 rad/s; give 0.001 to 100 rad/s."),
+        ("[limits]\nstale_ticks = 0", "limits.stale_ticks is 0; give 1 to 100."),
+    ],
+)
+def test_a_value_beyond_its_range_is_told_with_its_unit(tmp_path, line, sentence):
+    text = MINIMAL + line if line.startswith("[") else line + MINIMAL
+    with pytest.raises(InputError) as refused:
+        config_of(text, tmp_path)
+    assert str(refused.value) == f"{tmp_path / 'robot.toml'}: {sentence}"
