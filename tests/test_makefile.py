@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -77,3 +78,12 @@ def test_fast_tests_run_beside_lint_and_leave_the_slow_ones_out():
         env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
     )  # fmt: skip
     assert '-m "not slow"' in done.stdout and "lint-imports" in done.stdout
+
+
+def test_the_help_says_how_long_the_fault_campaign_takes():
+    said = subprocess.run(
+        ["make", "--directory", ROOT, "help"], capture_output=True, text=True, check=True
+    ).stdout
+    claims = tomllib.loads((ROOT / "docs" / "claims.toml").read_text(encoding="utf-8"))["claim"]
+    (minutes,) = {c["minutes"] for c in claims if c["command"].startswith("make faults")}
+    assert f"injected and judged; {minutes} minutes from nothing" in said
