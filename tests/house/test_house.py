@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from pathlib import Path
 
+from tests.durations import LIST
 from tests.house.each_file import ROOT, each_file, place, tree_of
 
 ROOMS = ("firmware_py", "models", "fmu", "hil")
@@ -147,3 +148,17 @@ PROSE = re.compile(
 def test_texts_use_the_words_of_the_glossary(path):
     text = path.read_text(encoding="utf-8")
     assert path.name == Path(__file__).name or not PROSE.findall(text)
+
+
+def is_fixture(function: ast.FunctionDef) -> bool:
+    return any("fixture" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def test_every_line_of_the_slow_list_names_a_test_or_a_fixture():
+    """A line of another form, or of a test that was renamed, would mark nothing."""
+    found = [f for path in TESTS for f in functions(tree_of(path))]
+    names = {f.name for f in found if f.name.startswith("test_")}
+    names |= {f"fixture:{f.name}" for f in found if is_fixture(f)}
+    lines = LIST.read_text(encoding="utf-8").split()
+    assert [line for line in lines if line not in names] == []
+    assert lines == sorted(set(lines)), "as make test-durations writes it"
