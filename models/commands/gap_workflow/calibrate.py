@@ -73,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     from models.gap.calibration.protocol import protocol_of
     from models.gap.estimation.curve_transfer import motion_of
     from models.gap.estimation.model_discrepancy import write_patterns
+    from models.gap.residuals.group_words import motion_in_words
 
     cases = protocol_of(trials)
     directory, patterns = calibration_directory(args.plant), patterns_file(args.plant)
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     progress.step("done")
     motions = {motion_of(key): pattern_sentence(own) for key, own in measured.items()}
     data = {"patterns": str(patterns), "picture": str(picture), "motions": motions}
-    lines = [f"{motion}: {sentence}" for motion, sentence in motions.items()]
+    lines = [f"{motion_in_words(motion)}: {sentence}" for motion, sentence in motions.items()]
     emit(args, data, "\n".join([*lines, f"{patterns}; look at {picture}"]))
     return DONE
 

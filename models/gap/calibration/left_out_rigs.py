@@ -10,6 +10,7 @@ import numpy as np
 
 from models.gap.estimation.curve_transfer import motion_of
 from models.gap.estimation.model_discrepancy import patterns_of
+from models.gap.residuals.group_words import motion_in_words
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS
 from models.shared.palette import MEASURED, MUTED, SIMULATED
@@ -101,7 +102,7 @@ def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
             ax.plot(links, without[order], "o", color=MEASURED, label="mean error subtracted")
             ax.plot(links, with_patterns[order], "o", color=SIMULATED, label="patterns as well")
             ax.set_yscale("log")
-            ax.set_title(motion_of(key), fontsize=8)
+            ax.set_title(motion_in_words(motion_of(key)), fontsize=8, wrap=True)
             ax.set_xlabel("links, by their error", fontsize=8)
         axes[0, 0].set_ylabel("mean squared error in noise floors", fontsize=8)
         axes[0, 0].legend(fontsize=7)

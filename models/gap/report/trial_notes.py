@@ -9,6 +9,7 @@ from firmware_py.display_units import DURATION
 from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.gap_json import GapDocument
+from models.gap.residuals.group_words import groups_in_words
 
 VARIATION_IN_WORDS: Final[Mapping[str, str]] = {
     "eccentricity_m": "place of the payload", "sync_s": "clock", "frame_m": "mocap frame",
@@ -90,7 +91,7 @@ def _own_error(document: GapDocument) -> str:
     if not floor.learned:
         return ""
     lacking = [key for key, known in floor.own_error.items() if known.curve == "unknown"]
-    where = "; ".join(lacking)
+    where = groups_in_words(lacking)
     return where and (
         "the plant's own error is not known, so not subtracted, and effects must be larger to be "
         f"named: identify the plant on trials of this motion too, for: {where}"
@@ -106,7 +107,7 @@ def _patterns(document: GapDocument) -> str:
     floor = document.noise_floor
     known = floor.own_error if floor.learned and "di" in floor.signals else {}
     lacking = [k for k, o in known.items() if o.curve != "unknown" and o.patterns == "unknown"]
-    where = "; ".join(lacking)
+    where = groups_in_words(lacking)
     return where and (
         "how the plant's own error varies between links was not measured, so faint effects may be "
         f"missed: run python -m models calibrate on the trials of the plant, for: {where}"

@@ -105,6 +105,7 @@ def test_patterns_are_measured_once_and_kept_beside_the_plant(tmp_path, capsys):
     times = [f.stat().st_mtime_ns for f in files]
     patterns_file(plant).unlink()
     assert main(command) == 0
+    assert "sinusoid of ±15°, period 2 s, one joint: " in capsys.readouterr().out
     assert [f.stat().st_mtime_ns for f in files] == times
     assert patterns_file(plant).exists()
 

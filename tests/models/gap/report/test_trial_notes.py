@@ -2,12 +2,17 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from models.gap.estimation.curve_transfer import motion_of
 from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
+from models.gap.residuals.group_words import motion_in_words
+from models.gap.residuals.residuals import trial_group_key
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.trials.trial import Trial, TrialMeta
 
 
 def document(curve="measured", amplification=(), patterns="measured", signals=("di",), **others):
@@ -90,3 +95,26 @@ def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
 def test_conditions_of_no_trial_of_the_plant_are_noted(condition, said):
     (note,) = notes_in_words(document(changed_conditions=[ChangedCondition(*condition)]))
     assert said in note
+
+
+def noted(keys):
+    found = document("unknown")
+    found.noise_floor.own_error = {k: SimpleNamespace(curve="unknown", patterns="") for k in keys}
+    (note,) = notes_in_words(found)
+    return note.replace("\u00a0", " ").split("for: ")[1]
+
+
+def test_groups_of_trials_are_told_in_words():
+    meta = TrialMeta(
+        dof=2, payload_kg=1.0, trial=1, motion="sinusoid", source="rig", period_s=4.352,
+        amplitude_rad=np.radians(30), phase_2_rad=np.pi / 2, rest_samples=60,
+        conditions={"load_mass_kg": 0.5},
+    )  # fmt: skip
+    columns = {"time_s": 0.017 * np.arange(572)}
+    key = trial_group_key(Trial("one", meta, columns))
+    words = "sinusoid of ±30°, period 4.352 s, joint 2 leads by 90°, two joints, load mass 0.5 kg"
+    assert noted([key]) == motion_in_words(motion_of(key)) == words
+    short = trial_group_key(Trial("short", meta, {"time_s": 0.017 * np.arange(300)}))
+    assert noted([key, short]) == f"{words}, 572 rows of 17.0 ms; {words}, 300 rows of 17.0 ms"
+    assert noted(["1dof steps 0.3491rad 0s 0rad 572x0.017s"]) == "steps of ±20°, one joint"
+    assert noted(["of another form"]) == "of another form"

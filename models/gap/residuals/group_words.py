@@ -1,0 +1,85 @@
+"""Groups of trials as a person reads them, from the keys by which documents name them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterable
+from typing import Final
+
+from firmware_py.display_units import DURATION, TIME, symbol_of
+from firmware_py.signals import unit_of, without_unit
+
+__all__ = ["groups_in_words", "motion_in_words"]
+
+_KEY: Final = re.compile(
+    r"(?P<dof>\d+)dof (?P<motion>.+?) (?P<amplitude>[-+.\de]+)rad (?P<period>[-+.\de]+)s "
+    r"(?P<phase>[-+.\de]+)rad( (?P<rows>\d+)x(?P<step>[-+.\de]+)s)?(?P<conditions>( \S+=\S+)*)"
+)
+"""Of `models.gap.residuals.residuals.trial_group_key`, with or without length and step."""
+_COUNTS: Final = {1: "one joint", 2: "two joints"}
+
+
+def motion_in_words(key: str) -> str:
+    """Return the motion and the conditions of a group of trials; the key where it has another form.
+
+    Parameters
+    ----------
+    key : str
+        Of the group.
+
+    Examples
+    --------
+    >>> motion_in_words("2dof sinusoid 0.5236rad 4.352s 1.571rad 572x0.017s load_mass_kg=0.5")
+    'sinusoid of ±30°, period 4.352 s, joint 2 leads by 90°, two joints, load mass 0.5 kg'
+    >>> motion_in_words("1dof steps 0.5236rad 0s 0rad 572x0.017s")
+    'steps of ±30°, one joint'
+    """
+    found = _KEY.fullmatch(key)
+    if found is None:
+        return key
+    amplitude, phase = (round(math.degrees(float(found[n])), 1) for n in ("amplitude", "phase"))
+    dof, period_s = int(found["dof"]), float(found["period"])
+    parts = [
+        found["motion"].replace("_", " ") + (f" of ±{amplitude:g}°" if amplitude else ""),
+        f"period {period_s:g} {TIME.name}" if period_s else "",
+        f"joint 2 leads by {phase:g}°" if phase else "",
+        _COUNTS.get(dof, f"{dof} joints"),
+        *(_condition(text) for text in found["conditions"].split()),
+    ]
+    return ", ".join(filter(None, parts))
+
+
+def groups_in_words(keys: Iterable[str]) -> str:
+    """Return groups of trials in words, their length told where else two would read alike.
+
+    Parameters
+    ----------
+    keys : iterable of str
+        Of the groups.
+
+    Examples
+    --------
+    >>> said = groups_in_words(f"1dof steps 0.35rad 0s 0rad {n}x0.017s" for n in (100, 200))
+    >>> said.split("; ")[1].replace("\u00a0", " ")
+    'steps of ±20.1°, one joint, 200 rows of 17.0 ms'
+    """
+    words = {key: motion_in_words(key) for key in keys}
+    times = Counter(words.values())
+    return "; ".join(
+        said + (_length(key) if times[said] > 1 else "") for key, said in words.items()
+    )
+
+
+def _condition(text: str) -> str:
+    """A condition "load_mass_kg=0.5" as "load mass 0.5 kg"."""
+    name, _, value = text.partition("=")
+    return f"{without_unit(name)} {value} {symbol_of(unit_of(name) or '1')}".rstrip()
+
+
+def _length(key: str) -> str:
+    found = _KEY.fullmatch(key)
+    if found is None or found["rows"] is None:
+        return ""
+    return f", {found['rows']} rows of {DURATION.text(float(found['step']))}"
