@@ -89,6 +89,11 @@ class JudgedAcceptance:
     believed: bool
 
     @property
+    def is_biased(self) -> bool:
+        """Whether all trials vary alike beside these effects."""
+        return bool(self.acceptance.search.nuisance_bias(self.acceptance.result.after))
+
+    @property
     def order(self) -> tuple[int, float]:
         """See `models.gap.decision.answers.set_order`."""
         return set_order(len(self.tested.effects), self.believed, self.tested.answers.catalogue)
@@ -209,6 +214,7 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
                 result = row.acceptance.result
                 if set(result.named) <= left or result.after.cost < first.result.after.cost:
                     found += _unknown(found, [row])
+    found = [_with_bias_explained(row, found) for row in found]
     best = max(found, key=lambda j: j.order)
     further = best.tested.further if acceptance.search.learned and best.believed else None
     if further is not None and further.is_missing:
@@ -216,6 +222,27 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
         found += _unknown(found, _judged_both(more, model))
         best = max(found, key=lambda j: j.order)
     return [*(j for j in found if j is not best), best]
+
+
+def _with_bias_explained(
+    row: JudgedAcceptance, found: Sequence[JudgedAcceptance]
+) -> JudgedAcceptance:
+    """Belief in a set of effects with which trials vary by chance, and do not without one of them.
+
+    Something beside the rest is missing for certain then. The set is as likely as the rest, where
+    the evidence for it is less.
+    """
+    if row.is_biased:
+        return row
+    names = set(row.tested.effects)
+    rests = [
+        j for j in found
+        if j.is_biased and 0 < len(j.tested.effects) == len(names) - 1
+        and set(j.tested.effects) < names
+    ]  # fmt: skip
+    best = max([row, *rests], key=lambda j: j.tested.answers.catalogue)
+    tested = replace(row.tested, answers=best.tested.answers)
+    return replace(row, tested=tested, believed=bool(names) and tested.answers.is_believed)
 
 
 def _unknown(

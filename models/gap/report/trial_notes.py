@@ -44,15 +44,21 @@ def _odd_trials(document: GapDocument) -> str:
 def _from_what(odd: OddTrial) -> str:
     """What a trial that was left out differs from, and by how much."""
     if odd.variation:
-        kind = VARIATION_IN_WORDS.get(odd.variation, odd.variation)
         return (
-            f"its repetition in the {kind} by {odd.standard_deviations:.0f} standard deviations of "
-            "what is usual"
+            f"its repetition in the {_variation_in_words(odd.variation)} by "
+            f"{odd.standard_deviations:.0f} standard deviations of what is usual"
         )
     return (
         f"the plant by {odd.floors:.1f} noise floors, comparable trials by "
         f"{odd.floors_of_comparable:.1f}"
     )
+
+
+def _variation_in_words(kind: str) -> str:
+    """Kind of variation between trials, with the output that it acts on where it has one."""
+    name, _, output = kind.partition(" ")
+    along = f" along {output[4]}" if output.startswith("tip_") else ""
+    return VARIATION_IN_WORDS.get(name, name) + along
 
 
 def _separate_joints(document: GapDocument) -> str:
@@ -74,7 +80,8 @@ def _goal_not_followed(document: GapDocument) -> str:
 def _nuisance_bias(document: GapDocument) -> str:
     """Variations in which all trials would have to differ alike; empty if in none."""
     kinds = ", ".join(
-        f"{kind} by {z:+.0f} standard deviations" for kind, z in document.nuisance_bias.items()
+        f"{_variation_in_words(kind)} by {z:+.0f} standard deviations"
+        for kind, z in document.nuisance_bias.items()
     )
     return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"
 

@@ -34,10 +34,7 @@ from models.gap.search.dead_zone_effects import strengths_far_from_zero, unexcit
 from models.gap.search.effect_pairs import promising_pairs
 from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_out_error
 from models.gap.search.null_distribution import known_error, null_distribution_of
-from models.gap.search.several_starts import (
-    refitted_from_both_signs,
-    refitted_from_far_strengths,
-)
+from models.gap.search.several_starts import refitted_from_both_signs, refitted_from_far_strengths
 from models.gap.search.strength_consistency import strengths_hold
 
 ReportProgress = Callable[[str, int], None]
@@ -128,9 +125,9 @@ class EffectSearch:
             here = found.after
             if found.named:
                 self._round(found, [])
-            choice = self._accept(found.rounds[-1], here, found)
+            choice = self._accept(found.rounds[-1], found)
             if choice is None and (self._is_open(here) or not (self.learned or found.named)):
-                choice = self._pairs(here, found)
+                choice = self._pairs(found)
             if choice is None:
                 break
             found.named += list(choice.effects)
@@ -151,12 +148,14 @@ class EffectSearch:
         screen = self._screen(found.after, others, found)
         if not found.named:
             found.screened = {e: c.separation for (e,), c in screen.items()}
-        best = sorted(screen.values(), key=lambda c: c.hope, reverse=True)[: self._most_refitted()]
+        best = sorted(screen.values(), key=lambda c: (self._explains_bias(c, found), c.hope))[::-1]
+        best = best[: self._most_refitted()]
         if found.named and self.learned and not self.nuisance_bias(found.after):
             best = [c for c in best if may_pass(c, found, self.settings)]
         self.report(f"{len(screen)} effects screened", len(best) + 1)
-        refitted = [self._refit(c, found.after, found, len(best) - k) for k, c in enumerate(best)]
-        found.rounds.append(sorted(refitted, key=lambda c: c.score, reverse=True))
+        refitted = [self._refit(c, found, len(best) - k) for k, c in enumerate(best)]
+        refitted.sort(key=lambda c: (self._explains_bias(c, found), c.score), reverse=True)
+        found.rounds.append(refitted)
 
     @cached_property
     def held_out(self) -> HeldOut:
@@ -220,40 +219,38 @@ class EffectSearch:
         """Effects that may still be named."""
         return [e for e in self.of if e not in found.named and e not in self.excluded]
 
-    def _refit(
-        self, candidate: Candidate, here: FitPoint, found: SearchResult, further: int
-    ) -> Candidate:
+    def _refit(self, candidate: Candidate, found: SearchResult, further: int) -> Candidate:
         """Fit a candidate from its screened start, from zero and from the other sign."""
         named, own = [*found.named, *candidate.effects], self.free(candidate.effects) & ~self.base
-        fit = self.estimator, candidate.point, here, self.free(named), own
+        fit = self.estimator, candidate.point, found.after, self.free(named), own
         found.explore(named, point := refitted_from_both_signs(*fit))
         self.report(" + ".join(candidate.effects), further)
-        return self.candidate(candidate.effects, point, here)
+        return self.candidate(candidate.effects, point, found.after)
 
     def _settled(self, choice: Candidate, here: FitPoint, free: Array) -> FitPoint:
         strengths = [int(np.flatnonzero(self.of[e])[0]) for e in choice.effects]
         fit = self.estimator, choice.point, here, free, strengths
         return refitted_from_far_strengths(*fit, self._is_open)
 
-    def _accept(
-        self, refitted: Sequence[Candidate], here: FitPoint, found: SearchResult
-    ) -> Candidate | None:
+    def _accept(self, refitted: Sequence[Candidate], found: SearchResult) -> Candidate | None:
         """Best candidate that passes; without a learned floor that of the least held-out error."""
         passed: list[tuple[float, Candidate]] = []
-        without = None if self.learned else self.held_out.errors(here, self.free(found.named))
+        before = found.after, self.free(found.named)
+        without = None if self.learned else self.held_out.errors(*before)
         for candidate in refitted:
             further = bool(found.named) and without is not None
             beyond = candidate.separation >= candidate.least  # held-out error alone fits one fold
-            enough = beyond if further else self._stands_out(candidate, here, found)
+            enough = beyond if further else self._stands_out(candidate, found)
             own = self._free_of(candidate, found)
             if not enough or self.excluded & set(candidate.effects):
                 continue
-            bounded = bounded_candidate(self.estimator, candidate, here, own, found.refused)
+            bounded = bounded_candidate(self.estimator, candidate, before[0], own, found.refused)
             if not bounded:
                 continue
-            fits = (here, self.free(found.named)), (bounded.point, self._free_of(bounded, found))
+            fits = before, (bounded.point, self._free_of(bounded, found))
             bounded.held_out_gain, bounded.held_out_error = held_out_gain(self.estimator, *fits)
-            if not further and bounded.held_out_gain <= bounded.held_out_error:
+            earned = further or self._explains_bias(candidate, found)
+            if not earned and bounded.held_out_gain <= bounded.held_out_error:
                 continue
             if without is None:
                 return bounded
@@ -268,18 +265,23 @@ class EffectSearch:
         free[list(candidate.held)] = False
         return free
 
-    def _stands_out(self, candidate: Candidate, here: FitPoint, found: SearchResult) -> bool:
+    def _stands_out(self, candidate: Candidate, found: SearchResult) -> bool:
         """Whether a candidate passes its limits, also beside the error of earlier equations.
 
         That shifts no trials alike: beside it, one that removes a nuisance bias need not stand out.
         """
         left = self.mean_residual(candidate.point)
         alone, beside, doubted = beyond_limits(candidate, found, left, self.settings)
-        if self.nuisance_bias(here) and not self.nuisance_bias(candidate.point):
+        if self._explains_bias(candidate, found):
             return alone > 0
         fit = self.estimator, candidate.point, self._free_of(candidate, found)
         own = [self.of[e] for e in candidate.effects]
         return beside > 0 and (doubted > 0 or strengths_hold(*fit, own))
+
+    def _explains_bias(self, candidate: Candidate, found: SearchResult) -> bool:
+        """Whether trials vary by chance with a further effect, and do not without it."""
+        biased = bool(found.named and self.nuisance_bias(found.after))
+        return biased and not self.nuisance_bias(candidate.point)
 
     def nuisance_bias(self, point: FitPoint) -> dict[str, float]:
         """Kinds of trial variation that are biased, see `models.gap.estimation.nuisance_bias`."""
@@ -302,14 +304,14 @@ class EffectSearch:
         least = min(self.null_distribution.explained, self.settings.open_residual)
         return self.mean_residual(point) > least
 
-    def _pairs(self, here: FitPoint, found: SearchResult) -> Candidate | None:
+    def _pairs(self, found: SearchResult) -> Candidate | None:
         """Best pair of effects, by the prediction of derivatives, then refitted."""
         if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
-        own = found.named, self._choices(found), self.free
+        here, own = found.after, (found.named, self._choices(found), self.free)
         tried = [self.candidate(*r, here) for r in promising_pairs(self.estimator, here, *own)]
-        refitted = [self._refit(c, here, found, len(tried) - k) for k, c in enumerate(tried)]
-        return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), here, found)
+        refitted = [self._refit(c, found, len(tried) - k) for k, c in enumerate(tried)]
+        return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), found)
 
     def _widen(self, point: FitPoint) -> None:
         """Allow for repetitions that differ, a fraction of the gap, and a changed link."""

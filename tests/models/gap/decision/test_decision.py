@@ -270,6 +270,28 @@ def test_the_largest_set_that_is_likelier_than_all_else_is_named(monkeypatch, bo
     assert decide_with(monkeypatch, answers).result.named == named
 
 
+@pytest.mark.parametrize(
+    ("biased_beside", "named"),
+    [
+        (("prebend",), ["prebend", "creep"]), (("creep",), ["prebend"]), ((), ["prebend"]),
+        (("prebend", "prebend + creep"), ["prebend"]),
+    ],
+)  # fmt: skip
+def test_what_takes_a_deviation_from_all_trials_is_as_likely_as_the_effect_beside_it(
+    monkeypatch, biased_beside, named
+):
+    """The evidence believes in the first effect alone, and not in both."""
+
+    class BiasedSearch(Search):
+        def nuisance_bias(self, point):
+            rests = {1.0: "prebend", 9.0: "creep", 0.0: "prebend + creep"}
+            return {"friction": 20.0} if rests.get(point.cost) in biased_beside else {}
+
+    answers = {("prebend",): BELIEVED, ("prebend", "creep"): Answers(0.3, 0.3, 0.4)}
+    found = decide_with(monkeypatch, answers, search=BiasedSearch())
+    assert found.result.named == named
+
+
 @pytest.mark.parametrize(("blamed", "named"), [("prebend", ["prebend"]), ("creep", [])])
 def test_what_the_tests_took_out_is_named_where_it_fits_better_than_the_rest(
     monkeypatch, blamed, named

@@ -13,7 +13,8 @@ PARAMETERS = [
     FitParameter(name, "trial", {}, outputs, deviation, trial=t)
     for t in range(TRIALS)
     for name, outputs, deviation in (
-        ("eccentricity_m", {}, 0.003), ("frame_m", {"tip_x_m": 1.0}, 3e-4), ("sync_s", {}, 0.002),
+        ("eccentricity_m", {}, 0.003), ("frame_m", {"tip_x_m": 1.0}, 3e-4), ("friction", {}, 0.05),
+        ("sync_s", {}, 0.002),
     )
 ] + [FitParameter("link_mass_kg", "nuisance", {}, {}, 0.1)]  # fmt: skip
 DEVIATION = np.array([q.standard_deviation for q in PARAMETERS])
@@ -29,7 +30,9 @@ def test_chance_is_standard_normal_and_is_never_a_bias():
     for _ in range(400):
         values = DEVIATION * rng.standard_normal(len(PARAMETERS))
         drawn.append(nuisance_biases(PARAMETERS, point(values)))
-    assert set(drawn[0]) == {"eccentricity_m", "frame_m tip_x_m"}, "no nuisance of all, no clock"
+    assert set(drawn[0]) == {"eccentricity_m", "frame_m tip_x_m", "friction"}, (
+        "no nuisance of all, no clock"
+    )
     every = np.array([list(z.values()) for z in drawn])
     assert abs(every.mean()) < 0.15 and abs(every.std() - 1) < 0.1
     assert np.abs(every).max() < DEFAULT_SETTINGS.nuisance_bias_limit_sd

@@ -47,11 +47,12 @@ def test_nothing_is_noted_of_plain_trials():
 def test_everything_that_a_reader_has_to_know_is_noted():
     found = document(
         "unknown", {"2": 3.9}, goal_not_followed_at_row={"heavy": 310},
-        nuisance_bias={"sync_s": 14.2}, rows_fitted={"long": 5000},
+        nuisance_bias={"friction": 14.2, "frame_m tip_z_m": -13.0}, rows_fitted={"long": 5000},
     )  # fmt: skip
     said = "; ".join(notes_in_words(found))
     for words in (
-        "heavy from row 310", "sync_s by +14 standard deviations", "5000 of long",
+        "heavy from row 310", "friction by +14 standard deviations", "mocap frame along z by -13",
+        "5000 of long",
         "identify the plant on trials of this motion too, for: 1dof steps", "3.9 times at 2 kg",
     ):  # fmt: skip
         assert words in said
