@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Mapping
+from typing import Final
 
 from models.gap.decision.posterior import DECIDED
 from models.gap.report.effect_checks import EFFECT_CHECKS, further_missing
 from models.gap.report.gap_json import GapDocument, SeparatingMotion
+from models.gap.report.trial_notes import variation_in_words
 from models.gap.settings import GapSettings
+
+SHOWS_AS: Final[Mapping[str, str]] = {
+    "friction": "coulomb_friction", "pressure": "pressure_leak", "eccentricity_m": "payload_offset",
+    "frame_m": "marker_frame_tilt",
+}  # fmt: skip
+"""Effect whose check shows a variation that all trials share, by
+`GapSettings.nuisance_bias_kinds`."""
 
 
 def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
@@ -69,6 +79,12 @@ def _next_step_of_more(document: GapDocument) -> str:
     """The same where the named effects leave more than noise."""
     record = "record another motion or payload and run gap again before you train with it."
     further = further_missing(document)
+    for kind in document.nuisance_bias:
+        check = EFFECT_CHECKS[SHOWS_AS[kind.split()[0]]]
+        return (
+            "The improved plant is the better one, but all trials differ from the plant alike in "
+            f"their {variation_in_words(kind)}. {check} Or {record}"
+        )
     if further is None:
         return f"The improved plant is the better one, but more than noise is left: {record}"
     effect = further.effect.replace("_", " ")

@@ -45,7 +45,7 @@ def _from_what(odd: OddTrial) -> str:
     """What a trial that was left out differs from, and by how much."""
     if odd.variation:
         return (
-            f"its repetition in the {_variation_in_words(odd.variation)} by "
+            f"its repetition in the {variation_in_words(odd.variation)} by "
             f"{odd.standard_deviations:.0f} standard deviations of what is usual"
         )
     return (
@@ -54,8 +54,19 @@ def _from_what(odd: OddTrial) -> str:
     )
 
 
-def _variation_in_words(kind: str) -> str:
-    """Kind of variation between trials, with the output that it acts on where it has one."""
+def variation_in_words(kind: str) -> str:
+    """Kind of variation between trials, with the output that it acts on where it has one.
+
+    Parameters
+    ----------
+    kind : str
+        Key of `GapDocument.nuisance_bias`, or `OddTrial.variation`.
+
+    Examples
+    --------
+    >>> variation_in_words("frame_m tip_z_m"), variation_in_words("friction")
+    ('mocap frame along z', 'friction')
+    """
     name, _, output = kind.partition(" ")
     along = f" along {output[4]}" if output.startswith("tip_") else ""
     return VARIATION_IN_WORDS.get(name, name) + along
@@ -80,7 +91,7 @@ def _goal_not_followed(document: GapDocument) -> str:
 def _nuisance_bias(document: GapDocument) -> str:
     """Variations in which all trials would have to differ alike; empty if in none."""
     kinds = ", ".join(
-        f"{_variation_in_words(kind)} by {z:+.0f} standard deviations"
+        f"{variation_in_words(kind)} by {z:+.0f} standard deviations"
         for kind, z in document.nuisance_bias.items()
     )
     return kinds and f"all trials would have to differ from the usual in the same way: {kinds}"

@@ -15,8 +15,9 @@ from models.gap.report.gap_words import (
     refusals_in_words,
     verdict_in_words,
 )
-from models.gap.report.next_step import is_plant_as_given, next_step_in_words
+from models.gap.report.next_step import SHOWS_AS, is_plant_as_given, next_step_in_words
 from models.gap.search.refused_effect import RefusedEffect
+from models.gap.settings import DEFAULT_SETTINGS
 
 
 def document(verdict, *named, answers=None, further=None, refitted=(), **probabilities):
@@ -32,6 +33,7 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
         settings=SimpleNamespace(same_link=False),
         refitted=dict(refitted),
         tested=[SimpleNamespace(further=further)],
+        nuisance_bias={},
         odd_trials=(),
         before={"fitted": {"angle_1_rad": None}},
         after={"fitted": {"tip_z_m": SimpleNamespace(floors=3.4)}},
@@ -81,6 +83,20 @@ def test_where_more_is_left_the_next_step_is_to_look_for_it(kind):
     assert "run gap again before you train" in said
     nothing_further = next_step_in_words(document("reduced", "backlash", backlash=0.98))
     assert "more than noise is left" in nothing_further and "Weigh" not in nothing_further
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("friction", "alike in their friction. Turn the joint by hand"),
+        ("frame_m tip_x_m", "alike in their mocap frame along x. Calibrate the frame"),
+    ],
+)
+def test_what_all_trials_share_is_what_a_person_looks_at(kind, words):
+    found = document("reduced", "dead_time", dead_time=0.98)
+    found.nuisance_bias = {kind: 14.0}
+    assert words in next_step_in_words(found)
+    assert set(SHOWS_AS) == set(DEFAULT_SETTINGS.nuisance_bias_kinds), "each has its check"
 
 
 def test_the_next_command_has_the_path_of_the_diagnosis_and_tells_of_both_servos():
