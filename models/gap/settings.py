@@ -170,7 +170,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     payload offset had gone into it; of friction 11 to 28 in nine of twelve data sets with Coulomb
     friction beside another effect, 6 to 9 in three; 13 and 25 of pressure beside softening."""
     nuisance_bias_kinds: tuple[str, ...] = ("eccentricity_m", "frame_m", "friction", "pressure")
-    """Kinds of trial variation that are judged; the mean of the clocks is held at zero."""
+    """Kinds of trial variation that are judged, that of pressure only where the link is the same
+    (`same_link`). The mean of the clocks is held at zero."""
 
     # Effect search
     widening_rounds: int = 2

@@ -15,12 +15,17 @@ of the trials' clocks is held at zero in the fit (`models.gap.residuals.prior`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+
+CHANGES_WITH_LINK: Final = frozenset({"pressure"})
+"""Kinds that are judged on an unchanged link alone: another one differs in all trials alike. On a
+link that was 20 % stiffer throughout z of the pressure was 11."""
 
 
 def nuisance_biases(
@@ -40,8 +45,11 @@ def nuisance_biases(
         Tuned numbers.
     """
     by_kind: dict[str, list[float]] = {}
+    kinds = set(settings.nuisance_bias_kinds)
+    if not settings.same_link:
+        kinds -= CHANGES_WITH_LINK
     for q, value in zip(fit_parameters, point.values, strict=True):
-        if q.kind == "trial" and q.name in settings.nuisance_bias_kinds:
+        if q.kind == "trial" and q.name in kinds:
             kind = " ".join([q.name, *q.outputs])
             by_kind.setdefault(kind, []).append(float(value) / q.standard_deviation)
     return {kind: float(np.sum(z) / np.sqrt(len(z))) for kind, z in by_kind.items()}

@@ -6,7 +6,7 @@ import pytest
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias, nuisance_biases
 from models.gap.residuals.fit_parameters import FitParameter
-from models.gap.settings import DEFAULT_SETTINGS
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 TRIALS = 6
 PARAMETERS = [
@@ -14,7 +14,7 @@ PARAMETERS = [
     for t in range(TRIALS)
     for name, outputs, deviation in (
         ("eccentricity_m", {}, 0.003), ("frame_m", {"tip_x_m": 1.0}, 3e-4), ("friction", {}, 0.05),
-        ("sync_s", {}, 0.002),
+        ("pressure", {}, 0.01), ("sync_s", {}, 0.002),
     )
 ] + [FitParameter("link_mass_kg", "nuisance", {}, {}, 0.1)]  # fmt: skip
 DEVIATION = np.array([q.standard_deviation for q in PARAMETERS])
@@ -47,3 +47,10 @@ def test_what_all_trials_share_adds_up_and_what_cancels_does_not():
     )
     values[own] *= np.resize([1.0, -1.0], TRIALS)
     assert not excessive_nuisance_bias(PARAMETERS, point(values))
+
+
+def test_pressure_is_judged_on_the_same_link_alone():
+    """A link that is stiffer throughout differs in all trials alike, and is no effect."""
+    same = GapSettings(same_link=True)
+    assert "pressure" in nuisance_biases(PARAMETERS, point(DEVIATION), same)
+    assert "pressure" not in nuisance_biases(PARAMETERS, point(DEVIATION))
