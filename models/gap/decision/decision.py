@@ -90,7 +90,7 @@ class JudgedAcceptance:
 
     @property
     def is_biased(self) -> bool:
-        """Whether all trials vary alike beside these effects."""
+        """Whether all trials share a deviation beside these effects."""
         return bool(self.acceptance.search.nuisance_bias(self.acceptance.result.after))
 
     @property

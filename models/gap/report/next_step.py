@@ -78,13 +78,14 @@ def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
 def _next_step_of_more(document: GapDocument) -> str:
     """The same where the named effects leave more than noise."""
     record = "record another motion or payload and run gap again before you train with it."
-    further = further_missing(document)
-    for kind in document.nuisance_bias:
+    if document.nuisance_bias:
+        kind = max(document.nuisance_bias, key=lambda own: abs(document.nuisance_bias[own]))
         check = EFFECT_CHECKS[SHOWS_AS[kind.split()[0]]]
         return (
             "The improved plant is the better one, but all trials differ from the plant alike in "
             f"their {variation_in_words(kind)}. {check} Or {record}"
         )
+    further = further_missing(document)
     if further is None:
         return f"The improved plant is the better one, but more than noise is left: {record}"
     effect = further.effect.replace("_", " ")

@@ -94,7 +94,7 @@ def test_where_more_is_left_the_next_step_is_to_look_for_it(kind):
 )
 def test_what_all_trials_share_is_what_a_person_looks_at(kind, words):
     found = document("reduced", "dead_time", dead_time=0.98)
-    found.nuisance_bias = {kind: 14.0}
+    found.nuisance_bias = {"pressure": 11.0, kind: -14.0}
     assert words in next_step_in_words(found)
     assert set(SHOWS_AS) == set(DEFAULT_SETTINGS.nuisance_bias_kinds), "each has its check"
 
