@@ -38,7 +38,7 @@ from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.separate_joints import joints_differ
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.plant import Plant
+from models.plant.plant import LOADS, Plant
 from models.trials.trial import Trial, TrialSet
 
 __all__ = ["Diagnosis", "all_fit_parameters", "diagnose"]
@@ -194,6 +194,8 @@ def diagnose(
     """
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
+    known = plant_is_known(plant, trials)
+    settings = msgspec.structs.replace(settings, plant_is_known=known)
     catalogue = _catalogue(plant, leave_out)
     recorded, trials = trials, in_time_blocks(plant, aligned(trials), settings)
     parameters = all_fit_parameters(plant, trials, catalogue, settings)
@@ -296,6 +298,23 @@ def all_fit_parameters(
     own = trials[0].meta.dof, settings.separate_joints
     effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, *own)]
     return nuisance_and_variation(plant, trials, settings) + effects
+
+
+def plant_is_known(plant: Plant, trials: TrialSet) -> bool:
+    """Whether a plant of another load than the link was identified, and on none of some trials.
+
+    The values of the link may change from day to day, within priors of their own.
+
+    Parameters
+    ----------
+    plant : Plant
+        As given.
+    trials : TrialSet
+        As recorded.
+    """
+    provenance = plant.provenance
+    elsewhere = provenance.fitted_trials and not any(map(provenance.was_fitted_to, trials))
+    return bool(elsewhere) and LOADS[plant.load].kind != "link"
 
 
 def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:

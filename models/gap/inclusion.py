@@ -15,9 +15,9 @@ class Inclusion:
     Attributes
     ----------
     effects : tuple of str
-        One effect, or a pair.
+        One effect, or a pair; of a pair of which one was taken out again the other one.
     kept : bool
-        Whether they were still needed beside those included later.
+        Whether they are named in the end.
     separation, least : float
         Their d′, and the least that they need.
     held_out_gain, held_out_error : float
@@ -44,15 +44,19 @@ def inclusions_of(result: SearchResult) -> tuple[Inclusion, ...]:
     result : SearchResult
         Of the whole search.
     """
-    return tuple(
-        Inclusion(
-            effects=c.effects,
-            kept=all(e in result.named for e in c.effects),
-            separation=c.separation,
-            least=c.least,
-            held_out_gain=c.held_out_gain,
-            held_out_error=c.held_out_error,
-            look_alikes=look_alikes_of(result, turn),
-        )
-        for turn, c in enumerate(result.chosen)
+    return tuple(_inclusion(result, turn) for turn in range(len(result.chosen)))
+
+
+def _inclusion(result: SearchResult, turn: int) -> Inclusion:
+    chosen = result.chosen[turn]
+    left = tuple(e for e in chosen.effects if e in result.named)
+    told = next((c for c in result.rounds[turn] if c.effects == left), chosen)
+    return Inclusion(
+        effects=left or chosen.effects,
+        kept=bool(left),
+        separation=told.separation,
+        least=told.least,
+        held_out_gain=chosen.held_out_gain,
+        held_out_error=chosen.held_out_error,
+        look_alikes=tuple(a for a in look_alikes_of(result, turn) if a.effects != left),
     )

@@ -58,6 +58,12 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     bound_prior_fraction: float = 0.25
     """Standard deviation of a nuisance parameter of other loads, as a fraction of the distance
     between its bounds [assumed]."""
+    plant_is_known: bool = False
+    """Whether a plant of another load was identified, and on none of these trials: then its values
+    are known. `models.gap.diagnosis` finds it out."""
+    known_value_fraction: float = 0.05
+    """Standard deviation of a nuisance parameter of such a plant, as a fraction of its value
+    [assumed]."""
     frame_shift_prior_m: float = 0.005
     """Standard deviation of the mocap frame's shift that is common to all trials [assumed]."""
     frame_turn_prior_rad: dict[str, float] = msgspec.field(

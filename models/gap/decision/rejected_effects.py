@@ -56,7 +56,7 @@ def rejected_effects(
     null_distribution : NullDistribution
         What each effect needs.
     """
-    refused = {e: f"refused: {r.reason}" for r in result.refused for e in r.effect.split(" + ")}
+    refused = {r.effect: f"refused: {r.reason}" for r in result.refused}
     refitted = {e: c for r in result.rounds for c in r for e in c.effects}
     rows = []
     for effect, size in sorted(result.screened.items(), key=lambda row: -row[1]):

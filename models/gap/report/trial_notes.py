@@ -28,7 +28,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     notes = (
         _odd_trials(document), _separate_joints(document), _goal_not_followed(document),
         _nuisance_bias(document), _rows_fitted(document), _own_error(document), _patterns(document),
-        _amplification(document), *_changed(document), _link(document),
+        _amplification(document), *_changed(document), _link(document), _plant(document),
     )  # fmt: skip
     return [text for text in notes if text]
 
@@ -152,6 +152,18 @@ def _link(document: GapDocument) -> str:
     return (
         "a link that changed since the plant was identified may look like "
         f"{', '.join(sorted(refused))}: where yours is the same, say --same-link"
+    )
+
+
+def _plant(document: GapDocument) -> str:
+    """That the values of the plant count as known; empty where they are refitted freely."""
+    settings = document.settings
+    return (
+        f"the plant was identified on other trials, so its values count as known within "
+        f"{settings.known_value_fraction:.0%}: where this is another machine, identify a plant of "
+        "it first"
+        if settings.plant_is_known
+        else ""
     )
 
 

@@ -91,8 +91,9 @@ def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
 def candidate_effects(plant: Plant) -> list[str]:
     """Effects that may be missing: all that a plant of this kind can hold.
 
-    Of a plant that is not the link those that it holds already are nuisance: it was identified on
-    the very trials that the gap is looked for in, so its own effects made up for what was missing.
+    Of a plant that is not the link those that it holds already are nuisance: where it was
+    identified on the very trials that the gap is looked for in, its own effects made up for what
+    was missing, and elsewhere they take up the error of their equations.
     """
     every = applicable(DRIVES[plant.drive], LOADS[plant.load])
     if LOADS[plant.load].kind == "link":
@@ -118,9 +119,8 @@ def nuisance_fit_parameters(
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
         return [
-            FitParameter(q.name, "nuisance", {q.name: 1.0}, {},
-                 (q.high - q.low) * settings.bound_prior_fraction, q.low - q.value,
-                 q.high - q.value)
+            FitParameter(q.name, "nuisance", {q.name: 1.0}, {}, _deviation(q, settings),
+                         q.low - q.value, q.high - q.value)
             for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
@@ -249,6 +249,13 @@ def effect_fit_parameters(
 def moved_parameters(fit_parameters: Iterable[FitParameter]) -> list[str]:
     """Every parameter of the plant that some fit parameter moves, once."""
     return list(dict.fromkeys(n for q in fit_parameters for n in q.parameters))
+
+
+def _deviation(q: Parameter, settings: GapSettings) -> float:
+    """Standard deviation of a nuisance parameter of another load than the link."""
+    if settings.plant_is_known:
+        return settings.known_value_fraction * (abs(q.value) or q.high - q.low)
+    return settings.bound_prior_fraction * (q.high - q.low)
 
 
 def _relative(q: Parameter, fraction: float) -> FitParameter:

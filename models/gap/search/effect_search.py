@@ -249,14 +249,13 @@ class EffectSearch:
                 continue
             fits = before, (bounded.point, self._free_of(bounded, found))
             bounded.held_out_gain, bounded.held_out_error = held_out_gain(self.estimator, *fits)
-            earned = further or self._explains_bias(candidate, found)
-            if not earned and bounded.held_out_gain <= bounded.held_out_error:
-                continue
-            if without is None:
+            gained = bounded.held_out_gain > bounded.held_out_error
+            if without is not None:  # simulated: what a linear model predicts does not count
+                errors = self.held_out.errors(*fits[1])
+                if lowers_held_out_error(errors, without, self.learned, self.settings):
+                    passed.append((errors.fraction_of(self.held_out.given), bounded))
+            elif gained or self._explains_bias(candidate, found):
                 return bounded
-            errors = self.held_out.errors(*fits[1])
-            if lowers_held_out_error(errors, without, self.learned, self.settings):
-                passed.append((errors.fraction_of(self.held_out.given), bounded))
         return min(passed, key=lambda row: row[0])[1] if passed else None
 
     def _free_of(self, candidate: Candidate, found: SearchResult) -> Array:

@@ -73,6 +73,11 @@ def test_an_improbable_effect_asks_whether_the_link_is_the_same_until_that_is_sa
     assert "as said" in note and "--same-link" not in note
 
 
+def test_that_the_values_of_a_plant_count_as_known_is_noted():
+    (note,) = notes_in_words(document(settings=GapSettings(plant_is_known=True)))
+    assert "known within 5%" in note and "identify a plant" in note
+
+
 def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
     (note,) = notes_in_words(document(patterns="unknown"))
     assert "python -m models calibrate" in note and "1dof steps" in note

@@ -1,0 +1,194 @@
+"""Faults written into recordings of a real servo, and which of them the gap workflow names.
+
+    python -m bench.faulty_recordings DATA --out build/faulty_recordings
+
+The plant of the XL330 pendulum (Rhoban/bam) is identified on the six logs of two position gains.
+The logs of the other two gains are diagnosed, as they are and with one fault written into each: a
+weight or a gain that is declared wrong, an encoder that is off, an angle that is read late. All
+else is as recorded, the error of the plant's equations included. Every pair of gains is left out in
+turn. Writes OUT/figures.json and prints it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from bench.gap.scores.fraction_interval import fraction_with_interval
+from bench.measured_systems import SYSTEMS
+from bench.real import EXAMPLES, import_recordings
+from firmware_py.console import DONE, Progress
+from models.gap.diagnosis import diagnose
+from models.plant.identification.identification import identify
+from models.plant.plant import read_plant
+from models.shared.worker_pool import worker_pool
+from models.trials.trial import Trial, TrialSet
+from models.trials.trial_files import read_trials
+
+SYSTEM: Final = SYSTEMS[0]
+EFFECTS: Final = ("load_dependent_friction", "stribeck_friction")
+"""What the gap workflow names on all twelve logs."""
+
+LATE_ROWS: Final = 12
+"""60 ms."""
+
+
+def as_recorded(trial: Trial) -> Trial:
+    """Trial as it is."""
+    return trial
+
+
+def declared(condition: str, factor: float) -> Callable[[Trial], Trial]:
+    """Declare a condition wrong by a factor."""
+
+    def written_wrong(trial: Trial) -> Trial:
+        conditions = dict(trial.meta.conditions)
+        conditions[condition] *= factor
+        return replace(trial, meta=msgspec.structs.replace(trial.meta, conditions=conditions))
+
+    return written_wrong
+
+
+def with_encoder_off(trial: Trial) -> Trial:
+    """Trial whose encoder reads 50 mrad too much."""
+    angle_rad = trial.columns["angle_1_rad"] + 0.05
+    return replace(trial, columns={**trial.columns, "angle_1_rad": angle_rad})
+
+
+def with_late_angle(trial: Trial) -> Trial:
+    """Trial whose angle is read late."""
+    angle_rad = trial.columns["angle_1_rad"]
+    late_rad = np.concatenate([np.full(LATE_ROWS, angle_rad[0]), angle_rad[:-LATE_ROWS]])
+    return replace(trial, columns={**trial.columns, "angle_1_rad": late_rad})
+
+
+FAULTS: Final[Mapping[str, tuple[Callable[[Trial], Trial], frozenset[str]]]] = {
+    "nothing": (as_recorded, frozenset()),
+    "weight declared 25 % low": (declared("mass_kg", 0.75), frozenset({"unmodelled_payload"})),
+    "gain declared 30 % high": (
+        declared("duty_gain_1", 1.3), frozenset({"position_gain_change"}),
+    ),
+    "encoder off by 50 mrad": (with_encoder_off, frozenset({"encoder_offset"})),
+    "angle read 60 ms late": (with_late_angle, frozenset({"sensor_lag", "dead_time"})),
+}  # fmt: skip
+"""Each fault, and the effects that describe it: an angle that is read late and a servo that acts
+late look the same but for the first rows."""
+
+
+def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
+    """Plant that is identified on the logs of all gains but some.
+
+    Parameters
+    ----------
+    gains : sequence of float
+        Position gains that are left out, 1/rad.
+    trials : TrialSet
+        All logs.
+    out : Path
+        Directory of the plants.
+    """
+    path = out / ("without_" + "_".join(f"{g:.3f}" for g in gains) + ".json")
+    if not path.exists():
+        start = read_plant(EXAMPLES / f"{SYSTEM.name}.toml").with_effects(*EFFECTS)
+        rest = TrialSet(tuple(t for t in trials if gain_of(t) not in gains))
+        identify(start, rest).plant.write(path)
+    return path
+
+
+def gain_of(trial: Trial) -> float:
+    """Declared position gain, 1/rad."""
+    return trial.meta.conditions["duty_gain_1"]
+
+
+def diagnose_faulty(
+    trials: Path, gains: Sequence[float], plant: Path, fault: str
+) -> dict[str, Any]:
+    """Diagnose the logs of some gains with a fault.
+
+    Parameters
+    ----------
+    trials : Path
+        Directory of all logs.
+    gains : sequence of float
+        Position gains of the logs that are diagnosed, 1/rad.
+    plant : Path
+        Identified on the others.
+    fault : str
+        Of `FAULTS`.
+    """
+    known = read_plant(plant)
+    change, effects = FAULTS[fault]
+    own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
+    found = diagnose(known, TrialSet(tuple(own)))
+    return {
+        "gains": list(gains),
+        "fault": fault,
+        "named": list(found.named),
+        "right": bool(effects & set(found.named)) if effects else not found.named,
+        "others": sorted(set(found.named) - effects),
+        "verdict": found.verdict,
+        "unexplained_fraction": found.unexplained_fraction,
+    }
+
+
+def figures_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures by fault, and of all faults together.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Of `diagnose_faulty`.
+    """
+    faulty = [r for r in rows if r["fault"] != "nothing"]
+    return {
+        "by_fault": {
+            fault: fraction_with_interval([r["right"] for r in rows if r["fault"] == fault])
+            for fault in FAULTS
+        },
+        "named": fraction_with_interval([r["right"] for r in faulty]),
+        "wrong_alone": fraction_with_interval(
+            [bool(r["named"]) and not r["right"] for r in faulty]
+        ),
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Import, identify, diagnose, print the figures as JSON."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.faulty_recordings", description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("data", type=Path, help="folder of all recordings")
+    parser.add_argument("--out", type=Path, required=True, help="directory of plants and figures")
+    args = parser.parse_args(argv)
+    trials = import_recordings(SYSTEM, args.data, args.out / "trials")
+    pairs = list(itertools.combinations(sorted({gain_of(t) for t in trials}), 2))
+    progress, rows = Progress("faulty recordings", len(pairs) * len(FAULTS)), []
+    with worker_pool(2) as pool:
+        plants = [pool.submit(plant_without, pair, trials, args.out) for pair in pairs]
+        work = [
+            pool.submit(diagnose_faulty, args.out / "trials", pair, plant.result(), fault)
+            for pair, plant in zip(pairs, plants, strict=True)
+            for fault in FAULTS
+        ]
+        for done in as_completed(work):
+            rows.append(done.result())
+            progress.step(rows[-1]["fault"])
+    rows.sort(key=lambda r: (r["gains"], list(FAULTS).index(r["fault"])))
+    document = figures_of(rows) | {"cases": rows}
+    (args.out / "figures.json").write_text(json.dumps(document, indent=1))
+    print(json.dumps(document, indent=1))
+    return DONE
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
