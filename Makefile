@@ -45,6 +45,7 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 
 .PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
   wheelhouse link-demo guides faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
+  bench-faulty-recordings \
   bench-live bench-files bench-campaigns claims claims-accept lock clean
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -87,6 +88,7 @@ help:
 	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
 	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
 	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
+	@echo "make bench-faulty-recordings DATA=DIR  faults written into recordings: which are named"
 	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
 	@echo "make wheelhouse  the wheels that a robot PC without network installs from"
 	@echo "make lock       renews requirements/ from pyproject.toml"
@@ -471,6 +473,9 @@ bench-campaigns: build/bench/campaigns.json
 
 bench-real: $(READY)
 	$(BIN)/python -m bench.real $(DATA)
+
+bench-faulty-recordings: $(READY)
+	$(BIN)/python -m bench.faulty_recordings $(DATA) --out build/faulty_recordings
 
 # --- claims -------------------------------------------------------------------------------------
 

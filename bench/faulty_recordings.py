@@ -23,6 +23,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from bench.gap.disturbed_trials import as_recorded
 from bench.gap.scores.fraction_interval import fraction_with_interval
 from bench.measured_systems import SYSTEMS
 from bench.real import EXAMPLES, import_recordings
@@ -40,11 +41,6 @@ EFFECTS: Final = ("load_dependent_friction", "stribeck_friction")
 
 LATE_ROWS: Final = 12
 """60 ms."""
-
-
-def as_recorded(trial: Trial) -> Trial:
-    """Trial as it is."""
-    return trial
 
 
 def declared(condition: str, factor: float) -> Callable[[Trial], Trial]:
@@ -129,18 +125,21 @@ def diagnose_faulty(
     change, effects = FAULTS[fault]
     own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
     found = diagnose(known, TrialSet(tuple(own)))
+    alike = {e for i in found.inclusions for a in i.look_alikes for e in a.effects}
+    right = bool(effects & set(found.named)) if effects else not found.named
     return {
         "gains": list(gains),
         "fault": fault,
         "named": list(found.named),
-        "right": bool(effects & set(found.named)) if effects else not found.named,
-        "others": sorted(set(found.named) - effects),
+        "alike": sorted(alike),
+        "right": right,
+        "class_right": right or bool(found.named and effects & alike),
         "verdict": found.verdict,
         "unexplained_fraction": found.unexplained_fraction,
     }
 
 
-def figures_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def fault_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Figures by fault, and of all faults together.
 
     Parameters
@@ -155,8 +154,9 @@ def figures_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             for fault in FAULTS
         },
         "named": fraction_with_interval([r["right"] for r in faulty]),
-        "wrong_alone": fraction_with_interval(
-            [bool(r["named"]) and not r["right"] for r in faulty]
+        "class_right": fraction_with_interval([r["class_right"] for r in faulty]),
+        "wrong": fraction_with_interval(
+            [bool(r["named"]) and not r["class_right"] for r in faulty]
         ),
     }
 
@@ -184,7 +184,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             rows.append(done.result())
             progress.step(rows[-1]["fault"])
     rows.sort(key=lambda r: (r["gains"], list(FAULTS).index(r["fault"])))
-    document = figures_of(rows) | {"cases": rows}
+    document = fault_figures(rows) | {"cases": rows}
     (args.out / "figures.json").write_text(json.dumps(document, indent=1))
     print(json.dumps(document, indent=1))
     return DONE
