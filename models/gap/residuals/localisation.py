@@ -269,9 +269,10 @@ def location_sentence(
         parts.append(f"mostly at {band.level}")
     payload = sorted((c for c in own if c.factor == "payload"), key=_payload)
     ratio = settings.payload_trend_ratio
-    if len(payload) > 1 and payload[-1].floors > ratio * payload[0].floors:
+    several = len({c.level for c in payload}) > 1
+    if several and payload[-1].floors > ratio * payload[0].floors:
         parts.append("growing with payload")
-    elif len(payload) > 1 and payload[0].floors > ratio * payload[-1].floors:
+    elif several and payload[0].floors > ratio * payload[-1].floors:
         parts.append("falling with payload")
     return f"With link and set-up refitted, {', '.join(parts)}."
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.gap.residuals.localisation import locate_gap, location_sentence
+from models.gap.residuals.localisation import GapRegion, locate_gap, location_sentence
 from models.gap.residuals.residuals import TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import coefficient_count, cosine_transform
 from models.gap.settings import DEFAULT_SETTINGS
@@ -69,3 +69,17 @@ def test_nothing_located_is_no_agreement():
     said = location_sentence([])
     assert "stands out from the noise floor" in said
     assert "agree" not in said
+
+
+def test_a_trend_with_payload_needs_two_payloads():
+    """Each motion has a region of its own, all of them for one payload."""
+
+    def said(*payloads):
+        found = [
+            GapRegion("tip_x_m", "payload", f"{p} kg", floors, 0.0, 0.001, significant=True)
+            for p, floors in zip(payloads, (9.0, 3.0), strict=True)
+        ]
+        return location_sentence(found)
+
+    assert "falling with payload" in said(0, 2)
+    assert "with payload" not in said(0, 0)
