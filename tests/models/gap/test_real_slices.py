@@ -111,7 +111,7 @@ def test_the_cars_offset_is_named(tmp_path):
 
 
 def test_a_weight_that_is_declared_wrong_is_named_on_logs_of_other_gains(tmp_path):
-    """All else is as recorded: the plant errs by 27 mrad on the logs that it was identified on.
+    """All else is as recorded: the plant errs by 25 mrad on the logs that it was identified on.
 
     Values that the fit may change freely made up for the weight, and a limit of the current was
     named.
