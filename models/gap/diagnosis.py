@@ -41,7 +41,7 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import LOADS, Plant
 from models.trials.trial import Trial, TrialSet
 
-__all__ = ["Diagnosis", "all_fit_parameters", "diagnose"]
+__all__ = ["Diagnosis", "all_fit_parameters", "diagnose", "plant_is_known"]
 
 
 @dataclass(frozen=True)

@@ -159,7 +159,7 @@ def _plant(document: GapDocument) -> str:
     """That the values of the plant count as known; empty where they are refitted freely."""
     settings = document.settings
     return (
-        f"the plant was identified on other trials, so its values count as known within "
+        "the plant was identified on other trials, so its values count as known within "
         f"{settings.known_value_fraction:.0%}: where this is another machine, identify a plant of "
         "it first"
         if settings.plant_is_known
