@@ -110,7 +110,7 @@ def test_a_file_that_is_no_trial_stays(tmp_path, importing, name):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("a = 1\n")
     code, err = importing(record(tmp_path / "take.csv"))
-    assert code == 2 and name in err
+    assert code == 2 and f"{name}: would be replaced, and is no trial" in err
     assert contents(tmp_path / "out") == {name: b"a = 1\n"}
 
 
