@@ -110,12 +110,8 @@ def test_a_change_of_the_payload_counts_in_the_limits(plan):
 
 
 def test_a_known_payload_beyond_the_grid_is_refused(plan):
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=r"payload_kg: .*2\.5 kg.* 0 to 2 kg.*--payloads"):
         PlanGoals(plan, 2.5)
-    assert str(refused.value) == (
-        f"payload_kg: is 2.5 kg, the plan {plan.path} holds 0 to 2 kg; plan again with --payloads "
-        "that enclose it, or correct payload_kg."
-    )
     alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:2])
     with pytest.raises(InputError, match="holds 1 kg alone"):
         PlanGoals(alone, 2.0)

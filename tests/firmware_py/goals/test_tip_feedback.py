@@ -128,9 +128,7 @@ def test_the_robot_stops_where_it_is_told_to():
     feedback = feedback_of(plan_with(), when_lost="stop")
     for _ in range(2):
         tick(feedback, 0.0, innovation=2.0)
-    assert feedback.stop_reason == (
-        "the estimated tip is no longer trusted: its innovation is 2.00 A"
-    )
+    assert "innovation is 2.00 A" in feedback.stop_reason
 
 
 def test_nothing_is_corrected_during_the_approach():

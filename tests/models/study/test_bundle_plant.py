@@ -39,10 +39,7 @@ def test_an_improved_plant_of_the_same_link_is_told_once(directory, tmp_path, ca
     named = plant_for_bundle(better, path, read_bundle_files(directory), "this plan")
     assert (named.sha256, named.link) == (better.sha256(), STUDY)
     said = capsys.readouterr().err
-    assert said.startswith(
-        f"warning: {path} is not the plant that the bundle {directory} was trained with "
-    )
-    assert "the robot's prediction and this plan may differ" in said
+    assert said.startswith("warning: ") and str(path) in said and str(directory) in said
     assert said.count("\n") == 1
 
 
@@ -65,6 +62,6 @@ def test_a_plant_of_another_link_is_refused(directory, tmp_path, capsys, words):
     words = [*words, "--plant", short, "--bundle", directory, "--out", out]
     assert main([str(word) for word in words]) == 2
     said = capsys.readouterr().err
-    assert f"{short}: is a plant of another link than {directory / 'plant.json'}: " in said
-    assert "length_m 0.6 in place of 0.95" in said
+    assert str(short) in said and str(directory / "plant.json") in said
+    assert "length_m 0.6" in said and "0.95" in said
     assert not out.exists()
