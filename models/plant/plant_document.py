@@ -155,7 +155,10 @@ def read_plant_document(path: Path) -> PlantDocument:
     document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     if document.schema != PlantDocument.VERSION:
         raise InputError(
-            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
+            path,
+            f"has schema version {document.schema}, this release reads version "
+            f"{PlantDocument.VERSION}",
+            f"write it anew with {PlantDocument.MADE_BY}",
         )
     _check_effects_single(path, document.effects)
     for name, given in document.parameters.items():
