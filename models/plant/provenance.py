@@ -125,10 +125,10 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     noise: dict[str, str]
     model: dict[str, str]
     curves: dict[str, dict[str, dict[str, str]]]
-    rest_s: dict[str, float] = {}
-    payload_ratio_hz: str = "0"
-    noise_ratio: dict[str, dict[str, str]] = {}
-    model_ratio: dict[str, dict[str, str]] = {}
+    rest_s: dict[str, float]
+    payload_ratio_hz: str
+    noise_ratio: dict[str, dict[str, str]]
+    model_ratio: dict[str, dict[str, str]]
 
 
 class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -280,7 +280,8 @@ def case_source(
         desired_m=columns,
         payloads=(PayloadPlan(payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=still,
                               residual_rms_m=0.0, rigid_rms_m=0.0, expected_rms_m=0.0),),
-        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="", link=STUDY_FACTS,
+        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         feedback=FeedbackDesign(filters=((own,) * robot.dof,), margins=(), size_rad=0.03,
                                 rate_rad_s=0.16, innovation_a=0.8),
     )  # fmt: skip

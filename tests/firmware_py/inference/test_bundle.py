@@ -79,7 +79,6 @@ def test_a_bundle_without_golden_ticks_is_refused(bundle):
     ("content", "said"),
     [
         (b"{", "manifest.json"),
-        (b'{"schema": 1}', "content_sha256"),
         (b"[]", "array"),
         (b"", "manifest.json"),
     ],
@@ -149,16 +148,14 @@ def test_a_bundle_without_such_a_hash_is_to_be_made_anew(bundle):
     document = json.loads((bundle / "manifest.json").read_bytes())
     del document["content_sha256"]
     (bundle / "manifest.json").write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(
-        InputError, match=r"manifest\.json: has no content_sha256.*dropstitch train"
-    ):
+    with pytest.raises(InputError, match=r"has no content_sha256.*dropstitch train"):
         ModelBundle.load(bundle)
 
 
 def test_another_schema_is_refused(bundle):
     manifest = read_manifest(bundle)
     write_manifest(bundle, msgspec.structs.replace(manifest, schema=2))
-    with pytest.raises(InputError, match="has schema version 2, .*dropstitch train"):
+    with pytest.raises(InputError, match=r"has schema version 2, .*dropstitch train"):
         ModelBundle.load(bundle)
 
 

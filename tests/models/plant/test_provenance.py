@@ -1,4 +1,4 @@
-"""Provenance: what a plant was fitted to is kept from plant to plant, and another form is refused."""
+"""Provenance: the fitted trials are kept from plant to plant, and another form is refused."""
 
 import json
 from dataclasses import replace
@@ -35,7 +35,8 @@ def test_two_trials_of_one_name_are_both_kept(make_trial, swing_rad):
 @pytest.mark.parametrize("suffix", [".json", ".toml"])
 def test_a_provenance_comes_back_the_same(tmp_path, suffix):
     provenance = Provenance(
-        parent_sha256="ab", fitted_trials=(FittedTrial("a", "12", "measured"),), residual_rms={"di": 1e-3},
+        parent_sha256="ab", fitted_trials=(FittedTrial("a", "12", "measured"),),
+        residual_rms={"di": 1e-3},
         held_out=Evaluation(signals={"di": SignalError(1e-3, 2e-3, "1")}, trials=1, origins=()),
         named=("backlash",), servo_gains=(ServoGains(position_p=800, velocity_i=0),),
     )  # fmt: skip
