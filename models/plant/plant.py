@@ -18,6 +18,7 @@ import msgspec
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import LinkDescription, describes_link, read_link
+from firmware_py.link.link_facts import LinkFacts, facts_of_plant
 from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition.plant_composition import (
     LOADS,
@@ -28,7 +29,7 @@ from models.plant.composition.plant_composition import (
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.effects.order import in_order
-from models.plant.link_parameters import parameter_of_link, with_payload_bound
+from models.plant.link_parameters import parameter_of_link
 from models.plant.parameter import Parameter, check_values
 from models.plant.plant_document import (
     EffectEntry,
@@ -127,10 +128,9 @@ class Plant:
                 "use the twin",
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        parameters = with_payload_bound(self.parameters, self.link)
-        known, columns = without_values(parameters), tuple(self.signals)
+        known, columns = without_values(self.parameters), tuple(self.signals)
         model = compose_plant(self.load, self.drive, effects, known, dof, kind, columns, self.link)
-        return replace(model, parameters=variables_of(parameters, model.parameters))
+        return replace(model, parameters=variables_of(self.parameters, model.parameters))
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -194,6 +194,13 @@ class Plant:
             Joints, 1 or 2.
         """
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
+
+    def link_facts(self) -> LinkFacts:
+        """Facts that tell the plant's link from another."""
+        facts = facts_of_plant(plain_plant(self.document()))
+        if facts is None:
+            raise InputError(f"plant {self.name!r}", "is no link", "use a plant of a link")
+        return facts
 
     def document(self) -> PlantDocument:
         """Content of the plant's file."""

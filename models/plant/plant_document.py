@@ -152,11 +152,14 @@ def read_plant_document(path: Path) -> PlantDocument:
     remedy = "name a plant, e.g. models/plant/nominal.toml"
     raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
-    document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
-    if document.schema != PlantDocument.VERSION:
+    version = raw.get("schema") if isinstance(raw, dict) else None
+    if version != PlantDocument.VERSION:
+        found = "has no schema version" if version is None else f"has schema version {version}"
         raise InputError(
-            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
-        )
+            path, f"{found}, this release reads version {PlantDocument.VERSION}",
+            f"write it anew with {PlantDocument.MADE_BY}",
+        )  # fmt: skip
+    document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     _check_effects_single(path, document.effects)
     for name, given in document.parameters.items():
         if isinstance(given, ParameterEntry):

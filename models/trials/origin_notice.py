@@ -35,9 +35,6 @@ def origin_notice(origins: Sequence[TrialOrigin], what: str = "This page shows")
         Beginning of the sentence.
     """
     kind = kind_of_origins(origins)
-    if not origins:
-        text = "The files of this page do not say whether they come from simulated or measured "
-        return Notice(kind, KIND_WORDS[kind], text + "trials: an earlier version wrote them.")
     listed = [origin.words for origin in merged_origins(origins)]
     joined = " and ".join(filter(None, (", ".join(listed[:-1]), listed[-1])))
     return Notice(kind, KIND_WORDS[kind], f"{what} {joined}.{_ADDED[kind]}")
