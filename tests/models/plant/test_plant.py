@@ -55,10 +55,8 @@ def test_a_written_plant_gives_value_unit_bounds_and_source_of_everything(tmp_pa
 
 def test_a_file_gives_what_differs_from_the_parts(tmp_path):
     path = tmp_path / "plant.toml"
-    text = (
-        NOMINAL.read_text() + "base_mass_kg = 0.3\nlink_mass_kg = { value = 1.0, source = 'x' }\n"
-    )
-    path.write_text(text)
+    lines = "base_mass_kg = 0.3\nlink_mass_kg = { value = 1.0, source = 'x' }\n"
+    path.write_text(NOMINAL.read_text() + lines)
     usual, own = read_plant().parameters, read_plant(path).parameters
     changed = {name for name, q in own.items() if q != usual[name]}
     assert changed == {"base_mass_kg", "link_mass_kg"}
