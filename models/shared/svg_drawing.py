@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 matplotlib.use("svg")
-from cycler import cycler
+from matplotlib import cycler
 from matplotlib import pyplot as plt
 from matplotlib.ticker import LogLocator, NullLocator
 
