@@ -1,6 +1,6 @@
 """Values, bounds and priors of a plant's parameters for a described link.
 
-Each is that of the study's link (`nominal.toml`) times the ratio of the property that it stands for
+Each is that of the study's link (`read_plant()`) times the ratio of the property that it stands for
 (`models.shared.link_scale`): a bound stays as far from the value as it was.
 """
 
