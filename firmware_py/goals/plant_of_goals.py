@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from firmware_py.errors import InputError
-from firmware_py.goals.outside.goal_map import GoalMap
-from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_facts import facts_of_bundle, other_link
+from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
 
 __all__ = ["note_on_plant"]
 
@@ -16,31 +14,17 @@ GOALS_NOTE: Final = "goals_note"
 """Key of the sentence among the facts of a log."""
 
 
-def note_on_plant(where: str, made: GoalMap | TipPlan, bundle: ModelBundle) -> str:
+def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelBundle) -> str:
     """Return a sentence where goals were made with another plant of the same link, or "".
 
     A bundle without the observer holds no plant, so that its link is not known; then the sentence
     is all.
-
-    Parameters
-    ----------
-    where : str
-        Plan or map, for the message.
-    made : GoalMap or TipPlan
-        The plan or the map.
-    bundle : ModelBundle
-        The robot's bundle.
-
-    Raises
-    ------
-    InputError
-        If the plant is of another link.
     """
     theirs = bundle.manifest.plant_sha256
-    if not theirs or made.plant_sha256 == theirs:
+    if not theirs or plant_sha256 == theirs:
         return ""
     own = facts_of_bundle(bundle.directory)
-    if own is not None and (fact := other_link(made.link, own)):
+    if own is not None and (fact := other_link(link, own)):
         raise InputError(
             where, f"was made for another link than that of {bundle.directory}: {fact}",
             "make it again with the plant of this link",

@@ -122,7 +122,8 @@ class SilOptions:
     def goals_note(self) -> str:
         """Sentence on goals that were made with another plant than the bundle; "" for none."""
         if self.plan is not None:
-            return note_on_plant(f"plan {self.plan.path}", self.plan, self.bundle)
+            plan = self.plan
+            return note_on_plant(f"plan {plan.path}", plan.plant_sha256, plan.link, self.bundle)
         return self.goals.note if self.goals is not None else ""
 
     def check(self) -> None:
@@ -147,17 +148,7 @@ class SilOptions:
 
 
 def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
-    """Return the configuration that the robot would have.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    port : str
-        Port that the robot opens.
-    cpu : int, optional
-        Processor to pin the loop to.
-    """
+    """Return the configuration that the robot would have."""
     link = options.link
     limits = Limits()  # the study's
     return RobotConfig(

@@ -36,29 +36,8 @@ def outside_goals(
 ) -> Iterator[OutsideGoals]:
     """Wait for the program that sends goals; its connection is closed at the end.
 
-    Parameters
-    ----------
-    address : str
-        `unix:PATH`.
-    map_path : Path or None
-        Map of the goals at rest.
-    config : RobotConfig
-        Joints, period, limits, and the payload where it is known.
-    bundle : ModelBundle
-        The robot's bundle, whose plant is compared with that of the map.
-    patience_s : float
-        See `firmware_py.goals.outside.goal_channel.SocketChannel`.
-
-    Yields
-    ------
-    OutsideGoals
-        The goals.
-
-    Raises
-    ------
-    InputError
-        If the map does not fit the robot or is for another link, the robot is to go on after its
-        port was gone, or nobody connects.
+    `config`: joints, period, limits, and the payload where it is known.
+    `bundle`: the robot's bundle, whose plant is compared with that of the map.
     """
     if config.bus.replug_s > 0:  # the program's goals and the arm would part meanwhile, unnoticed
         raise InputError(
@@ -69,7 +48,7 @@ def outside_goals(
     goal_map, note = None, ""
     if map_path is not None:
         goal_map = _fitting(map_path, config)
-        note = note_on_plant(str(map_path), goal_map, bundle)
+        note = note_on_plant(str(map_path), goal_map.plant_sha256, goal_map.link, bundle)
     print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
     with accepted_program(address, WAIT_S, patience_s) as channel:
         yield OutsideGoals(

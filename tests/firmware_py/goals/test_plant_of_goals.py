@@ -10,7 +10,6 @@ from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_facts import STUDY_FACTS
 from models.plant.plant import read_plant
-from tests.firmware_py.goals.outside.scripted_program import linear_map
 from tests.firmware_py.goals.small_plan import OTHER_PLANT
 from tests.firmware_py.simulated_loop import StillPredictor
 
@@ -26,12 +25,11 @@ def bundle(bare_bundle, tmp_path):
 
 
 def made_with(sha256, **facts):
-    link = msgspec.structs.replace(STUDY_FACTS, **facts)
-    return msgspec.structs.replace(linear_map(), plant_sha256=sha256, link=link)
+    return sha256, msgspec.structs.replace(STUDY_FACTS, **facts)
 
 
 def test_another_plant_of_the_same_link_is_told(bundle):
-    note = note_on_plant("map.json", made_with(OTHER), bundle)
+    note = note_on_plant("map.json", *made_with(OTHER), bundle)
     assert note.startswith(f"map.json {OTHER_PLANT} {bundle.directory} (plant_sha256): ")
 
 
@@ -41,13 +39,13 @@ def test_another_plant_of_the_same_link_is_told(bundle):
 )
 def test_another_link_is_refused(bundle, name, value):
     with pytest.raises(InputError, match=f"map.json: was made for another link .*: {name} "):
-        note_on_plant("map.json", made_with(OTHER, **{name: value}), bundle)
+        note_on_plant("map.json", *made_with(OTHER, **{name: value}), bundle)
 
 
 def test_the_bundles_own_plant_is_taken_without_a_word(bundle):
-    assert note_on_plant("map.json", made_with(OWN), bundle) == ""
+    assert note_on_plant("map.json", *made_with(OWN), bundle) == ""
 
 
 def test_a_bundle_without_a_plant_is_judged_by_its_hash_alone(bundle):
     (bundle.directory / "plant.json").unlink()
-    assert OTHER_PLANT in note_on_plant("map.json", made_with(OTHER, length_m=0.6), bundle)
+    assert OTHER_PLANT in note_on_plant("map.json", *made_with(OTHER, length_m=0.6), bundle)
