@@ -3,15 +3,21 @@
 ::
 
     python -m hil.document_schemas docs/schema
+
+The comment beside or above a field of a document is that field's description.
 """
 
 from __future__ import annotations
 
 import argparse
+import inspect
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import msgspec
 
 from firmware_py.documents import Document, schema_of
 from firmware_py.goals.outside.goal_map import GoalMap
@@ -54,10 +60,39 @@ folder."""
 
 def schema_files() -> dict[str, str]:
     """Text of each schema by the name of its file."""
-    return {
-        f"{name}.schema.json": json.dumps(schema_of(kind), indent=1) + "\n"
-        for name, kind in DOCUMENTS.items()
-    }
+    structs = {kind.__name__: kind for kind in _structs(msgspec.Struct)}
+    files = {}
+    for name, document in DOCUMENTS.items():
+        schema = schema_of(document)
+        for struct in schema["$defs"].keys() & structs.keys():
+            properties = schema["$defs"][struct]["properties"]
+            for field, text in _comments(structs[struct]).items():
+                properties[field]["description"] = text
+        files[f"{name}.schema.json"] = json.dumps(schema, indent=1) + "\n"
+    return files
+
+
+def _structs(base: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
+    for kind in base.__subclasses__():
+        yield kind
+        yield from _structs(kind)
+
+
+def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
+    """Comment of each field, those of base classes included."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if base.__module__.startswith("msgspec") or not issubclass(base, msgspec.Struct):
+            continue
+        above: list[str] = []
+        for line in inspect.getsource(base).splitlines():
+            if match := re.match(r"    (\w+): [^#]*(?:# (.*))?$", line):
+                field, beside = match.groups()
+                if text := beside or " ".join(above):
+                    found[field] = text
+            comment = re.match(r"    # (.*)", line)
+            above = [*above, comment[1]] if comment else []
+    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
