@@ -78,7 +78,7 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
         If the file is missing or damaged, is of another FMI version or kind, or has no binary for
         this machine.
     """
-    remedy = "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
+    remedy = "copy the bundle again, or build it with 'dropstitch fmu build' in a checkout"
     path, data = content_of(source, remedy)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -122,7 +122,7 @@ def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
     simulation = root.find("CoSimulation")
     if simulation is None:
         raise InputError(
-            path, "is not for Co-Simulation", "build it with 'python -m fmu build' in a checkout"
+            path, "is not for Co-Simulation", "build it with 'dropstitch fmu build' in a checkout"
         )
     here = platform_here()
     suffix = _SUFFIXES.get(here.partition("-")[2], ".so")

@@ -181,7 +181,7 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
     directory = Path(directory)
     path = directory / MANIFEST
     raw = content_of(
-        path, "copy the whole bundle here; 'python -m models train' makes one, in a checkout"
+        path, "copy the whole bundle here; 'dropstitch train' makes one, in a checkout"
     )
     signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
     manifest = _decoded(raw.data, path)

@@ -1,6 +1,6 @@
 """Description of a link, `link.toml`: what trial, plant, rig and robot.toml share.
 
-Without one the study's link is meant (`STUDY_LINK`). `python -m models new LINK.toml` writes a
+Without one the study's link is meant (`STUDY_LINK`). `dropstitch new LINK.toml` writes a
 file with every key.
 """
 
@@ -255,7 +255,7 @@ def read_link(path: Path | str) -> LinkDescription:
     (16, (0.0, 0.0, 9.81))
     """
     path = Path(path)
-    document = read_toml(path, "write one with 'python -m models new LINK.toml'")
+    document = read_toml(path, "write one with 'dropstitch new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
     for key in _REQUIRED:
         if key not in document:

@@ -60,7 +60,7 @@ class CampaignDocument(Document, frozen=True, kw_only=True):
         Cases without a result, the most frequent sentence first.
     """
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     name: str
     kind: str

@@ -51,7 +51,7 @@ class CaseRecord(Document, frozen=True, kw_only=True):
         Result.
     """
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     sha256: str
     key: str
@@ -78,7 +78,7 @@ class FailureRecord(Document, frozen=True, kw_only=True):
         Full configuration.
     """
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     key: str
     kind: str

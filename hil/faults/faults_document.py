@@ -80,7 +80,7 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     """
 
     VERSION: ClassVar[int] = 2
-    MADE_BY: ClassVar[str] = "python -m hil faults"
+    MADE_BY: ClassVar[str] = "dropstitch faults"
 
     verdict: Verdict
     counts: dict[Verdict, int]

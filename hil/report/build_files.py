@@ -64,7 +64,7 @@ class BuildFiles:
     plant : Path or None
         The plant.
     evaluations, checks : list of Path
-        Outputs of `models evaluate` and `fmu check`.
+        Outputs of `dropstitch evaluate` and `dropstitch fmu check`.
     left_out : list of str
         Plants beside the one that is taken.
     """

@@ -217,7 +217,7 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
         Moves from rest to rest in the last run of a plan.
     """
 
-    MADE_BY: ClassVar[str] = "python -m hil sil"
+    MADE_BY: ClassVar[str] = "dropstitch sil"
 
     environment: SilEnvironment
     run: RunFacts

@@ -123,7 +123,7 @@ class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=T
         The described link whose plant this is.
     """
 
-    MADE_BY: ClassVar[str] = "python -m models identify"
+    MADE_BY: ClassVar[str] = "dropstitch identify"
 
     name: str
     drive: PartKind

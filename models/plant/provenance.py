@@ -27,7 +27,7 @@ __all__ = [
     "read_provenance",
 ]
 
-_WRITE_AGAIN = "write the plant again with 'python -m models identify' or 'python -m models gap'"
+_WRITE_AGAIN = "write the plant again with 'dropstitch identify' or 'dropstitch gap'"
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -8,10 +8,10 @@ import signal
 import tomllib
 from pathlib import Path
 
+import firmware_py.__main__
 import pytest
 
 import firmware_py
-import firmware_py.__main__
 import fmu.__main__
 import hil.__main__
 import models.__main__

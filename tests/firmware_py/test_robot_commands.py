@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.register_access import RegisterAccess

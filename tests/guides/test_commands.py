@@ -22,7 +22,7 @@ BUNDLE = ROOT / "docs" / "notebooks" / "bundle_1dof"
 
 
 def own_commands() -> dict[str, tuple[str, list[str]]]:
-    """Command as printed to its name, like "models gap", and its arguments."""
+    """Command as printed to its name, like "dropstitch gap", and its arguments."""
     found = {}
     for page in sorted((ROOT / "docs" / "guides").glob("*.md")):
         for words in commands(page.read_text(encoding="utf-8")):

@@ -23,7 +23,7 @@ FAULTS = {
     "hil.faults.fault_table", "hil.faults.fault_docs", "hil.faults.safety_requirements",
     "hil.faults.campaign", "hil.faults.recorded.run_recorder",
 }  # fmt: skip
-"""The table of faults names signals of POSIX; `hil faults` and what writes its page read it."""
+"""The table of faults names signals of POSIX; `faults` and what writes its page read it."""
 
 ABSENT_MODULES = ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty")
 KEPT_SIGNALS = ("SIGABRT", "SIGFPE", "SIGILL", "SIGINT", "SIGSEGV", "SIGTERM")

@@ -25,9 +25,9 @@ from firmware_py import console
 from tests.house.each_file import ROOT
 
 PROGRAMS: Final = {
-    "python -m models": "models.__main__",
-    "python -m fmu": "fmu.__main__",
-    "python -m hil": "hil.__main__",
+    "dropstitch": "models.__main__",
+    "dropstitch fmu": "fmu.__main__",
+    "dropstitch": "hil.__main__",
     "dropstitch": "firmware_py.__main__",
 }
 """Our command lines and the modules that hold their `COMMANDS` and `main`."""

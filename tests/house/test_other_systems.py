@@ -7,9 +7,9 @@ import json
 import subprocess
 import sys
 
+import firmware_py.__main__
 import pytest
 
-import firmware_py.__main__
 import hil.__main__
 from tests.house import emulated_windows
 from tests.house.each_file import ROOT, each_file, tree_of
@@ -41,8 +41,8 @@ def test_what_needs_linux_says_so_in_one_sentence(windows):
     for line, (code, said) in windows["refusals"].items():
         assert (code, said.count("\n")) == (2, 1), line
         assert f"{line.split()[0]}: runs on Linux only, and this is Windows; use a machine" in said
-        assert "Windows runs 'python -m hil gap'," in said or "'dropstitch replay'," in said
-        assert said.endswith("'python -m models' and 'python -m fmu'.\n")
+        assert "Windows runs 'dropstitch report gap'," in said or "'dropstitch replay'," in said
+        assert said.endswith("'dropstitch' and 'dropstitch fmu'.\n")
 
 
 def test_every_command_that_needs_linux_was_tried():

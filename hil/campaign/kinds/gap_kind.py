@@ -26,7 +26,7 @@ class GapConfig(CaseConfig, frozen=True, kw_only=True):
     plant : str
         Plant as it was identified, with its noise floor.
     patterns : str
-        Patterns of the plant's own error, of `python -m models calibrate`; those shipped where it
+        Patterns of the plant's own error, of `dropstitch calibrate`; those shipped where it
         is empty.
     rig : str
         Structure, `drawn_K`, file that changes a structure, or link.

@@ -57,7 +57,7 @@ class FmuErrors(msgspec.Struct, frozen=True):
     worst_difference : float
         Largest difference from the plants in Python, SI units.
     passed : bool
-        Whether `fmu check` passed.
+        Whether `dropstitch fmu check` passed.
     """
 
     tip_rms_m: ByVariant
@@ -85,7 +85,7 @@ class RobotErrors(msgspec.Struct, frozen=True):
 
 
 class BeforeAfter(msgspec.Struct, frozen=True):
-    """Figures of the page; what `hil gap --json` prints, with the path of the page.
+    """Figures of the page; what `dropstitch report gap --json` prints, with the path of the page.
 
     Attributes
     ----------

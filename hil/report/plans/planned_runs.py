@@ -30,7 +30,7 @@ _NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Last run of a plan in a directory of `hil sil`.
+    """Last run of a plan in a directory of `dropstitch sil`.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class PlannedRun:
     tip_m : ndarray, shape (n, dof)
         True tip at each row of the plan, in its last run.
     rms_m, max_m : float
-        Distance from the path over that run, as `hil sil` judged it.
+        Distance from the path over that run, as `dropstitch sil` judged it.
     goals_rad : ndarray, shape (n, dof)
         Goals sent.
     trust : ndarray of int, shape (n,)

@@ -119,7 +119,7 @@ def repeat_diagnosis(
     Parameters
     ----------
     args : Namespace
-        Of `models experiment`.
+        Of `dropstitch experiment`.
     plant : Plant
         Of the diagnosis.
     inputs : DiagnosisInputs

@@ -144,7 +144,7 @@ def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(
             str(path), f"holds no patterns of a plant's own error ({error})",
-            "delete it, and run python -m models calibrate again",
+            "delete it, and run dropstitch calibrate again",
         ) from error  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def patterns_for(
     keys : sequence of str
         Of the groups of trials.
     own : sequence of ModelDiscrepancy
-        Measured for its trials (`python -m models calibrate`).
+        Measured for its trials (`dropstitch calibrate`).
     """
     if plant.load != "link":
         return ()

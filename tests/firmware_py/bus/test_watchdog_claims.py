@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S, Register
 from firmware_py.bus.servo_models import MODELS

@@ -17,8 +17,8 @@ sys.meta_path.insert(0, Pressed)
 import {room}.__main__
 """
 ROOMS = {
-    "firmware_py": "dropstitch", "models": "python -m models", "fmu": "python -m fmu",
-    "hil": "python -m hil",
+    "firmware_py": "dropstitch", "models": "dropstitch", "fmu": "dropstitch fmu",
+    "hil": "dropstitch",
 }  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.joint_check import PATIENCE_S, turn_joints
 from firmware_py.errors import InputError

@@ -1,4 +1,4 @@
-"""Command `hil campaign`: results, a second run, plans, and what is refused."""
+"""Command `dropstitch campaign`: results, a second run, plans, and what is refused."""
 
 import csv
 import json
@@ -84,7 +84,7 @@ def test_a_plan_follows_from_cases_that_ran(ran, capsys):
     assert many["workers_bytes"] == 50 * many["worker_bytes"]
     assert (many["cpu_hours"] - few["cpu_hours"]) / (few["cpu_hours"]) > 90 or few["start_s"] > 0
     assert "--workers 50" in few["command"]
-    assert few["command"].startswith("python -m hil campaign ")
+    assert few["command"].startswith("dropstitch campaign ")
 
 
 @pytest.mark.parametrize(

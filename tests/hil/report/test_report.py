@@ -201,7 +201,7 @@ def test_text_from_files_is_text(copy):
     study = json.loads(path.read_text())
     study["findings"][0]["text"] = "<script>alert(1)</script> & more"
     path.write_text(json.dumps(study))
-    (copy / "commands.log").write_text("python -m hil report --out '<b>'\n")
+    (copy / "commands.log").write_text("dropstitch report build --out '<b>'\n")
     html = report_page(read_build(copy))
     assert "<script>" not in html and "&lt;script&gt;" in html and "&lt;b&gt;" in html
 
@@ -210,14 +210,14 @@ def test_text_from_files_is_text(copy):
     ("missing", "rest"),
     [
         (
-            {"bundle_1dof": "python -m models train", "bundle_2dof": "python -m models train",
-             "study_2dof_phase0": "python -m models train",
-             "study_2dof_phase90": "python -m models train", "commands.log": "make demo"},
+            {"bundle_1dof": "dropstitch train", "bundle_2dof": "dropstitch train",
+             "study_2dof_phase0": "dropstitch train",
+             "study_2dof_phase90": "dropstitch train", "commands.log": "make demo"},
             "twin_1dof",
         ),
         (
-            {"evaluate_unseen_20deg.json": "python -m models evaluate",
-             "check_twin_1dof.json": "python -m fmu check", "sil_1dof": "python -m hil sil"},
+            {"evaluate_unseen_20deg.json": "dropstitch evaluate",
+             "check_twin_1dof.json": "dropstitch fmu check", "sil_1dof": "dropstitch sil"},
             "Paths of the end",
         ),
     ],
@@ -258,7 +258,7 @@ def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
 
 @pytest.mark.parametrize(
     ("name", "command"),
-    [("bundle_1dof/study.json", "models train"), ("sil_1dof/timing.json", "hil sil")],
+    [("bundle_1dof/study.json", "dropstitch train"), ("sil_1dof/timing.json", "dropstitch sil")],
 )
 def test_a_file_of_an_older_version_gets_one_sentence_with_the_command(copy, capsys, name, command):
     document = json.loads((copy / name).read_text())

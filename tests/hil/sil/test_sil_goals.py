@@ -74,7 +74,7 @@ def test_a_map_without_goals_is_refused_as_on_the_robot(tmp_path, capsys):
     words = f"sil --bundle {tmp_path} --out {tmp_path}/out --line virtual --map P.json"
     assert main(words.split()) == 2
     said = capsys.readouterr().err
-    assert said == "python -m hil: --map: is given without --goals; leave it out.\n"
+    assert said == "dropstitch: --map: is given without --goals; leave it out.\n"
 
 
 def test_a_map_for_another_robot_is_refused(options, tmp_path):  # noqa: F811

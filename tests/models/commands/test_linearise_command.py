@@ -1,4 +1,4 @@
-"""The command `models linearise`: what it writes is what python-control reads."""
+"""The command `dropstitch linearise`: what it writes is what python-control reads."""
 
 import json
 

@@ -66,7 +66,7 @@ def test_what_no_longer_tells_the_fitted_trials_is_refused(tmp_path, table, mess
         read_plant(path)
     assert message in str(refused.value)
     assert str(path) in str(refused.value)
-    assert "python -m models identify" in str(refused.value)
+    assert "dropstitch identify" in str(refused.value)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

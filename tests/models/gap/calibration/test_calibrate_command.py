@@ -1,4 +1,4 @@
-"""`python -m models calibrate`: what it refuses, keeps and writes."""
+"""`dropstitch calibrate`: what it refuses, keeps and writes."""
 
 import json
 
