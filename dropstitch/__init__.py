@@ -10,7 +10,7 @@ import functools
 import importlib
 from typing import Any
 
-from firmware_py import __version__
+from firmware_py import __version__ as __version__
 
 
 @functools.cache

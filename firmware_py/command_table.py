@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_py.console import Command, dispatch
+from firmware_py.console import Command, chosen_command, dispatch
 
 PROG: Final = "dropstitch"
 DESCRIPTION: Final = (
@@ -68,8 +68,7 @@ def run_alias(room: str, argv: Sequence[str] | None) -> int:
     """Run `python -m ROOM`: the room's commands under the names of their modules, or in full."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     rows = [c for c in COMMANDS if c.module.startswith(f"{room}.")]
-    for row in rows:
-        if arguments[:1] == [row.module.rpartition(".")[2].removesuffix("_")]:
-            arguments[:1] = row.name.split()
-            break
+    if arguments and chosen_command(rows, arguments) is None:
+        of_module = {row.module.rpartition(".")[2].removesuffix("_"): row.name for row in rows}
+        arguments[:1] = of_module.get(arguments[0], arguments[0]).split(" ")
     return dispatch(PROG, DESCRIPTION, rows, arguments)

@@ -18,7 +18,6 @@ import contextlib
 import importlib
 import importlib.util
 import itertools
-import json
 import os
 import platform
 import signal
@@ -96,7 +95,7 @@ def _exit_code(
     prog: str, description: str, commands: Sequence[Command], arguments: list[str]
 ) -> int:
     """Run the command; turn what it raises into an exit code and one sentence on stderr."""
-    chosen = _chosen(commands, arguments)
+    chosen = chosen_command(commands, arguments)
 
     def say(sentence: object) -> None:
         print(f"{prog}: {sentence}", file=sys.stderr)
@@ -143,8 +142,8 @@ def _run(module: Any, args: argparse.Namespace) -> int:
         Progress.shown = True
 
 
-def _chosen(commands: Sequence[Command], words: Sequence[str]) -> Command | None:
-    """Command that the first one or two words name."""
+def chosen_command(commands: Sequence[Command], words: Sequence[str]) -> Command | None:
+    """Command that the first one or two words name, or None."""
     return next((c for c in commands if c.name.split() in ([*words[:1]], [*words[:2]])), None)
 
 
@@ -211,7 +210,8 @@ def _complete(prog: str, description: str, commands: Sequence[Command]) -> int:
     try:
         import argcomplete
 
-        parser, _ = _declared(prog, description, commands, _chosen(commands, line.split()[1:]))
+        chosen = chosen_command(commands, line.split()[1:])
+        parser, _ = _declared(prog, description, commands, chosen)
     except ImportError:  # nothing to offer
         return BAD_INPUT
     argcomplete.autocomplete(parser)

@@ -232,7 +232,7 @@ def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bund
     assert (code, "needs the payload" in output.err) == (2, True)
     code, output = call(capsys, "run", "--config", config, *plan, "--motion", "steps")
     assert (code, "is given beside a motion" in output.err) == (2, True)
-    code, output = call(capsys, "run", "--config", config, *plan, "--payload", "0.5", "--json")
+    code, output = call(capsys, "run", "--config", config, *plan, "--payload-kg", "0.5", "--json")
     assert code == 0, output.err
     log = read_recording(json.loads(output.out)["log"])
     assert json.loads(log.metadata["motion"])["motion"] == "plan_circle"

@@ -7,30 +7,31 @@ That every command of every page is accepted by its own parser, and finds its fi
 from __future__ import annotations
 
 import argparse
-import importlib
 import shlex
 import shutil
 
 import pytest
 
+from dropstitch.__main__ import main
+from firmware_py.command_table import COMMANDS
+from firmware_py.console import chosen_command
 from models.trials.trial_files import write_trial
 from tests.guides.how_commands_run import PARSED, RUN
 from tests.house.each_file import ROOT
-from tests.house.page_commands import PROGRAMS, commands, parse
+from tests.house.page_commands import PROGRAM, commands, parse
 
 BUNDLE = ROOT / "docs" / "notebooks" / "bundle_1dof"
 
 
 def own_commands() -> dict[str, tuple[str, list[str]]]:
-    """Command as printed to its name, like "dropstitch gap", and its arguments."""
+    """Command as printed to its name, like "fmu build", and its arguments."""
     found = {}
     for page in sorted((ROOT / "docs" / "guides").glob("*.md")):
-        for words in commands(page.read_text(encoding="utf-8")):
-            line = shlex.join(words)
-            for program in PROGRAMS:
-                if line.startswith(f"{program} "):
-                    arguments = words[len(program.split()) :]
-                    found[line] = f"{program.split()[-1]} {arguments[0]}", arguments
+        for program, *arguments in commands(page.read_text(encoding="utf-8")):
+            if program == PROGRAM:
+                chosen = chosen_command(COMMANDS, arguments)
+                assert chosen is not None, f"{page.name}: no command {arguments[0]}"
+                found[shlex.join([program, *arguments])] = chosen.name, arguments
     return found
 
 
@@ -40,7 +41,7 @@ OWN = own_commands()
 def is_run(line: str) -> bool:
     """Whether a command is run: a service is not installed, and there is no log to replay."""
     name, arguments = OWN[line]
-    serves = name == "dropstitch install-service" and "--dry-run" not in arguments
+    serves = name == "install-service" and "--dry-run" not in arguments
     return name in RUN and not serves and ".mcap" not in line
 
 
@@ -71,9 +72,8 @@ def place(tmp_path, monkeypatch, toy_trials):
 @pytest.mark.parametrize("line", [line for line in OWN if is_run(line)])
 def test_a_command_of_the_guides_runs(line, place, capsys):
     name, arguments = OWN[line]
-    program = next(p for p in PROGRAMS if p.split()[-1] == name.split()[0])
-    place(parse(PROGRAMS[program], arguments))
-    code = importlib.import_module(PROGRAMS[program]).main(arguments)
+    place(parse(arguments))
+    code = main(arguments)
     said = capsys.readouterr()
-    assert code in ((0, 1) if name == "dropstitch doctor" else (0,)), said.err or said.out
+    assert code in ((0, 1) if name == "doctor" else (0,)), said.err or said.out
     assert said.out.strip()

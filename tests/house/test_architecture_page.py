@@ -1,14 +1,9 @@
-"""Architecture page: its tree, commands, walks and glossary against the code."""
+"""Architecture page: its tree, walks and glossary against the code."""
 
 from __future__ import annotations
 
-import argparse
-import functools
-import importlib
 import re
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -45,40 +40,6 @@ def test_the_tree_is_that_of_the_rooms():
     named = {f for f in code if f"{f.rsplit('/', 1)[-1]}/ " in PAGE}  # in the words of a parent
     assert page <= code
     assert code - page <= named
-
-
-def commands():
-    """Command line to its row of options, as the page has them."""
-    rows = re.findall(r"^\| `((?:models|fmu|hil|dropstitch) [\w-]+)` \| `(.+)` \|$", PAGE, re.M)
-    return dict(rows)
-
-
-@functools.cache
-def parsers():
-    """Command line to its parser."""
-    found = {}
-    for room in ROOMS:
-        program = "dropstitch" if room == "firmware_py" else room
-        for command in importlib.import_module(f"{room}.__main__").COMMANDS:
-            parser = argparse.ArgumentParser()
-            importlib.import_module(command.module).configure(parser)
-            found[f"{program} {command.name}"] = parser
-    return found
-
-
-def test_the_commands_are_those_of_the_rooms():
-    assert commands().keys() == parsers().keys()
-
-
-@pytest.mark.parametrize("command", commands())
-def test_the_options_are_there(command):
-    actions = parsers()[command]._actions
-    options = {name for action in actions for name in action.option_strings}
-    choices = {str(c) for action in actions for c in action.choices or ()}
-    row = commands()[command]
-    assert set(re.findall(r"--[\w-]+", row)) <= options
-    listed = re.findall(r"[\w]+(?:\\\|\w+)+", row)
-    assert {word for group in listed for word in group.split("\\|")} <= choices
 
 
 def walks():

@@ -69,7 +69,9 @@ def test_a_hand_that_turns_too_little_and_servos_that_say_nothing_are_refused():
         turn_joints(silent, silent.clock, 0.008, silent.ask)
 
 
-@pytest.mark.parametrize("words", [["--joints"], ["--joints", "--bus", "--config", "robot.toml"]])
+@pytest.mark.parametrize(
+    "words", [["--check-joints"], ["--check-joints", "--bus", "--config", "robot.toml"]]
+)
 def test_the_check_wants_its_robot_and_nothing_else(words, capsys):
-    assert main(["doctor", *words]) == 2
-    assert "--joints" in capsys.readouterr().err
+    assert main(["doctor", "--check-joints", *words]) == 2
+    assert "--check-joints" in capsys.readouterr().err

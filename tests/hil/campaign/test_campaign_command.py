@@ -75,7 +75,7 @@ def test_other_code_is_told_and_does_not_count(ran, capsys, monkeypatch):
 
 def test_a_plan_follows_from_cases_that_ran(ran, capsys):
     where, _ = ran
-    options = ("--plan", "--cases", "1000", "100000", "--workers", "50", "--json")
+    options = ("--dry-run", "--cases", "1000", "100000", "--workers", "50", "--json")
     assert campaign(where, TOYS, *options) == 0
     few, many = json.loads(capsys.readouterr().out)["plans"]
     assert (few["cases"], many["cases"], few["workers"]) == (1000, 100_000, 50)
@@ -103,7 +103,7 @@ def test_a_plan_follows_from_cases_that_ran(ran, capsys):
         (TOYS, ("--workers", "0"), "--workers: is 0"),
         (TOYS, ("--executor", "dask"), "add --scheduler"),
         (TOYS, ("--scheduler", "tcp://nowhere:1"), "is of --executor dask"),
-        (TOYS, ("--cases", "5"), "is for --plan"),
+        (TOYS, ("--cases", "5"), "is for --dry-run"),
         (TOYS + "[fixed]\nmeasures_time = true\n", (), "add --workers 1"),
         (TOYS + "[fixed]\nmeasures_time = true\n",
          ("--executor", "submitit", "--cluster", "local"), "shared with other programs"),

@@ -73,7 +73,7 @@ def test_the_file_of_an_earlier_version_follows_its_link_too(plant_of, tmp_path)
 def test_payloads_beyond_the_link_are_refused_and_those_within_are_not(plant_of):
     heavy, small = plant_of(HEAVY), plant_of(SMALL)
     check_payload(7.5, link=HEAVY)
-    with pytest.raises(InputError, match=r"--payload: is 7.6 kg; give 0 to 7.5 kg"):
+    with pytest.raises(InputError, match=r"--payload-kg: is 7.6 kg; give 0 to 7.5 kg"):
         check_payload(7.6, link=HEAVY)
     with pytest.raises(InputError, match="give 0 to 3 kg"):
         check_payload(3.1)
