@@ -112,7 +112,7 @@ def test_the_payload_that_nobody_gives_is_within_the_bounds(plant_of, tmp_path, 
     told = []
     monkeypatch.setattr(linearise, "emit", lambda args, data, text: told.append(data))
     args = Namespace(
-        plant=tmp_path / "plant.json", out=tmp_path / "linear.json", payload=None, dof=1,
+        plant=tmp_path / "plant.json", out=tmp_path / "linear.json", payload_kg=None, dof=1,
         period=STEP_S, angle_deg=None, at_rest=False,
     )  # fmt: skip
     linearise.run(args)
