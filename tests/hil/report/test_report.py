@@ -265,7 +265,7 @@ def test_a_file_of_an_older_version_gets_one_sentence_with_the_command(copy, cap
     (copy / name).write_text(json.dumps(document | {"schema": 1}))
     assert main(["report", str(copy)]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "schema version 1" in err and f"python -m {command}" in err
+    assert err.count("\n") == 1 and "schema version 1" in err and command in err
 
 
 def row_of(table, words):
