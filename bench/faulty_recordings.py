@@ -81,17 +81,7 @@ late look the same but for the first rows."""
 
 
 def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
-    """Plant that is identified on the logs of all gains but some.
-
-    Parameters
-    ----------
-    gains : sequence of float
-        Position gains that are left out, 1/rad.
-    trials : TrialSet
-        All logs.
-    out : Path
-        Directory of the plants.
-    """
+    """Plant that is identified on the logs of all gains but some."""
     path = out / ("without_" + "_".join(f"{g:.3f}" for g in gains) + ".json")
     if not path.exists():
         start = read_plant(EXAMPLES / f"{SYSTEM.name}.toml").with_effects(*EFFECTS)
@@ -108,19 +98,7 @@ def gain_of(trial: Trial) -> float:
 def diagnose_faulty(
     trials: Path, gains: Sequence[float], plant: Path, fault: str
 ) -> dict[str, Any]:
-    """Diagnose the logs of some gains with a fault.
-
-    Parameters
-    ----------
-    trials : Path
-        Directory of all logs.
-    gains : sequence of float
-        Position gains of the logs that are diagnosed, 1/rad.
-    plant : Path
-        Identified on the others.
-    fault : str
-        Of `FAULTS`.
-    """
+    """Diagnose the logs of some gains with a fault."""
     known = read_plant(plant)
     change, effects = FAULTS[fault]
     own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
@@ -140,13 +118,7 @@ def diagnose_faulty(
 
 
 def fault_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Figures by fault, and of all faults together.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `diagnose_faulty`.
-    """
+    """Figures by fault, and of all faults together."""
     faulty = [r for r in rows if r["fault"] != "nothing"]
     return {
         "by_fault": {

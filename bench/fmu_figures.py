@@ -131,7 +131,6 @@ def _stepping(instance: FmpyInstance) -> Callable[[], object]:
 
 
 def _time_us(call: Callable[[], object]) -> float:
-    """Processor time of one call."""
     start_ns = time.thread_time_ns()
     for _ in range(STEPS):
         call()

@@ -62,13 +62,7 @@ INTERPOLATION: Final = {"held": 0.0, "interpolated": 1.0}
 
 
 def shared_truth(p: RigParameters) -> dict[str, float]:
-    """True values of the plant's parameters in a rig.
-
-    Parameters
-    ----------
-    p : RigParameters
-        Of the rig.
-    """
+    """True values of the plant's parameters in a rig."""
     truth = {own: p[name] for own, name in SAME_AS_IN_RIG.items()}
     bandwidth, constant = p["servo.velocity_bandwidth_rad_s"], p["servo.torque_constant_nm_a"]
     truth["velocity_gain_1_a_s_rad"] = bandwidth * p["servo.inertia_kg_m2"] / constant
@@ -87,17 +81,7 @@ def shared_truth(p: RigParameters) -> dict[str, float]:
 def identify_draw(rig: str, draw: int) -> dict[str, Any]:
     """Identify the plant on one draw of a rig.
 
-    Parameters
-    ----------
-    rig : str
-        Name of its structure.
-    draw : int
-        Number of the draw; it seeds everything.
-
-    Returns
-    -------
-    dict
-        Parameters with value, error, truth and bound; errors of the fitted trials.
+    Returns parameters with value, error, truth and bound; errors of the fitted trials.
     """
     rng = np.random.default_rng([20, draw])
     own = rig_named(rig)
@@ -123,13 +107,7 @@ def identify_draw(rig: str, draw: int) -> dict[str, Any]:
 
 
 def coverage_table(results: Iterable[Mapping[str, Any]]) -> str:
-    """Text of one row per rig and parameter: covered draws, median ratio, errors, bounds.
-
-    Parameters
-    ----------
-    results : iterable of mapping
-        Of `identify_draw`.
-    """
+    """Text of one row per rig and parameter: covered draws, median ratio, errors, bounds."""
     groups: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
     for result in results:
         for name, row in result["parameters"].items():
@@ -155,20 +133,7 @@ def coverage_table(results: Iterable[Mapping[str, Any]]) -> str:
 
 
 def coverage_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
-    """Fractions and relative errors of each rig, and of all (`all`).
-
-    Parameters
-    ----------
-    results : iterable of mapping
-        Of `identify_draw`.
-
-    Returns
-    -------
-    dict
-        By rig: draws, fraction of values inside two standard errors, and for each of `RELATIVE` the
-        median, the 90 % quantile and the largest of |value / truth − 1|, and the fraction within
-        a quarter.
-    """
+    """Fractions and relative errors of each rig, and of all (`all`)."""
     groups: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for result in results:
         groups[result["rig"]].append(result["parameters"])
@@ -196,16 +161,8 @@ def coverage_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, dict[str
 def option_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     """How often feed-forward was found where servos have it, and where they do not.
 
-    Parameters
-    ----------
-    results : iterable of mapping
-        Of `identify_draw`.
-
-    Returns
-    -------
-    dict
-        Draws, and the fractions `found` and `invented`; where a servo has it, also the largest
-        error of the position gain relative to it and of the feed-forward.
+    Returns draws, and the fractions `found` and `invented`; where a servo has it, also the largest
+    error of the position gain relative to it and of the feed-forward.
     """
     rows = list(results)
     own = [r for r in rows if r["feedforward"]]
@@ -226,13 +183,7 @@ def option_summary(results: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def summary_table(summary: Mapping[str, Mapping[str, float]]) -> str:
-    """Markdown table of a summary.
-
-    Parameters
-    ----------
-    summary : mapping
-        Of `coverage_summary`.
-    """
+    """Markdown table of a summary."""
     lines = [
         "| rig | draws | inside two errors | "
         + " | ".join(f"{name}: median, 90 %, worst | within 25 %" for name in RELATIVE) + " |",
@@ -251,16 +202,8 @@ def summary_table(summary: Mapping[str, Mapping[str, float]]) -> str:
 
 
 def draw_result(out: Path, rig: str, draw: int) -> dict[str, Any]:
-    """Result of a draw: the file in a directory, or where it is missing or of other code a new one.
-
-    Parameters
-    ----------
-    out : Path
-        Directory of the results.
-    rig : str
-        Name of its structure.
-    draw : int
-        Number of the draw.
+    """Result of a draw: the file in a directory, or where it is missing or of other code a new
+    one.
     """
     path, code = out / f"{rig}_{draw}.json", code_version(COMPUTING_ROOMS)
     result: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}

@@ -17,40 +17,22 @@ GAIN, MOTION, RECORD, BLOCK = "gain", "motion", "record", "block of time"
 
 @dataclass(frozen=True)
 class MeasuredSystem:
-    """Recordings of one machine.
+    """Recordings of one machine."""
 
-    Attributes
-    ----------
-    name : str
-        Of its plant and map.
-    folder, pattern : str
-        Where the recordings are.
-    signal : str
-        Signal that is compared.
-    unit, factor : str, float
-        In which errors are shown.
-    measure : str
-        Key of the error of `errors_by_trial`: "mae" or "rms".
-    ladder : dict of str to tuple of str
-        Effects beside viscous friction of fits to compare with.
-    leave_out : dict of str to callable
-        By what is left out: its value in a trial. Every value is left out in turn; of a single
-        recording those of its blocks of time (`models.gap.residuals.time_blocks`).
-    identified_first : bool
-        Whether the plant is identified before the gap is looked for. A joint that nothing holds
-        and whose friction is missing is not: the fit of the whole recording makes up for it by
-        values at their bounds, from where no effect helps.
-    """
-
-    name: str
+    name: str  # Of its plant and map
     folder: str
     pattern: str
     signal: str
-    unit: str
+    unit: str  # In which errors are shown
     factor: float
-    measure: str
-    ladder: dict[str, tuple[str, ...]]
+    measure: str  # Key of the error of `errors_by_trial`: "mae" or "rms"
+    ladder: dict[str, tuple[str, ...]]  # Effects beside viscous friction of fits to compare with
+    # By what is left out: its value in a trial. Every value is left out in turn; of a single
+    # recording those of its blocks of time (`models.gap.residuals.time_blocks`).
     leave_out: dict[str, Callable[[Trial], float | str]] = field(default_factory=dict)
+    # Whether the plant is identified before the gap is looked for. A joint that nothing holds and
+    # whose friction is missing is not: the fit of the whole recording makes up for it by values at
+    # their bounds, from where no effect helps.
     identified_first: bool = True
 
 

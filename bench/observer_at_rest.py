@@ -55,15 +55,7 @@ class _Contender:
 
 
 def rest_times_us(dof: int, count: int) -> NDArray[np.float64]:
-    """Measure steps in motion and at rest, shape (count, 2), in µs.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    count : int
-        Number of steps of each.
-    """
+    """Measure steps in motion and at rest, shape (count, 2), in µs."""
     model = read_plant().step_model(dof, "observer")
     with TemporaryDirectory(prefix="dropstitch-") as scratch:
         path = build_fmu(model, Path(scratch) / "observer.fmu")
@@ -78,13 +70,7 @@ def rest_times_us(dof: int, count: int) -> NDArray[np.float64]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure both observers; print their medians, and the ratios as one line of JSON.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments; by default those of the process.
-    """
+    """Measure both observers; print their medians, and the ratios as one line of JSON."""
     parser = argparse.ArgumentParser(
         prog="python -m bench.observer_at_rest", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,

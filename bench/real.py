@@ -65,17 +65,6 @@ ROUNDS: Final = 4
 
 
 def import_recordings(system: MeasuredSystem, data: Path, out: Path) -> TrialSet:
-    """Trials of every recording of a system.
-
-    Parameters
-    ----------
-    system : MeasuredSystem
-        Recorded machine.
-    data : Path
-        Folder of all recordings.
-    out : Path
-        Directory of the trials.
-    """
     nominal = read_plant(EXAMPLES / f"{system.name}.toml")
     for file in sorted((data / system.folder).glob(system.pattern)):
         if not (out / f"{file.stem}.toml").exists():
@@ -87,17 +76,7 @@ def import_recordings(system: MeasuredSystem, data: Path, out: Path) -> TrialSet
 def name_and_identify(
     system: MeasuredSystem, trials: Path, out: Path
 ) -> tuple[Path, list[list[str]]]:
-    """Plant with all that the program names, and what it named in each round.
-
-    Parameters
-    ----------
-    system : MeasuredSystem
-        Recorded machine.
-    trials : Path
-        Directory of its trials.
-    out : Path
-        Directory of plants and diagnoses.
-    """
+    """Plant with all that the program names, and what it named in each round."""
     plant, rounds = EXAMPLES / f"{system.name}.toml", []
     if system.identified_first:
         plant = out / "identified_0.json"
@@ -132,19 +111,7 @@ def _command(arguments: list[str], negative: bool = False) -> None:
 def identified_plant(
     plant: Plant, trials: TrialSet, path: Path, step: Callable[[str], None]
 ) -> Plant:
-    """Plant identified on trials; read where it was before.
-
-    Parameters
-    ----------
-    plant : Plant
-        To start from.
-    trials : TrialSet
-        To fit.
-    path : Path
-        File of the identified plant.
-    step : callable
-        Called with one phrase when it is there.
-    """
+    """Plant identified on trials; read where it was before."""
     if not path.exists():
         identify(plant, trials).plant.write(path)
     step(path.stem)
@@ -152,17 +119,7 @@ def identified_plant(
 
 
 def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, dict[str, float]]:
-    """Mean absolute and root mean square error of a signal, by trial.
-
-    Parameters
-    ----------
-    plant : Plant
-        To simulate with.
-    trials : TrialSet
-        To compare with.
-    signal : str
-        Signal that is compared.
-    """
+    """Mean absolute and root mean square error of a signal, by trial."""
     result = {}
     for c in compare_with_trials(plant, trials):
         error = c.error(signal)
@@ -175,21 +132,7 @@ def errors_by_trial(plant: Plant, trials: TrialSet, signal: str) -> dict[str, di
 def judge_fit(
     system: MeasuredSystem, plant: Plant, trials: TrialSet, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Errors of one structure: of a fit to all trials, and with each condition left out.
-
-    Parameters
-    ----------
-    system : MeasuredSystem
-        Recorded machine.
-    plant : Plant
-        Nominal values and the effects of this structure.
-    trials : TrialSet
-        All trials.
-    out : Path
-        Directory of the identified plants.
-    step : callable
-        Called with one phrase after each fit.
-    """
+    """Errors of one structure: of a fit to all trials, and with each condition left out."""
     full = identified_plant(plant, trials, out / "all.json", step)
     row: dict[str, Any] = {"effects": list(full.effects)}
     row["all"] = _mean(errors_by_trial(full, trials, system.signal), system.measure)
@@ -216,19 +159,7 @@ def _mean(by_trial: dict[str, dict[str, float]], measure: str) -> float:
 def run_system(
     system: MeasuredSystem, data: Path, out: Path, step: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Everything about one system.
-
-    Parameters
-    ----------
-    system : MeasuredSystem
-        Recorded machine.
-    data : Path
-        Folder of all recordings.
-    out : Path
-        Directory of its results.
-    step : callable
-        Called with one phrase after each part.
-    """
+    """Everything about one system."""
     trials = import_recordings(system, data, out / "trials")
     found, rounds = name_and_identify(system, out / "trials", out)
     step("named")
@@ -288,20 +219,7 @@ def _ratio(system: dict[str, Any], reference: str, what: str) -> float:
 
 
 def keep_steps_of_this_code(directory: Path, version: str) -> None:
-    """Delete what other code left in the directory of a system: it is computed anew.
-
-    Parameters
-    ----------
-    directory : Path
-        Of one system; made where it is not there.
-    version : str
-        Of the code that is about to run (`hil.campaign.code_version`).
-
-    Raises
-    ------
-    InputError
-        If the directory exists and this benchmark did not make it.
-    """
+    """Delete what other code left in the directory of a system: it is computed anew."""
     file = directory / "code.txt"
     if directory.exists():
         if not file.exists():

@@ -38,15 +38,7 @@ MEASURE: Final = {"mae": "mean absolute error", "rms": "root mean square error"}
 
 
 def write_real_page(data: dict[str, Any], out: Path) -> Path:
-    """Write OUT/real.html; returns its path.
-
-    Parameters
-    ----------
-    data : dict
-        Content of real.json.
-    out : Path
-        Directory of the results.
-    """
+    """Write OUT/real.html; returns its path."""
     verdicts = Table(
         "", ("figure", "value", "at most"),
         [

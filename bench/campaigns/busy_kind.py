@@ -10,17 +10,9 @@ from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 
 
 class BusyConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a busy case.
+    """Configuration of a busy case."""
 
-    Attributes
-    ----------
-    rounds : int
-        Hashes in the chain.
-    seed : int
-        Its beginning.
-    """
-
-    rounds: int
+    rounds: int  # Hashes in the chain
     seed: int = 0
 
 
@@ -40,13 +32,7 @@ KIND = BusyKind()
 
 
 def chain_of_hashes(rounds: int, seed: int) -> str:
-    """Last digest of a chain.
-
-    Parameters
-    ----------
-    rounds, seed : int
-        Length and beginning.
-    """
+    """Last digest of a chain."""
     digest = str(seed).encode()
     for _ in range(rounds):
         digest = hashlib.sha256(digest).digest()
@@ -54,13 +40,7 @@ def chain_of_hashes(rounds: int, seed: int) -> str:
 
 
 def rounds_for(cpu_s: float) -> int:
-    """Length of a chain that takes so much processor time here.
-
-    Parameters
-    ----------
-    cpu_s : float
-        Time.
-    """
+    """Length of a chain that takes so much processor time here."""
     start_s, probe = time.process_time(), 200_000
     chain_of_hashes(probe, 0)
     return round(probe * cpu_s / (time.process_time() - start_s))

@@ -24,15 +24,7 @@ KILLS: Final = 3
 
 
 def engines_side_by_side(spec_path: Path, directory: Path) -> dict[str, Any]:
-    """Figures of one campaign on both engines.
-
-    Parameters
-    ----------
-    spec_path : Path
-        File of the campaign.
-    directory : Path
-        Of results, one directory for each engine.
-    """
+    """Figures of one campaign on both engines."""
     os.environ["OMP_NUM_THREADS"] = "1"
     spec = read_spec(spec_path)
     maker = CaseMaker(load_kind(spec.kind), spec.kind, directory / "shared")
@@ -51,16 +43,8 @@ def engines_side_by_side(spec_path: Path, directory: Path) -> dict[str, Any]:
 
 
 class WorkerKiller(threading.Thread):
-    """Thread that kills one worker, and its successors, each time a quarter of the cases is done.
-
-    Parameters
-    ----------
-    cluster : LocalCluster
-        Whose first worker is killed.
-    costs : Path
-        Table that grows with the cases.
-    cases : int
-        Number of cases.
+    """Thread that kills one worker, and its successors, each time a quarter of the cases is
+    done.
     """
 
     def __init__(self, cluster: Any, costs: Path, cases: int) -> None:

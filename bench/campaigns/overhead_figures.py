@@ -27,15 +27,7 @@ CASE_S: Final = 0.5
 
 
 def overhead_by_engine(cases: int, directory: Path) -> dict[str, Any]:
-    """Overhead of processes and of a local dask cluster.
-
-    Parameters
-    ----------
-    cases : int
-        Cases of each.
-    directory : Path
-        Of results.
-    """
+    """Overhead of processes and of a local dask cluster."""
     os.environ["OMP_NUM_THREADS"] = "1"
     rounds = rounds_for(CASE_S)
     found = {}

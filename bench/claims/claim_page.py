@@ -21,17 +21,6 @@ _SHOWN: Final = 2.0
 def write_claims_page(
     measured: Sequence[Measurement], titles: Mapping[str, str], path: Path
 ) -> Path:
-    """Write the page; returns its path.
-
-    Parameters
-    ----------
-    measured : sequence of Measurement
-        What was measured.
-    titles : mapping of str to str
-        Title of each group.
-    path : Path
-        HTML file.
-    """
     missed = [m for m in measured if m.met is False]
     judged = [m for m in measured if m.met is not None]
     lead = [

@@ -25,21 +25,11 @@ Runner = Callable[[str], tuple[str, float]]
 
 
 class Measurement(msgspec.Struct, frozen=True, kw_only=True):
-    """Outcome of one claim.
-
-    Attributes
-    ----------
-    claim : Claim
-        What was to be measured.
-    figure : ClaimFigure or None
-        The value, if there is one.
-    problem : str
-        Why there is no value; empty otherwise.
-    """
+    """Outcome of one claim."""
 
     claim: Claim
-    figure: ClaimFigure | None = None
-    problem: str = ""
+    figure: ClaimFigure | None = None  # The value, if there is one
+    problem: str = ""  # Why there is no value; empty otherwise
 
     @property
     def met(self) -> bool | None:
@@ -76,19 +66,7 @@ def shell(command: str) -> tuple[str, float]:
 def measure_claims(
     claims: Sequence[Claim], step: Callable[[str], None], run: Runner = shell, root: Path = ROOT
 ) -> list[Measurement]:
-    """Measure claims in their order; claims with the same command share one run.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-        What to measure.
-    step : callable
-        Told the name of each claim that is done.
-    run : callable
-        Runs a command.
-    root : Path
-        Directory that results are relative to.
-    """
+    """Measure claims in their order; claims with the same command share one run."""
     runs: dict[str, tuple[str, float]] = {}
     measured = []
     for claim in claims:
@@ -114,13 +92,7 @@ def _measurement(claim: Claim, output: str, seconds: float, root: Path) -> Measu
 
 
 def figure_in(claim: Claim, data: Any) -> ClaimFigure:
-    """ClaimFigure of a claim in the result of its command.
-
-    Raises
-    ------
-    KeyError, IndexError, TypeError, ValueError
-        If the result does not hold the number.
-    """
+    """ClaimFigure of a claim in the result of its command."""
     if (found := at_pointer(data, claim.value)) is None:
         raise ValueError(f"the result holds no figure at {claim.value}")
     value = float(found) * claim.factor
@@ -136,13 +108,7 @@ def figure_in(claim: Claim, data: Any) -> ClaimFigure:
 
 
 def at_pointer(data: Any, pointer: str) -> Any:
-    """Member of a JSON document that a JSON pointer (RFC 6901) names.
-
-    Examples
-    --------
-    >>> at_pointer({"fits": [{"rms": 2.6}]}, "/fits/0/rms")
-    2.6
-    """
+    """Member of a JSON document that a JSON pointer (RFC 6901) names."""
     for part in pointer.split("/")[1:]:
         name = part.replace("~1", "/").replace("~0", "~")
         data = data[int(name)] if isinstance(data, list) else data[name]

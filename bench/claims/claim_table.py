@@ -17,63 +17,31 @@ ACCEPTED: Final = ROOT / "docs" / "claims.json"
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One figure: where it is stated, how it is measured, what it should be.
+    """One figure: where it is stated, how it is measured, what it should be."""
 
-    Attributes
-    ----------
-    name, group : str
-        Name of the claim, and the table that it stands in.
-    what : str
-        Row heading.
-    stated_in : list of str
-        Files that state the figure; each holds the group's table.
-    command : str
-        Shell command that measures it, run in the checkout. Claims with the same command share a
-        run.
-    result : str
-        JSON file that the command leaves; without one, its standard output is read. "time" gives
-        `/seconds`, the command's duration.
-    value : str
-        JSON pointer (RFC 6901) to the number.
-    over : str
-        JSON pointer to a number by which it is divided; none if empty.
-    interval, of : str
-        JSON pointers to a 95 % interval and to the number of cases; none if empty.
-    factor : float
-        Number in the result to the number in `unit`.
-    unit : str
-        Unit in which the figure is stated; empty for a plain number.
-    digits : int
-        Decimals that are stated.
-    at_most, at_least : float or None
-        Target in `unit`. Without one the figure is stated and not judged.
-    equal_to, within : float or None
-        Target and the largest distance from it.
-    headline : bool
-        Whether the figure also stands in the table of the README.
-    minutes : float
-        Expected duration of the command on two cores.
-    """
-
-    name: str
+    name: str  # Name of the claim, and the table that it stands in
     group: str
     what: str
-    stated_in: list[str]
+    stated_in: list[str]  # Files that state the figure; each holds the group's table
+    # Shell command that measures it, run in the checkout. Claims with the same command share a run.
     command: str
-    value: str
+    value: str  # JSON pointer (RFC 6901) to the number
+    # JSON file that the command leaves; without one, its standard output is read. "time" gives
+    # `/seconds`, the command's duration.
     result: str = ""
-    over: str = ""
-    interval: str = ""
+    over: str = ""  # JSON pointer to a number by which it is divided; none if empty
+    interval: str = ""  # JSON pointers to a 95 % interval and to the number of cases; none if empty
     of: str = ""
-    factor: float = 1.0
-    unit: str = ""
-    digits: int = 2
+    factor: float = 1.0  # Number in the result to the number in `unit`
+    unit: str = ""  # Unit in which the figure is stated; empty for a plain number
+    digits: int = 2  # Decimals that are stated
+    # Target in `unit`. Without one the figure is stated and not judged.
     at_most: float | None = None
     at_least: float | None = None
-    equal_to: float | None = None
+    equal_to: float | None = None  # Target and the largest distance from it
     within: float | None = None
-    headline: bool = False
-    minutes: float = 1.0
+    headline: bool = False  # Whether the figure also stands in the table of the README
+    minutes: float = 1.0  # Expected duration of the command on two cores
 
     def is_met(self, value: float) -> bool | None:
         """Whether a value in `unit` meets the target; None without a target."""
@@ -109,27 +77,14 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class ClaimFigure(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A value that was reached.
+    """A value that was reached."""
 
-    Attributes
-    ----------
-    value : float
-        In the claim's unit.
-    interval : tuple of float
-        95 % interval, if there is one.
-    of : int or None
-        Number of cases.
-    on : str
-        Date of the measurement, ISO 8601.
-    note : str
-        What a reader has to know; "recorded" where the value was taken over from the documentation
-        and its command has not been run since.
-    """
-
-    value: float
+    value: float  # In the claim's unit
     interval: tuple[float, ...] = ()
     of: int | None = None
-    on: str = ""
+    on: str = ""  # Date of the measurement, ISO 8601
+    # What a reader has to know; "recorded" where the value was taken over from the documentation
+    # and its command has not been run since
     note: str = ""
 
 
@@ -147,13 +102,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read_claims(path: Path = TABLE) -> list[Claim]:
-    """All claims, in the order of the table.
-
-    Raises
-    ------
-    InputError
-        If the table does not fit its form, or a claim is ambiguous.
-    """
+    """All claims, in the order of the table."""
     return list(_read(path).claim)
 
 

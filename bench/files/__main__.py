@@ -79,43 +79,19 @@ goal_1_rad = {{ from = "angle_1_rad" }}
 
 
 class FileReading(NamedTuple):
-    """One file and its end.
-
-    Attributes
-    ----------
-    file, content : str
-        As in `LARGE_FILES`.
-    size_bytes : int
-        Of the file.
-    ended : str
-        "used", "refused" or "failed".
-    peak_bytes : int
-        Largest resident size of the process that read it, or of a child of it.
-    cpu_s : float
-        Processor time of both.
-    said : str
-        Last line that it printed.
-    """
+    """One file and its end."""
 
     file: str
     content: str
     size_bytes: int
-    ended: str
-    peak_bytes: int
-    cpu_s: float
-    said: str
+    ended: str  # "used", "refused" or "failed"
+    peak_bytes: int  # Largest resident size of the process that read it, or of a child of it
+    cpu_s: float  # Processor time of both
+    said: str  # Last line that it printed
 
 
 def read_file(file: str, content: str, folder: Path) -> FileReading:
-    """Write a file in one process and read it in another.
-
-    Parameters
-    ----------
-    file, content : str
-        As in `LARGE_FILES`.
-    folder : Path
-        Scratch directory.
-    """
+    """Write a file in one process and read it in another."""
     path = folder / file
     subprocess.run(
         [sys.executable, "-m", "bench.files", "--write", file, content, str(path)], check=True

@@ -14,17 +14,7 @@ MARKERS: Final = tuple(f"m{i:02d}" for i in range(1, 17))
 
 
 def filled(path: Path, head: bytes, block: bytes, size: int = MOST_BYTES) -> None:
-    """Write a file of a head and as many whole blocks as fit.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    head, block : bytes
-        Its content.
-    size : int
-        Most bytes.
-    """
+    """Write a file of a head and as many whole blocks as fit."""
     many = block * max(1, (1 << 20) // len(block))
     left = size - len(head)
     with path.open("wb") as file:
@@ -37,19 +27,7 @@ def filled(path: Path, head: bytes, block: bytes, size: int = MOST_BYTES) -> Non
 def filled_by_lines(
     path: Path, head: str, line: Callable[[int], str], size: int = MOST_BYTES
 ) -> None:
-    """Write a file of a head and as many lines as fit.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    head : str
-        Its start.
-    line : callable
-        Line by its number, with its end.
-    size : int
-        Most bytes.
-    """
+    """Write a file of a head and as many lines as fit."""
     with path.open("w", encoding="utf-8") as file:
         left, k = size - file.write(head), 0
         while left > 0 and len(text := line(k)) <= left:
@@ -58,26 +36,12 @@ def filled_by_lines(
 
 
 def angle_rad(k: int) -> float:
-    """Angle of the joint in a row: rest, then a slow sinusoid.
-
-    Parameters
-    ----------
-    k : int
-        Number of the row, from 0.
-    """
+    """Angle of the joint in a row: rest, then a slow sinusoid."""
     return 0.3 * math.sin(0.01 * max(k - 30, 0))
 
 
 def marker_m(number: int, turn_rad: float) -> Iterator[float]:
-    """Yield the position of a marker of the straight nominal link.
-
-    Parameters
-    ----------
-    number : int
-        Of the marker, from 0.
-    turn_rad : float
-        Angle about y by which the link is turned.
-    """
+    """Yield the position of a marker of the straight nominal link."""
     row, corner = divmod(number, 4)
     x, y, z = (0.075, -0.075)[corner % 2], (0.075, -0.075)[corner // 2], 0.06 + 0.95 * (row + 1) / 4
     c, s = math.cos(turn_rad), math.sin(turn_rad)

@@ -16,23 +16,12 @@ MODULE = "bench.gap.bench_kind"
 
 
 class BenchConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration: a case and the plant that it is diagnosed with.
-
-    Attributes
-    ----------
-    plant : str
-        Identified without effects.
-    case : BenchCase
-        The case.
-    sealed : bool
-        Whether the improved plant is tested on sealed trials.
-    patterns : str
-        File of the patterns of the plant's own error; those shipped where it is empty.
-    """
+    """Configuration: a case and the plant that it is diagnosed with."""
 
     plant: str
     case: BenchCase
-    sealed: bool = True
+    sealed: bool = True  # Whether the improved plant is tested on sealed trials
+    # File of the patterns of the plant's own error; those shipped where it is empty
     patterns: str = ""
 
 
@@ -68,11 +57,6 @@ def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
     """Results of a run of the benchmark by key, each with its case and its times.
 
     Of a case that ran again with other code, or another plant, the latest result counts.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the run.
     """
     store = ResultStore(directory)
     times = {row["key"]: json.loads(row["parts_s"]) for row in store.read_costs()}
@@ -88,32 +72,14 @@ def bench_results(directory: Path) -> dict[str, dict[str, Any]]:
 
 
 def cases_of_run(directory: Path) -> list[BenchCase]:
-    """Cases whose results are in a directory.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the run.
-    """
+    """Cases whose results are in a directory."""
     return [BenchCase(**r["case"]) for r in bench_results(directory).values()]
 
 
 def bench_configuration(
     case: BenchCase, plant: Path, sealed: bool = True, patterns: Path | None = None
 ) -> dict[str, Any]:
-    """Plain configuration of a case.
-
-    Parameters
-    ----------
-    case : BenchCase
-        The case.
-    plant : Path
-        Its plant.
-    sealed : bool
-        Whether the improved plant is tested on sealed trials.
-    patterns : Path, optional
-        Of the plant's own error.
-    """
+    """Plain configuration of a case."""
     return {
         "plant": str(plant), "case": asdict(case), "sealed": sealed,
         "patterns": "" if patterns is None else str(patterns),

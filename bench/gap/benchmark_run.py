@@ -26,22 +26,10 @@ def run_benchmark(
 ) -> RunCounts:
     """Run cases that have no valid result.
 
-    Parameters
-    ----------
-    cases : iterable of BenchCase
-        Drawn by `draw_cases`.
-    plant : Path or None
-        Identified without effects; None for one of each case's own rig.
-    out : Path
-        Directory of the results.
-    engine : Engine, optional
-        Of `hil.campaign.engines`; two processes by default.
-    sealed : bool
-        Whether improved plants are tested on sealed trials.
-    calibration_rigs : int
-        Drawn rigs on which patterns are measured for each motion but the study's; zero for none.
-    plant_motion : str
-        Name of the motion that plants are identified on; empty for that of each case.
+    `plant`: identified without effects; None for one of each case's own rig.
+    `calibration_rigs`: drawn rigs on which patterns are measured for each motion but the study's;
+    zero for none.
+    `plant_motion`: name of the motion that plants are identified on; empty for that of each case.
     """
     wanted, store = list(cases), ResultStore(out)
     robot_of = lambda c: (c.rig, c.joints, plant_motion or c.motion)  # noqa: E731

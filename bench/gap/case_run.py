@@ -39,18 +39,8 @@ def run_bench_case(
 ) -> dict[str, Any]:
     """Run a case; return its result. Long because every result is handed over once.
 
-    Parameters
-    ----------
-    case : BenchCase
-        To run.
-    plant : Plant
-        Identified without effects.
-    times : dict of str to float
-        Receives the time of the diagnosis, and that of the processor.
-    with_sealed : bool
-        Whether the improved plant is tested on sealed trials.
-    patterns : sequence of ModelDiscrepancy
-        Of the plant's own error; for other motions those shipped.
+    `times`: receives the time of the diagnosis, and that of the processor.
+    `patterns`: of the plant's own error; for other motions those shipped.
     """
     rig = rig_of(case)
     try:
@@ -121,19 +111,6 @@ def separable(
     """Whether the whole catalogue tells a denied effect from its stand-ins.
 
     It does where it names the effect, and no stand-in is among the declared look-alikes.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified without effects.
-    trials : TrialSet
-        Of the case.
-    case : BenchCase
-        With the hidden effect.
-    stand_ins : sequence of str
-        Effects that were named without it.
-    patterns : sequence of ModelDiscrepancy
-        As for `run_bench_case`.
     """
     if case.kind != "outside":
         return True
@@ -154,17 +131,6 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     """Change that is to be found.
 
     Where the plant has no such effect, nor a parameter for it, the rig's own is added.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified without effects.
-    rig : RigParameters
-        Of the case.
-    effect : str
-        Hidden effect.
-    hidden : float
-        Its hidden strength.
     """
     known = effect in plant.effects or DELAY_OF.get(effect) in plant.parameters
     return hidden if known else hidden + rig[rig.effects()[effect]]
@@ -175,11 +141,6 @@ def unsaid_bounds(found: Diagnosis) -> list[str]:
 
     The workflow is to refuse such a value, so that none is left. The bound of a named effect's
     parameter is told beside it, and `identify` tells that of a parameter of the plant as given.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        Of a case.
     """
     given, improved = found.plant.parameters, found.improved.parameters
     refitted = {
@@ -210,26 +171,7 @@ def bench_trials(
     motion: str = "study",
     payloads: str = "study",
 ) -> list[Trial]:
-    """Trials of some payloads, each repeated once.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        With the hidden effects.
-    seed : int
-        Of trial variation and noise.
-    joints : int
-        Driven joints, 1 or 2.
-    motion : str
-        Name of the motion, of `bench.gap.cases.MOTIONS`.
-    payloads : str
-        Name of the payloads, of `bench.gap.cases.PAYLOAD_SETS`.
-
-    Raises
-    ------
-    InputError
-        If the link folds, or the arm hangs before the motion begins: nobody records that.
-    """
+    """Trials of some payloads, each repeated once."""
     trials = [
         run_case(rig, TrialCase(motion_named(motion, joints), payload, trial, seed))
         for payload in PAYLOAD_SETS[payloads]

@@ -75,44 +75,20 @@ the 0.2 m of a calibration square [assumed]."""
 
 @dataclass(frozen=True)
 class BenchCase:
-    """One data set.
+    """One data set."""
 
-    Attributes
-    ----------
-    kind : str
-        One effect, none, two, or one that the catalogue is denied.
-    hidden : dict of str to float
-        Strengths.
-    nuisance : dict of str to float
-        Factors on the rig's parameters.
-    seed : int
-        Of trial variation and noise.
-    rig : str
-        Name of the rig.
-    joints : int
-        Driven joints, 1 or 2.
-    motion : str
-        Name of the motion of all trials, of `MOTIONS`.
-    payloads : str
-        Name of their payloads, of `PAYLOAD_SETS`.
-    frame_turn_rad : dict of str to float
-        Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty).
-    told_same_link : bool
-        Whether the diagnosis is told that the link is the same.
-    joint : int or None
-        The only joint whose servo has the effects; None where both have them alike.
-    """
-
-    kind: Kind
+    kind: Kind  # One effect, none, two, or one that the catalogue is denied
     hidden: dict[str, float]
-    nuisance: dict[str, float]
-    seed: int
+    nuisance: dict[str, float]  # Factors on the rig's parameters
+    seed: int  # Of trial variation and noise
     rig: str = DEFAULT_RIG
     joints: int = 1
-    motion: str = "study"
-    payloads: str = "study"
+    motion: str = "study"  # Name of the motion of all trials, of `MOTIONS`
+    payloads: str = "study"  # Name of their payloads, of `PAYLOAD_SETS`
+    # Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty)
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
-    told_same_link: bool = False
+    told_same_link: bool = False  # Whether the diagnosis is told that the link is the same
+    # The only joint whose servo has the effects; None where both have them alike
     joint: int | None = None
 
     @property
@@ -128,15 +104,6 @@ class BenchCase:
 
 
 def motion_named(name: str, joints: int) -> Motion:
-    """Motion of a name.
-
-    Parameters
-    ----------
-    name : str
-        Of `MOTIONS`.
-    joints : int
-        Driven joints, 1 or 2.
-    """
     return replace(MOTIONS[name], dof=joints)
 
 
@@ -152,20 +119,9 @@ def draw_cases(
 ) -> Iterator[BenchCase]:
     """Draw cases; those of each rig differ.
 
-    Parameters
-    ----------
-    singles : int
-        Of every effect and size.
-    nulls, pairs, outside : int
-        Without an effect, with two, and with one that the catalogue is denied.
-    seed : int
-        Of the draw.
-    rig : str
-        Name of the rig.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
-    joints : int
-        Driven joints, 1 or 2.
+    `nulls`, `pairs`, `outside`: without an effect, with two, and with one that the catalogue is
+    denied.
+    `same_link`: whether the link is the one that the plant was identified on.
     """
     own = [] if rig == DEFAULT_RIG else [zlib.crc32(rig.encode())]
     rng = np.random.default_rng([seed, *own] if own else seed)
@@ -194,18 +150,8 @@ def drawn_case(
 ) -> BenchCase:
     """Draw one case.
 
-    Parameters
-    ----------
-    rng : Generator
-        Of the draw.
-    kind : str
-        See `BenchCase`.
-    hidden : sequence of (str, float)
-        Effects, each with its size: 1 is about what matters (`TYPICAL`).
-    rig, joints
-        See `BenchCase`.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
+    `hidden`: effects, each with its size: 1 is about what matters (`TYPICAL`).
+    `same_link`: whether the link is the one that the plant was identified on.
     """
     nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
     strengths = {e: _strength(rng, e, size) for e, size in hidden}
@@ -220,13 +166,6 @@ def in_one_servo(cases: Iterable[BenchCase], rig: RigParameters) -> list[BenchCa
     """Cases with two joints whose effects can be in one servo alone, each in a joint drawn for it.
 
     Cases that hide nothing stay.
-
-    Parameters
-    ----------
-    cases : iterable of BenchCase
-        Of one rig.
-    rig : RigParameters
-        That rig.
     """
     names = rig.effects()
     own = [c for c in cases if all(rig.entries[names[e]].in_one_joint for e in c.hidden)]
@@ -235,15 +174,7 @@ def in_one_servo(cases: Iterable[BenchCase], rig: RigParameters) -> list[BenchCa
 
 
 def mixed_cases(cases: Sequence[BenchCase], most: int) -> list[BenchCase]:
-    """At most so many cases, the kinds in turn: six with one effect to one of each other kind.
-
-    Parameters
-    ----------
-    cases : sequence of BenchCase
-        Of one rig.
-    most : int
-        Number to keep.
-    """
+    """At most so many cases, the kinds in turn: six with one effect to one of each other kind."""
     queues = {kind: [c for c in cases if c.kind == kind] for kind in get_args(Kind)}
     kept: list[BenchCase] = []
     while len(kept) < most and any(queues.values()):

@@ -29,24 +29,7 @@ SEED: Final = 21
 
 
 def diagnosis_s(plant: Path, joints: int, hidden: tuple[str, ...], out: Path) -> float:
-    """Wall time of `python -m models gap` on ten trials of the rig.
-
-    Parameters
-    ----------
-    plant : Path
-        Identified on the rig without effects.
-    joints : int
-        Driven joints, 1 or 2.
-    hidden : tuple of str
-        Effects, each as EFFECT=STRENGTH.
-    out : Path
-        Directory of trials and results.
-
-    Raises
-    ------
-    subprocess.CalledProcessError
-        If the diagnosis does not end with a verdict.
-    """
+    """Wall time of `python -m models gap` on ten trials of the rig."""
     trials = out / "trials"
     options = [option for effect in hidden for option in ("--hide", effect)]
     command = ["simulate", "--out", str(trials), "--dof", str(joints), "--seed", str(SEED)]

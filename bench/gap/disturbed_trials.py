@@ -37,7 +37,6 @@ PUSH_S: Final = 0.15
 
 
 def as_recorded(trial: Trial) -> Trial:
-    """Trial as it is."""
     return trial
 
 
@@ -72,17 +71,7 @@ DISTURBANCES: Final[Mapping[str, Callable[[Trial], Trial]]] = {
 
 
 def diagnose_disturbed(case: BenchCase, plant: Path, name: str) -> dict[str, Any]:
-    """Diagnose a data set with its last trial disturbed.
-
-    Parameters
-    ----------
-    case : BenchCase
-        The data set.
-    plant : Path
-        Plant of its rig.
-    name : str
-        Of `DISTURBANCES`.
-    """
+    """Diagnose a data set with its last trial disturbed."""
     trials = bench_trials(rig_of(case).hide(case.hidden), case.seed)
     disturb = DISTURBANCES[name]
     found = diagnose(read_plant(plant), TrialSet((*trials[:-1], disturb(trials[-1]))))
@@ -102,13 +91,7 @@ def diagnose_disturbed(case: BenchCase, plant: Path, name: str) -> dict[str, Any
 
 
 def figures_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Counts by disturbance.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `diagnose_disturbed`.
-    """
+    """Counts by disturbance."""
     return {
         name: {
             "of": len(own),
@@ -149,13 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def two_cases_of(rig: str) -> list[BenchCase]:
-    """Data sets of a rig: nothing hidden, and its first effect of the size that matters.
-
-    Parameters
-    ----------
-    rig : str
-        Name of the rig.
-    """
+    """Data sets of a rig: nothing hidden, and its first effect of the size that matters."""
     cases = list(draw_cases(1, 1, 0, 0, SEED, rig, same_link=True))
     return [next(c for c in cases if c.kind == "null"), cases[0]]
 

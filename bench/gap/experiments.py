@@ -73,48 +73,23 @@ LEAST_GAIN: Final = 0.1
 
 @dataclass(frozen=True)
 class PairResult:
-    """Separation of one pair.
+    """Separation of one pair."""
 
-    Attributes
-    ----------
-    pair : str
-        Hidden effect and its rival.
-    strength : float
-        Hidden strength.
-    before, designed, fixed : float
-        d′ at hand, with the designed motion, with the best fixed one.
-    gain, fixed_gain : float
-        d′ that each adds.
-    best : str
-        The best fixed motion.
-    verified : float or None
-        d′ between the fits to the trial at hand and the recommended one, run on the rig; negative
-        where the rival fits better.
-    """
-
-    pair: str
+    pair: str  # Hidden effect and its rival
     strength: float
-    before: float
+    before: float  # d′ at hand, with the designed motion, with the best fixed one
     designed: float
     fixed: float
-    gain: float
+    gain: float  # d′ that each adds
     fixed_gain: float
-    best: str
+    best: str  # The best fixed motion
+    # D′ between the fits to the trial at hand and the recommended one, run on the rig; negative
+    # where the rival fits better
     verified: float | None
 
 
 def fit_of(plant: Plant, trials: Sequence[Trial], effect: str) -> tuple[FitPoint, Rival]:
-    """Fit of one effect and the nuisance.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    trials : sequence of Trial
-        To fit.
-    effect : str
-        Of the catalogue.
-    """
+    """Fit of one effect and the nuisance."""
     own = effect_fit_parameters(plant, effect, 1)
     parameters = nuisance_and_variation(plant, trials) + own
     residuals = Residuals(plant, trials, parameters)
@@ -128,19 +103,7 @@ def fit_of(plant: Plant, trials: Sequence[Trial], effect: str) -> tuple[FitPoint
 def at_hand(
     plant: Plant, effect: str, strength: float, rival: str, seed: int
 ) -> tuple[RigParameters, Trial, list[Rival], float]:
-    """Rig with an effect, its trial, the fits of both effects to it, and their d′.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified without the effect.
-    effect, rival : str
-        Hidden effect, and what it is mistaken for.
-    strength : float
-        Hidden strength.
-    seed : int
-        Of the rig.
-    """
+    """Rig with an effect, its trial, the fits of both effects to it, and their d′."""
     rig = read_rig("default").hide({effect: strength})
     first = run_case(rig, TrialCase(Motion(), PAYLOAD_KG, trial=1, seed=seed))
     rivals = [fit_of(plant, [first], e)[1] for e in (effect, rival)]
@@ -157,23 +120,7 @@ def run_pair(
     verify: bool,
     seed: int,
 ) -> PairResult:
-    """Hide, fit, design, and compare.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified without the effect.
-    limits : Limits
-        Of the robot.
-    effect, rival : str
-        Hidden effect, and what it is mistaken for.
-    strength : float
-        Largest hidden strength.
-    verify : bool
-        Whether to run the recommended motion on the rig.
-    seed : int
-        Of the rig and the search.
-    """
+    """Hide, fit, design, and compare."""
     rig, first, rivals, before = at_hand(plant, effect, strength, rival, seed)
     if before >= INSEPARABLE:
         strength *= LOOK_ALIKE_SEPARATION / before
@@ -211,17 +158,9 @@ def _verified(
 def separation_figures(results: Sequence[PairResult]) -> dict[str, Any]:
     """Figures over the pairs that the trial at hand leaves together.
 
-    Parameters
-    ----------
-    results : sequence of PairResult
-        Of all pairs.
-
-    Returns
-    -------
-    dict
-        Numbers of pairs, of look-alikes and of separable ones; of these the fraction that the
-        designed motion separates, the least gains of designed and best fixed
-        motion, and the median ratio of both gains.
+    Returns numbers of pairs, of look-alikes and of separable ones; of these the fraction that the
+    designed motion separates, the least gains of designed and best fixed motion, and the median
+    ratio of both gains.
     """
     alike = [r for r in results if r.before < INSEPARABLE]
     separable = [r for r in alike if max(r.designed, r.fixed) >= INSEPARABLE]
@@ -241,13 +180,7 @@ def separation_figures(results: Sequence[PairResult]) -> dict[str, Any]:
 
 
 def summary(results: Sequence[PairResult]) -> str:
-    """Table of the pairs, and the figures with their targets.
-
-    Parameters
-    ----------
-    results : sequence of PairResult
-        Of all pairs.
-    """
+    """Table of the pairs, and the figures with their targets."""
     known = separation_figures(results)
     lines = ["| pair, strength hidden | d′ at hand | designed | best fixed | on the rig |"]
     lines += ["|---|---|---|---|---|"]

@@ -32,71 +32,33 @@ RIPPLE_PERIODS: Final = 16.0
 
 @dataclass(frozen=True)
 class Equation:
-    """Residual of an equation of the plant in one trial, and the terms that could explain it.
+    """Residual of an equation of the plant in one trial, and the terms that could explain it."""
 
-    Attributes
-    ----------
-    missing : ndarray, shape (n,)
-        Residual of the equation.
-    columns : dict of str to ndarray, shape (n,)
-        Library by effect; a name in parentheses is no effect and is never named.
-    counts : ndarray of bool, shape (n,)
-        Rows on which the equation is determined.
-    """
-
-    missing: Array
+    missing: Array  # (n,)
+    # (n,), library by effect; a name in parentheses is no effect and is never named
     columns: dict[str, Array]
-    counts: Any
+    counts: Any  # (n,), rows on which the equation is determined
 
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """Measured motion of the link in one trial, and the loads that follow from it.
-
-    Attributes
-    ----------
-    step_s : float
-        Time step.
-    time_s : ndarray, shape (n,)
-        Time since the motion began; zero before.
-    angle, rate, acceleration : ndarray, shape (n,)
-        Of the joint, in rad and s.
-    leaning, bend : ndarray, shape (n,)
-        Angle of the tip, and its difference from the joint's, in rad.
-    radius_m : float
-        From the joint's axis to the tip.
-    load_nm, off_axis_nm : ndarray, shape (n,)
-        Torque of gravity; torque per metre of the payload's offset.
-    gravity_per_rad_nm : ndarray, shape (n,)
-        Torque of gravity per radian of the joint.
-    direction : ndarray, shape (n,)
-        Smooth sign of the rate.
-    """
+    """Measured motion of the link in one trial, and the loads that follow from it."""
 
     step_s: float
-    time_s: Array
-    angle: Array
+    time_s: Array  # (n,), time since the motion began; zero before
+    angle: Array  # (n,), of the joint, in rad and s
     rate: Array
     acceleration: Array
-    leaning: Array
+    leaning: Array  # (n,), angle of the tip, and its difference from the joint's, in rad
     bend: Array
-    radius_m: float
-    load_nm: Array
+    radius_m: float  # From the joint's axis to the tip
+    load_nm: Array  # (n,), torque of gravity; torque per metre of the payload's offset
     off_axis_nm: Array
-    gravity_per_rad_nm: Array
-    direction: Array
+    gravity_per_rad_nm: Array  # (n,)
+    direction: Array  # (n,), smooth sign of the rate
 
 
 def link_motion(trial: Trial, p: dict[str, float]) -> LinkMotion:
-    """Motion of the link in a trial.
-
-    Parameters
-    ----------
-    trial : Trial
-        As measured.
-    p : dict of str to float
-        Parameters of the refitted plant.
-    """
     meta, step_s = trial.meta, trial.step_s
     angle = trial.columns["angle_1_rad"]
     rate = derivative(angle, step_s)
@@ -126,15 +88,9 @@ def missing_in_equations(
 ) -> dict[str, Equation]:
     """Residual and library of each equation.
 
-    Parameters
-    ----------
-    trial : Trial
-        As measured.
-    p : dict of str to float
-        Parameters of the refitted plant.
-    twin, driven : dict of str to ndarray, shape (n,)
-        Measured minus simulated signals: of the closed loop, and of the link whose joint moves as
-        measured.
+    Shapes: `twin`, `driven` (n,).
+    `twin`, `driven`: measured minus simulated signals: of the closed loop, and of the link whose
+    joint moves as measured.
     """
     motion = link_motion(trial, p)
     constant, runs = p["torque_constant_1_nm_a"], motion.time_s > 0
@@ -187,10 +143,7 @@ def _bend_terms(m: LinkMotion) -> dict[str, Array]:
 def slid_memory(angle: Array) -> Array:
     """Direction in which a joint has slid, forgotten over `BREAKAWAY_RAD` of sliding back.
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        Of the joint, from rest.
+    Shapes: `angle` (n,).
     """
     moved = np.diff(angle, prepend=angle[0])
     result = np.zeros(len(angle))
@@ -215,13 +168,6 @@ def _command_terms(trial: Trial) -> dict[str, Array]:
 def derivative(rows: Array, step_s: float, order: int = 1) -> Array:
     """Derivative of smoothed rows (PySINDy's `SmoothedFiniteDifference` smooths alike).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n,)
-        Samples.
-    step_s : float
-        Time step.
-    order : int
-        Of the derivative.
+    Shapes: `rows` (n,).
     """
     return np.asarray(savgol_filter(rows, 9, 3, deriv=order, delta=step_s))

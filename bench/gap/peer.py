@@ -57,15 +57,7 @@ RIDGE: Final = 0.1
 
 
 def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, Equation]]:
-    """Equations of each trial for the plant whose nuisance and trial variation are refitted.
-
-    Parameters
-    ----------
-    plant : Plant
-        With a noise floor.
-    trials : sequence of Trial
-        Of one joint and one motion.
-    """
+    """Equations of each trial for the plant whose nuisance and trial variation are refitted."""
     residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
     estimator = GaussNewton(residuals, required_noise_floor(plant))
     every = np.ones(len(residuals.fit_parameters), bool)
@@ -100,17 +92,7 @@ def refitted_equations(plant: Plant, trials: Sequence[Trial]) -> list[dict[str, 
 def simulated_signals(
     model: CompiledModel, trial: Trial, changes: Sequence[tuple[FitParameter, float]]
 ) -> tuple[dict[str, Array], dict[str, float]]:
-    """Outputs by name, and the parameters, with some fit parameters changed.
-
-    Parameters
-    ----------
-    model : CompiledModel
-        Of the plant.
-    trial : Trial
-        Its goals or angles drive the model.
-    changes : sequence of tuple
-        Fit parameters and their values.
-    """
+    """Outputs by name, and the parameters, with some fit parameters changed."""
     step = model.model
     p = dict(zip(names(step.parameters), trial_parameters(step, trial), strict=True))
     outputs = names(step.outputs)
@@ -124,15 +106,7 @@ def simulated_signals(
 
 
 def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[float]) -> Any:
-    """Size of what survives STLSQ by effect, in noise floors; the greatest first.
-
-    Parameters
-    ----------
-    trials : sequence of dict
-        Equations of each trial.
-    payloads : sequence of float
-        Payload of each in kg.
-    """
+    """Size of what survives STLSQ by effect, in noise floors; the greatest first."""
     found: dict[str, float] = {}
     for name in trials[0]:
         rows = [t[name] for t in trials]
@@ -143,15 +117,7 @@ def contributions(trials: Sequence[dict[str, Equation]], payloads: Sequence[floa
 
 
 def repetition_noise(rows: Sequence[Equation], payloads: Sequence[float]) -> float:
-    """Root mean square of what differs between two repetitions, for one of them.
-
-    Parameters
-    ----------
-    rows : sequence of Equation
-        One equation in each trial.
-    payloads : sequence of float
-        Payload of each in kg.
-    """
+    """Root mean square of what differs between two repetitions, for one of them."""
     squares = [
         np.mean((a.missing - b.missing)[both] ** 2) / 2
         for i, a in enumerate(rows) for j, b in enumerate(rows[:i])
@@ -161,15 +127,7 @@ def repetition_noise(rows: Sequence[Equation], payloads: Sequence[float]) -> flo
 
 
 def sparse_terms(rows: Sequence[Equation], unit: float) -> dict[str, float]:
-    """Size of each term of one equation that survives, in units of `unit`.
-
-    Parameters
-    ----------
-    rows : sequence of Equation
-        One equation in each trial.
-    unit : float
-        Size of its noise.
-    """
+    """Size of each term of one equation that survives, in units of `unit`."""
     sindy = import_pysindy()
     effects = list(rows[0].columns)
     library = [np.column_stack([r.columns[e] for e in effects])[r.counts] for r in rows]
@@ -189,13 +147,7 @@ def sparse_terms(rows: Sequence[Equation], unit: float) -> dict[str, float]:
 
 
 def import_pysindy() -> Any:
-    """Import PySINDy, which is not among the locked packages.
-
-    Raises
-    ------
-    InputError
-        If it is not installed.
-    """
+    """Import PySINDy, which is not among the locked packages."""
     try:
         return importlib.import_module("pysindy")
     except ImportError as error:
@@ -206,17 +158,7 @@ def import_pysindy() -> Any:
 
 
 def run_peer_case(case: BenchCase, plant: Plant, path: Path) -> None:
-    """Write the result of one case, in the form that `bench.gap.scores.score_summary` reads.
-
-    Parameters
-    ----------
-    case : BenchCase
-        To run.
-    plant : Plant
-        With a noise floor.
-    path : Path
-        File to write.
-    """
+    """Write the result of one case, in the form that `bench.gap.scores.score_summary` reads."""
     rig = rig_of(case).hide(case.hidden)
     trials = bench_trials(rig, case.seed, case.joints, case.motion, case.payloads)
     found = contributions(refitted_equations(plant, trials), [t.meta.payload_kg for t in trials])

@@ -29,20 +29,7 @@ SEALED_CONDITIONS: Final[dict[str, tuple[Kind, float]]] = {
 
 
 class SealedErrors:
-    """Sealed trials of a case, with the hidden effects and without them.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Of the case, without the hidden effects.
-    case : BenchCase
-        With the hidden effects.
-
-    Attributes
-    ----------
-    trials : dict of str to (Trial, Trial or None)
-        With the effects and without; trials on which the link folds are missing.
-    """
+    """Sealed trials of a case, with the hidden effects and without them."""
 
     def __init__(self, rig: RigParameters, case: BenchCase) -> None:
         hidden = rig.hide(case.added_to_rig)
@@ -54,18 +41,7 @@ class SealedErrors:
                 self.trials[what] = trial, _recorded(rig, conditions)
 
     def in_noise_floors(self, given: Plant, improved: Plant) -> list[float] | None:
-        """Errors on another motion, in noise floors.
-
-        Parameters
-        ----------
-        given, improved : Plant
-            Before and after the diagnosis.
-
-        Returns
-        -------
-        list of float or None
-            Of both plants, and of the one as given where nothing is hidden; None without a trial.
-        """
+        """Errors on another motion, in noise floors."""
         trial, plain = self.trials.get("motion", (None, None))
         if trial is None or plain is None:
             return None
@@ -75,11 +51,6 @@ class SealedErrors:
         """Root mean square errors in SI units: trial → signal → those of `in_noise_floors`.
 
         The third is missing where no trial without the effects is there.
-
-        Parameters
-        ----------
-        given, improved : Plant
-            Before and after the diagnosis.
         """
         result: dict[str, dict[str, list[float]]] = {}
         for what, (trial, plain) in self.trials.items():

@@ -37,13 +37,7 @@ PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
 
 
 def rig_trials(seed: int) -> Iterator[tuple[Trial, float]]:
-    """Trials of the rig and the delay of the capture in each.
-
-    Parameters
-    ----------
-    seed : int
-        Of the rig.
-    """
+    """Trials of the rig and the delay of the capture in each."""
     parameters = rig_named("default").changed(
         **{"sensor.marker_noise_m": 0.0, "sensor.mocap_jitter_s": 0.0}
     )  # noise and sampling are those of the written take
@@ -60,17 +54,7 @@ def rig_trials(seed: int) -> Iterator[tuple[Trial, float]]:
 
 
 def import_case(case: ImportCase, directory: Path, seed: int) -> dict[str, Any]:
-    """Write and import one case; what the command said.
-
-    Parameters
-    ----------
-    case : ImportCase
-        To import.
-    directory : Path
-        For its files.
-    seed : int
-        Of its losses.
-    """
+    """Write and import one case; what the command said."""
     arguments = case.take.write(case.trial, directory, seed)
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -90,13 +74,7 @@ def import_case(case: ImportCase, directory: Path, seed: int) -> dict[str, Any]:
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Counts over all cases, and the clock's errors.
-
-    Parameters
-    ----------
-    rows : list of dict
-        Of `import_case`, each with `delay_s`.
-    """
+    """Counts over all cases, and the clock's errors."""
     wrong, right = [r for r in rows if r["cause"]], [r for r in rows if not r["cause"]]
     timed = [r for r in right if r["exit"] == 0]
     errors = np.array([r["offset_s"] - r["true_offset_s"] - r["delay_s"] for r in timed])

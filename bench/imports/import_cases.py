@@ -11,35 +11,18 @@ from models.trials.trial import Trial
 
 
 class ImportCase(NamedTuple):
-    """One import.
-
-    Attributes
-    ----------
-    name : str
-        For the table.
-    take : WrittenTake
-        How it is written.
-    trial : Trial
-        What happened.
-    cause : str
-        Words that a refusal or a warning must hold; "" for a right import.
-    """
+    """One import."""
 
     name: str
     take: WrittenTake
     trial: Trial
-    cause: str
+    cause: str  # Words that a refusal or a warning must hold; "" for a right import
 
 
 def wrong_cases(one: Trial, two: Trial, seed: int) -> list[ImportCase]:
     """The wrong imports.
 
-    Parameters
-    ----------
-    one, two : Trial
-        With one joint and with two that move out of phase.
-    seed : int
-        Of hidden offsets.
+    `one`, `two`: with one joint and with two that move out of phase.
     """
     rng = np.random.default_rng(seed)
     cases: list[ImportCase] = []
@@ -86,17 +69,7 @@ def wrong_cases(one: Trial, two: Trial, seed: int) -> list[ImportCase]:
 
 
 def right_cases(trials: list[Trial], count: int, seed: int) -> list[ImportCase]:
-    """Right imports of many kinds.
-
-    Parameters
-    ----------
-    trials : list of Trial
-        What happened, in turn.
-    count : int
-        Number of cases.
-    seed : int
-        Of their kinds.
-    """
+    """Right imports of many kinds."""
     rng = np.random.default_rng([seed, 1])
     cases = []
     for k in range(count):

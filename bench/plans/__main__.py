@@ -115,13 +115,7 @@ def _plant(build: Path) -> Plant:
 
 
 def speeds(build: Path) -> dict[str, Any]:
-    """RMS errors of circle and figure eight by speed and payload, and their least ratios.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    """
+    """RMS errors of circle and figure eight by speed and payload, and their least ratios."""
     cases, bundle = [], _bundle(build, 2)
     progress = Progress("bench.plans speeds", 4)
     for name in ("circle", "figure_eight"):
@@ -144,13 +138,7 @@ def speeds(build: Path) -> dict[str, Any]:
 
 
 def learning(build: Path) -> dict[str, Any]:
-    """RMS errors of each run, and after five of them over further draws of the rig.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    """
+    """RMS errors of each run, and after five of them over further draws of the rig."""
     cases = []
     progress = Progress("bench.plans learning", 8)
     for dof, (name, options) in PATHS.items():
@@ -184,13 +172,7 @@ def _learned(build: Path, plan: TipPlan, what: str) -> tuple[list[float], list[f
 
 
 def moves(build: Path) -> dict[str, Any]:
-    """Settling time and swing of the three moves, and their ratios to the rigid one.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    """
+    """Settling time and swing of the three moves, and their ratios to the rigid one."""
     found: dict[str, Any] = {}
     for method in ("rigid", "zvd", "inverse"):
         plan = _plan(
@@ -209,13 +191,7 @@ def moves(build: Path) -> dict[str, Any]:
 
 
 def robust(build: Path) -> dict[str, Any]:
-    """RMS errors on rigs that differ from the plant, and their least ratios by number of joints.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    """
+    """RMS errors on rigs that differ from the plant, and their least ratios by number of joints."""
     cases: list[dict[str, Any]] = []
     progress = Progress("bench.plans robust", 4)
     for dof, (name, options) in PATHS.items():
@@ -248,13 +224,7 @@ def robust(build: Path) -> dict[str, Any]:
 
 
 def probed(build: Path) -> dict[str, Any]:
-    """RMS errors of plans with a probing motion, on rigs as the plant and others; least ratios.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    """
+    """RMS errors of plans with a probing motion, on rigs as the plant and others; least ratios."""
     cases: list[dict[str, Any]] = []
     progress = Progress("bench.plans probed", 6)
     for dof, (name, options) in PATHS.items():
@@ -286,15 +256,7 @@ def probed(build: Path) -> dict[str, Any]:
 
 
 def text(build: Path, picture: Path) -> dict[str, Any]:
-    """RMS error of a text that is written, and its picture.
-
-    Parameters
-    ----------
-    build : Path
-        Directory with plant and bundles.
-    picture : Path
-        File to draw.
-    """
+    """RMS error of a text that is written, and its picture."""
     options = PathOptions(size_m=0.45, seconds=40.0)
     plan = _plan(build, 2, "text:HELLO", options, payloads_kg=(1.0,), feedback=True)
     run = run_on_rig(plan, _bundle(build, 2), 1.0)
@@ -311,14 +273,7 @@ def text(build: Path, picture: Path) -> dict[str, Any]:
 def other_rig(build: Path, rig: str, plant: Plant) -> dict[str, Any]:
     """RMS errors on a rig at once, and improved by a run, from which the timing is learned too.
 
-    Parameters
-    ----------
-    build : Path
-        Directory with a bundle, of which only the period counts.
-    rig : str
-        Structure or file of the rig.
-    plant : Plant
-        Identified on trials of that rig.
+    `build`: directory with a bundle, of which only the period counts.
     """
     name, options = LINE
     cases, bundle = [], _bundle(build, 1)

@@ -37,24 +37,12 @@ RIGS: Final = {
 
 @dataclass(frozen=True)
 class RigRun:
-    """Last run of a plan.
+    """Last run of a plan."""
 
-    Attributes
-    ----------
-    rms_m : float
-        Distance of the true tip from the path, rest and ways included.
-    moves : tuple of MoveFigures
-        Moves from rest to rest.
-    trial : Trial
-        With the true tip.
-    tip_m : ndarray, shape (n, dof)
-        True tip at each row of the plan.
-    """
-
-    rms_m: float
-    moves: tuple[MoveFigures, ...]
-    trial: Trial
-    tip_m: Array
+    rms_m: float  # Distance of the true tip from the path, rest and ways included
+    moves: tuple[MoveFigures, ...]  # Moves from rest to rest
+    trial: Trial  # With the true tip
+    tip_m: Array  # (n, dof), true tip at each row of the plan
 
 
 def run_on_rig(
@@ -62,32 +50,7 @@ def run_on_rig(
     rig: str = "default", seed: int = SEED, known: bool = True, runs: int = 1,
     open_loop: bool = False,
 ) -> RigRun:  # fmt: skip
-    """Run a plan; the last of its runs counts.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    bundle : Path
-        Bundle of the robot.
-    payload_kg : float
-        Mass at the tip.
-    rig : str
-        Structure or file of the rig.
-    seed : int
-        Of its variation.
-    known : bool
-        Whether the robot is told the payload.
-    runs : int
-        Times to run the plan.
-    open_loop : bool
-        Whether feedback of the plan is left out.
-
-    Raises
-    ------
-    RuntimeError
-        If the robot stopped before.
-    """
+    """Run a plan; the last of its runs counts."""
     with tempfile.TemporaryDirectory(prefix="dropstitch-plans-") as scratch:
         options = SilOptions(
             bundle=ModelBundle.load(bundle), model=model_named(SERVO), out=Path(scratch),
@@ -105,15 +68,7 @@ def run_on_rig(
 
 
 def larger_rig(what: str, directory: Path) -> Path:
-    """Write a rig whose stiffness or damping is larger than that of the default one.
-
-    Parameters
-    ----------
-    what : {"stiffness", "damping"}
-        What is larger.
-    directory : Path
-        Directory of the file.
-    """
+    """Write a rig whose stiffness or damping is larger than that of the default one."""
     values = read_rig("default")
     units = {
         "root_nm_rad": "N.m/rad",
@@ -132,15 +87,7 @@ def larger_rig(what: str, directory: Path) -> Path:
 
 
 def by_mocap(run: RigRun, rng: np.random.Generator) -> Trial:
-    """Trial of a run with the noise of a motion capture and a shift of its frame.
-
-    Parameters
-    ----------
-    run : RigRun
-        The run.
-    rng : numpy.random.Generator
-        Of noise and shift.
-    """
+    """Trial of a run with the noise of a motion capture and a shift of its frame."""
     rig = read_rig("default")
     # The tip is the mean of four markers.
     noise_m, shift_m = 0.5 * rig["sensor.marker_noise_m"], rig["variation.frame_shift_m"]

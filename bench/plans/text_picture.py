@@ -18,14 +18,7 @@ from models.shared.svg_drawing import FILE_STYLE
 def draw_text(plan: TipPlan, tip_m: NDArray[np.float64], path: Path) -> None:
     """Draw the strokes of a text as SVG.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        Of the text.
-    tip_m : ndarray, shape (n, 2)
-        True tip at each row of the plan.
-    path : Path
-        File to write.
+    Shapes: `tip_m` (n, 2).
     """
     desired = plan.desired_tip_m()
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):

@@ -37,17 +37,7 @@ SECONDS: Final = 10.0
 def figures_at_rate(
     bundle: ModelBundle, faults: Mapping[str, float], progress: Progress
 ) -> dict[str, float]:
-    """Figures over all payloads and seeds at one rate.
-
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the robot.
-    faults : mapping of str to float
-        Rates of the line's faults.
-    progress : Progress
-        Takes a step for each run.
-    """
+    """Figures over all payloads and seeds at one rate."""
     ticks = in_range = read_again = 0
     largest_m = 0.0
     for payload_kg in PAYLOADS_KG:

@@ -34,17 +34,7 @@ SECONDS: Final = 10.0
 
 
 def counts_of(bundle: ModelBundle, amplitude_rad: float, progress: Progress) -> dict[str, int]:
-    """Numbers of wrong and of right payloads, and of those that were told.
-
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the robot, with an observer.
-    amplitude_rad : float
-        Of the motions.
-    progress : Progress
-        Takes a step for each run.
-    """
+    """Numbers of wrong and of right payloads, and of those that were told."""
     counts = dict.fromkeys(("wrong", "wrong_told", "right", "right_told"), 0)
     for number, kind in enumerate(MOTIONS):
         motion = MotionConfig(amplitude_rad=amplitude_rad).with_motion(kind)

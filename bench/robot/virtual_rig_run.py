@@ -28,27 +28,7 @@ def run_on_virtual_rig(
     faults: Mapping[str, float] | None = None,
     rig: str = "default",
 ) -> SilResult:
-    """Run the loop; nothing is written.
-
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the robot.
-    payload_kg : float
-        Mass at the tip.
-    seed : int
-        Of the rig's variation and of the faults.
-    seconds : float
-        Duration.
-    motion : MotionConfig, optional
-        Reference motion; by default the study's.
-    payload_known : bool
-        Whether the robot is told the payload.
-    faults : mapping of str to float, optional
-        Rates of the line's faults.
-    rig : str
-        Name of the rig.
-    """
+    """Run the loop; nothing is written."""
     with TemporaryDirectory(prefix="dropstitch-") as scratch:
         options = SilOptions(
             bundle=bundle, model=model_named(SERVO), out=Path(scratch),

@@ -98,13 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def table(document: Mapping[str, Any]) -> str:
-    """Return the figures as text, in mm and %.
-
-    Parameters
-    ----------
-    document : mapping
-        As written.
-    """
+    """Return the figures as text, in mm and %."""
     lines = [
         f"{document['dof']}DOF, deployed: {document['predictor']}; mean / largest in mm; the "
         "interval covers, mean / worst axis, and in range, in %",

@@ -29,15 +29,7 @@ class Answer(NamedTuple):
 
 
 class Contenders:
-    """Predictors of a bundle and its observer.
-
-    Parameters
-    ----------
-    bundle : Path
-        Complete bundle with a chosen predictor.
-    dof : int
-        Number of joints.
-    """
+    """Predictors of a bundle and its observer."""
 
     def __init__(self, bundle: Path, dof: int) -> None:
         plant = read_plant(bundle / "plant.json")
@@ -48,28 +40,11 @@ class Contenders:
         }
 
     def wrong_plant(self, what: str, factor: float) -> dict[str, float]:
-        """Return the observer's parameters of a kind, all times a factor.
-
-        Parameters
-        ----------
-        what : str
-            "stiffness" or "damping".
-        factor : float
-            On each.
-        """
+        """Return the observer's parameters of a kind, all times a factor."""
         found = self._observer.model.parameters
         return {v.name: factor * v.start for v in found if f"_{what}_" in v.name}
 
     def answers(self, run: TipRun, changes: Mapping[str, float] | None = None) -> dict[str, Answer]:
-        """Return the answer of every contender to a run.
-
-        Parameters
-        ----------
-        run : TipRun
-            Angles and currents.
-        changes : mapping of str to float, optional
-            Parameters of the observer that differ from the plant's.
-        """
         model = self._observer.model
         measured = np.column_stack([run.angle_rad, run.current_a])
         y = self._observer.simulate(measured, run.step_s, model.parameter_values(changes))[1:]

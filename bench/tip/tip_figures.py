@@ -24,15 +24,7 @@ Figures = dict[str, float | str]
 
 
 def figures(run: TipRun, answers: Mapping[str, Answer]) -> dict[str, dict[str, Figures]]:
-    """Figures by contender and part of the run; "all" for all parts.
-
-    Parameters
-    ----------
-    run : TipRun
-        With the true tip.
-    answers : mapping of str to Answer
-        By contender.
-    """
+    """Figures by contender and part of the run; "all" for all parts."""
     found: dict[str, dict[str, Figures]] = {}
     known = np.isfinite(run.tip_m).all(axis=1)
     for name in CONTENDERS:
@@ -73,13 +65,7 @@ def _coverage(inside: NDArray[np.bool_], dof: int, name: str) -> Figures:
 
 
 def claimed_figures(document: Mapping[str, Any]) -> dict[str, float | str]:
-    """Figures that the claims state, of the deployed predictor.
-
-    Parameters
-    ----------
-    document : mapping
-        Figures of all runs, as written.
-    """
+    """Figures that the claims state, of the deployed predictor."""
     nominal = {name: run["deployed"] for name, run in document["nominal"].items()}
     motions = [nominal[name]["all"] for name in SECONDS]
     swinging = [nominal["decay"]["all"], nominal["stopped"]["stop"]]

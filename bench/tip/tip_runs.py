@@ -36,28 +36,14 @@ STOPPED_S: Final = 8.0
 
 @dataclass(frozen=True)
 class TipRun:
-    """Run of the robot.
-
-    Attributes
-    ----------
-    name : str
-        Motion.
-    step_s : float
-        Control period.
-    angle_rad, current_a : ndarray, shape (n, dof)
-        As measured.
-    tip_m : ndarray, shape (n, 3)
-        True tip; NaN where the tick had no fresh data.
-    part : ndarray of str, shape (n,)
-        rest, motion, glide, stop or free decay.
-    """
+    """Run of the robot."""
 
     name: str
     step_s: float
-    angle_rad: Array
+    angle_rad: Array  # (n, dof)
     current_a: Array
-    tip_m: Array
-    part: NDArray[np.str_]
+    tip_m: Array  # (n, 3), true tip; NaN where the tick had no fresh data
+    part: NDArray[np.str_]  # (n,), rest, motion, glide, stop or free decay
 
     @property
     def dof(self) -> int:
@@ -72,21 +58,7 @@ def run_behind_servos(
     hidden: Mapping[str, float] | None = None,
     rig: str = "default",
 ) -> TipRun:
-    """Run the robot's loop with the rig behind the servos on the virtual line.
-
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Bundle of the robot.
-    motion : str
-        Kind of motion.
-    seconds : float
-        Time of the controlled stop.
-    hidden : mapping of str to float, optional
-        Effects that the plant does not know.
-    rig : str
-        Name of a structure.
-    """
+    """Run the robot's loop with the rig behind the servos on the virtual line."""
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
         options = SilOptions(
             bundle=bundle, model=model_named(SERVO), out=Path(scratch),
@@ -106,15 +78,7 @@ def run_behind_servos(
 
 
 def run_free_decay(dof: int, rig: str = "default") -> TipRun:
-    """Step a leaning link back on the rig and let it swing: goals that the loop's limits refuse.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    rig : str
-        Name of a structure.
-    """
+    """Step a leaning link back on the rig and let it swing: goals that the loop's limits refuse."""
     case = TrialCase(Motion("decay", dof=dof), PAYLOAD_KG, trial=1, seed=SEED)
     with tempfile.TemporaryDirectory(prefix="dropstitch-tip-") as scratch:
         path, *_ = run_trial_cases([case], rig_named(rig), Path(scratch), 1, lambda _: None)

@@ -46,20 +46,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the FMU.
-
-    Raises
-    ------
-    InputError
-        If an option or a file cannot be used, or the plant is of another link than the bundle's.
-    """
+    """Build the FMU."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu
     from fmu.fmu_models import read_parts
     from fmu.packaging.fmu_contents import fmu_contents
     from fmu.packaging.platforms import platform_names
-    from models.study.bundle_plant import plant_for_bundle
+    from models.study.bundle_plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)
@@ -68,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     manifest = files.manifest
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if args.plant and parts.plant:
-        plant_for_bundle(parts.plant, args.plant, files, "this FMU")
+        compare_with_bundle(parts.plant, args.plant, files, "this FMU")
     if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
         if args.fmi != 3:
             raise InputError(

@@ -32,20 +32,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the package.
-
-    Raises
-    ------
-    InputError
-        If an option or a file cannot be used, or the plant is of another link than the bundle's.
-    """
+    """Build the package."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.fmu_models import read_parts
     from fmu.packaging.platforms import platform_names
     from fmu.ssp.ssp_builder import build_ssp
     from fmu.stimulus import usual_payload_kg
     from models.plant.physical_limits import check_payload
-    from models.study.bundle_plant import plant_for_bundle
+    from models.study.bundle_plant import compare_with_bundle
 
     if args.out.suffix != ".ssp":
         raise InputError(
@@ -58,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         read_parts(kind, dof, args.bundle, args.plant) for kind in ("twin", "observer")
     )
     if args.plant:
-        plant_for_bundle(twin.required_plant(), args.plant, files, "this package")
+        compare_with_bundle(twin.required_plant(), args.plant, files, "this package")
     payload_kg = usual_payload_kg(twin) if args.payload_kg is None else args.payload_kg
     check_payload(payload_kg, link=twin.required_plant().link)
     build_ssp(twin, observer, args.out, payload_kg=payload_kg, platforms=platforms)

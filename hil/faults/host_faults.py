@@ -17,62 +17,16 @@ from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
 from firmware_py.realtime.clock import SimClock
-from hil.faults.injection import FaultSchedule, Injection
+from hil.faults.injection import FAULT_KINDS, FaultSchedule, Injection, OnHost
 
 Array = NDArray[np.float64]
-HOST_FAULTS: Final = (
-    "predictor",
-    "estimator",
-    "slow predictor",
-    "range",
-    "innovation",
-    "stall",
-    "garbage",
-    "clock",
-    "port",
-    "request",
-    "flood",
-    "program silent",
-    "program stuck",
-    "program malformed",
-    "program too fast",
-    "program out of reach",
-    "program flooding",
-    "program gone",
-)
-"""Kinds of injections and what their value is: "predictor" and "estimator" return it, "innovation"
-reads it in A, "range" (without one) predicts out of range; "slow predictor" and "stall" delay by it
-in s, "clock" steps by it, "port" is removed for it; "garbage" leaves reference cycles, "request"
-requests a controlled stop; "flood" puts that many bytes per second in place of what the port
-receives. "program …" is done by a program that sends goals (`hil.faults.cases.goal_program`)."""
 _GARBAGE_CYCLES: Final = 300
 _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
 """Header of a long status packet: the costliest bytes to search."""
 
 
 class HostFaults:
-    """Schedule of the host's faults.
-
-    Parameters
-    ----------
-    script : FaultSchedule
-        Schedule, for its times.
-    injections : sequence of Injection
-        Those of `HOST_FAULTS` are used.
-    now_ns : callable
-        Clock.
-    take : callable
-        Lets a time in s pass.
-
-    Attributes
-    ----------
-    tick : int
-        Number of the tick that runs, 0 before the first.
-    began_ns : int or None
-        When the first fault began.
-    request_stop : callable
-        Requests a controlled stop of the loop.
-    """
+    """Schedule of the host's faults."""
 
     def __init__(
         self,
@@ -82,8 +36,11 @@ class HostFaults:
         take: Callable[[float], None],
     ) -> None:
         self._script, self._now_ns, self.take = script, now_ns, take
-        own = [i for i in injections if i.kind in HOST_FAULTS]
-        self._injections = {kind: [i for i in own if i.kind == kind] for kind in HOST_FAULTS}
+        self._injections = {
+            name: [i for i in injections if i.kind == name]
+            for name, kind in FAULT_KINDS.items()
+            if isinstance(kind, OnHost)
+        }
         self.tick = 0
         self.began_ns: int | None = None
         self.request_stop: Callable[[str], None] = _request_nothing
@@ -110,15 +67,7 @@ def _request_nothing(reason: str) -> None:
 
 
 class FaultyEstimator:
-    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks.
-
-    Parameters
-    ----------
-    inner : DeformationEstimator
-        Estimator of the bundle.
-    host : HostFaults
-        Schedule of the faults.
-    """
+    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks."""
 
     waits_for_fresh: ClassVar[bool] = False  # it must be called in every tick
 
@@ -152,15 +101,7 @@ def _litter() -> None:
 
 
 class FaultyPredictor:
-    """Predictor that is slow or returns a wrong value.
-
-    Parameters
-    ----------
-    inner : Predictor
-        Predictor of the bundle.
-    host : HostFaults
-        Schedule of the faults.
-    """
+    """Predictor that is slow or returns a wrong value."""
 
     def __init__(self, inner: Predictor, host: HostFaults) -> None:
         self._inner, self._host = inner, host
@@ -186,13 +127,7 @@ class FaultyPredictor:
 
 
 class FaultyFeedback(TipFeedback):
-    """Feedback of the tip that sees a wrong innovation.
-
-    Attributes
-    ----------
-    host : HostFaults or None
-        Schedule of the faults.
-    """
+    """Feedback of the tip that sees a wrong innovation."""
 
     host: HostFaults | None = None
 
@@ -203,15 +138,7 @@ class FaultyFeedback(TipFeedback):
 
 
 class SteppedClock(SimClock):
-    """Simulated clock that is set forward or back in a scheduled tick.
-
-    Attributes
-    ----------
-    true : SimClock
-        Time of the servos.
-    host : HostFaults or None
-        Schedule of the step.
-    """
+    """Simulated clock that is set forward or back in a scheduled tick."""
 
     def __init__(self, true: SimClock) -> None:
         super().__init__()
@@ -238,17 +165,7 @@ class SteppedClock(SimClock):
 
 
 class FaultyTransport:
-    """Transport in true time under a stepped clock, which can be unplugged.
-
-    Parameters
-    ----------
-    inner : Transport
-        Transport in true time.
-    clock : SteppedClock
-        Clock of the loop.
-    host : HostFaults
-        Schedule that says when it is unplugged.
-    """
+    """Transport in true time under a stepped clock, which can be unplugged."""
 
     def __init__(self, inner: Transport, clock: SteppedClock, host: HostFaults) -> None:
         self._inner, self._clock, self._host = inner, clock, host

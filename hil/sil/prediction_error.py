@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -17,21 +18,18 @@ from models.learning.axis_coverage import axis_coverage
 Array = NDArray[np.float64]
 
 
+NO_ERRORS: Final = TipErrors(
+    n=0, mean_euclidean_distance_m=None, rms_m=None, p95_m=None, max_m=None,
+    interval_coverage=None, interval_coverage_least=None, in_range_fraction=None,
+)  # fmt: skip
+
+
 def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
     """Tip at the moment that each tick measured, the second time where it read twice.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        Every tick.
-    truth : Truth
-        Record of the plant.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        NaN where no servo was asked or the answer is older than the tick: there the robot had no
-        fresh measurement to predict from.
+    Shapes: `records` (n,).
+    Returns shape (n, 3), naN where no servo was asked or the answer is older than the tick: there
+    the robot had no fresh measurement to predict from.
     """
     tip = np.full((len(records), 3), np.nan)
     if len(truth.time_ns) == 0:
@@ -51,12 +49,7 @@ def predicted_tip_m(records: NDArray[np.void]) -> Array:
 def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
     """Part of the programme that each time falls into.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Times since the start.
-    programme : mapping of str to float
-        Durations of the parts in s, which repeat.
+    Shapes: `time_s` (n,).
     """
     ends_s = np.cumsum(list(programme.values()))
     # Half a microsecond: a slot's time is its number times the period, rounded.
@@ -69,15 +62,9 @@ def prediction_error(
 ) -> PredictionError:
     """Distance between the robot's prediction and the plant's tip over all fresh ticks.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        Every tick.
-    truth : Truth
-        Record of the plant.
-    programme : mapping of str to float, optional
-        Durations of the parts that the run repeats: the error by these parts is added, with the
-        controlled stop as a part of its own.
+    Shapes: `records` (n,).
+    `programme`: durations of the parts that the run repeats: the error by these parts is added,
+    with the controlled stop as a part of its own.
     """
     error_m = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.asarray(np.isfinite(error_m).all(axis=1))
@@ -96,7 +83,7 @@ def prediction_error(
 
 def _errors(records: NDArray[np.void], error_m: Array, rows: NDArray[np.bool_]) -> TipErrors:
     if not rows.any():
-        return TipErrors(n=0)
+        return NO_ERRORS
     distance_m = np.linalg.norm(error_m[rows], axis=1)
     half_width_m = np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
     dof = 2 if "angle_2_rad" in (records.dtype.names or ()) else 1

@@ -29,7 +29,7 @@ from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.commands.output_paths import check_output_directory
-from models.trials.earlier_import import check_earlier_import, check_same_samples, recording_hash
+from models.trials.earlier_import import check_earlier_import, recording_hash
 from models.trials.importers import KINDS
 from models.trials.importers.mapping import RecordingMap, read_mapping
 from models.trials.importers.robot_log import motion_rows, with_log_conditions
@@ -72,14 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import every take and check the written trials as any other.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used, the import of a single take is refused, an option belongs to one
-        take only, or a trial would replace a file that is read.
-    """
+    """Import every take and check the written trials as any other."""
     mapping = read_mapping(args.map)
     takes = find_takes(args.file, args.kind, mapping)
     single = args.name or takes[0].file.stem
@@ -158,7 +151,7 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     """Facts about the trial and the page that are written to `out`."""
     mapping, servo = take.mapping, args.servo or take.servo
     recording_sha256 = recording_hash(take.file)
-    earlier = check_earlier_import(args.out, name, recording_sha256)
+    check_earlier_import(args.out, name, recording_sha256)
     cut_off, verdict = [], ImportVerdict(name)
     for path in (take.file, servo):
         if path is not None and path.suffix.lower() == ".mcap":
@@ -182,8 +175,6 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         raise InputError(
             take.file if written else error.where, error.what, f"{error.remedy} (see {page})"
         ) from None
-    if earlier is not None:
-        check_same_samples(earlier, path)
     write_verdict(verdict, out)
     result: dict[str, Any] = verdict.as_json() | {
         "trial": str(args.out / path.name),
@@ -223,7 +214,6 @@ def _with_log(
 
 
 def _described(result: dict[str, Any]) -> str:
-    """Result for people."""
     text = (
         f"{result['trial']}: {result['rows']} rows of "
         f"{DURATION.factor * result['step_s']:.3g} ms, {result['rest_samples']} at rest"

@@ -8,10 +8,9 @@ drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -41,7 +40,18 @@ SEED: Final = 9000
 FIRST_TEST_NUMBER: Final = 900
 """Drawn rigs from this number on are for testing."""
 
-FORMS: Final[dict[str, tuple[str | int, ...]]] = {
+
+class Range(NamedTuple):
+    """Range in which a value is drawn evenly."""
+
+    low: float
+    high: float
+
+
+DRAWN: Final[dict[str, Range | tuple[str | int, ...]]] = {
+    "sensor.current_phase": Range(0.2, 1.0),
+    "stiffness.directional_share": Range(0.0, 0.3),
+    "stiffness.prebend_rad": Range(-0.02, 0.02),
     "hinges": (6, 8, 10, 13),
     "limit": ("tanh", "wrinkling"),
     "hysteresis": ("bouc_wen", "maxwell_slip"),
@@ -53,11 +63,12 @@ FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "mocap_filter": ("none", "zero_phase"),
     "rate_sensor": ("motor", "encoder"),
     "position_loop": ("proportional", "proportional", "feedforward"),
+    "servo.velocity_feedforward": Range(0.1, 0.9),
+    "servo.position_integral_per_s2": Range(0.0, 5.0),
+    "stribeck": ("gaussian", "rational"),
 }
-"""Forms that are drawn, by choice of `RigStructure`."""
-
-LATER_FORMS: Final[dict[str, tuple[str, ...]]] = {"stribeck": ("gaussian", "rational")}
-"""Forms that are drawn after all values: a rig keeps what it had before these were added."""
+"""Values and forms, by choice of `RigStructure`, that are drawn evenly, in this order: in another
+one every drawn rig would be another rig."""
 
 LOG_DEVIATION: Final = {
     "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
@@ -86,40 +97,23 @@ NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap
 def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
     """Draw a rig.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Of the draw.
-    make : RigParameters, optional
-        Rig of the make around which values are drawn; the study's where it is not given.
-
-    Examples
-    --------
-    >>> draw_rig(np.random.default_rng(0)).structure.engine
-    'mujoco'
+    `make`: rig of the make around which values are drawn; the study's where it is not given.
     """
     rig = read_rig("default") if make is None else make
     values = {
         n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
     }
-    values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
-    values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
-    values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    forms = _drawn_forms(rng, FORMS)
-    values["servo.velocity_feedforward"] = float(rng.uniform(0.1, 0.9))
-    values["servo.position_integral_per_s2"] = float(rng.uniform(0.0, 5.0))
-    structure = msgspec.convert(forms | _drawn_forms(rng, LATER_FORMS), RigStructure)
-    return replace(rig.changed(**values), structure=structure)
+    forms: dict[str, str | int] = {}
+    for name, among in DRAWN.items():
+        if isinstance(among, Range):
+            values[name] = float(rng.uniform(among.low, among.high))
+        else:
+            forms[name] = among[int(rng.integers(len(among)))]
+    return replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation: they show what it does itself.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Any rig.
-    """
+    """Rig whose trials have neither noise nor variation: they show what it does itself."""
     return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
 
 
@@ -151,15 +145,7 @@ def rig_named(name: str) -> RigParameters:
 
 
 def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
-    """Drawn rig with one of its links; link 0 is the rig's own.
-
-    Parameters
-    ----------
-    number, link : int
-        Numbers.
-    make : RigParameters, optional
-        As for `draw_rig`.
-    """
+    """Drawn rig with one of its links; link 0 is the rig's own."""
     rig = draw_rig(np.random.default_rng([SEED, number]), make)
     if not link:
         return rig
@@ -174,21 +160,6 @@ def rig_purpose(name: str) -> Literal["tuning", "test"]:
     A named structure says its own (`models.rig.rig_structure.NamedStructure`). `drawn_K` is for
     tests from K = 900 on: nothing of the workflow is ever set on such a rig. Any other rig, as that
     of a described link, counts as one for tuning, since nobody knows what was set on it.
-
-    Parameters
-    ----------
-    name : str
-        As for `rig_named`.
-
-    Raises
-    ------
-    InputError
-        If the number of a drawn rig is none.
-
-    Examples
-    --------
-    >>> rig_purpose("drawn_899"), rig_purpose("drawn_900")
-    ('tuning', 'test')
     """
     if name.startswith(PREFIX):
         return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"
@@ -201,9 +172,3 @@ def _drawn_number(name: str) -> int:
     if not number.isdecimal():
         raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
     return int(number)
-
-
-def _drawn_forms(
-    rng: np.random.Generator, choices: Mapping[str, Sequence[str | int]]
-) -> dict[str, str | int]:
-    return {name: forms[int(rng.integers(len(forms)))] for name, forms in choices.items()}

@@ -42,22 +42,11 @@ def tuning_cases(
 ) -> Iterator[BenchCase]:
     """Draw the cases of one rig.
 
-    Parameters
-    ----------
-    rig : str
-        Name of the rig.
-    usual, faint : int
-        Data sets with one effect of either size, each with another effect.
-    nulls, pairs, outside : int
-        Without an effect, with two, and with one that the catalogue is denied.
-    seed : int
-        Of the draw.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
-    joints : int
-        Driven joints, 1 or 2.
-    effects : sequence of str
-        Effects to draw from; all of the catalogue where it is empty.
+    `usual`, `faint`: data sets with one effect of either size, each with another effect.
+    `nulls`, `pairs`, `outside`: without an effect, with two, and with one that the catalogue is
+    denied.
+    `same_link`: whether the link is the one that the plant was identified on.
+    `effects`: effects to draw from; all of the catalogue where it is empty.
     """
     rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
 

@@ -14,13 +14,7 @@ from models.shared.svg_drawing import FILE_STYLE
 
 
 def confusion_counts(results: Iterable[Result]) -> dict[tuple[str, str], float]:
-    """Number of cases by hidden effect and first name; of cases with one effect or none.
-
-    Parameters
-    ----------
-    results : iterable of dict
-        Result files of `bench.gap.case_run`.
-    """
+    """Number of cases by hidden effect and first name; of cases with one effect or none."""
     return dict(
         Counter[tuple[str, str]](
             (
@@ -34,15 +28,7 @@ def confusion_counts(results: Iterable[Result]) -> dict[tuple[str, str], float]:
 
 
 def confusion_matrix_svg(cells: Mapping[tuple[str, str], float], title: str = "") -> str:
-    """Which effect was named for which: an SVG with counts.
-
-    Parameters
-    ----------
-    cells : mapping of tuple to float
-        From `confusion_counts`.
-    title : str
-        Above the matrix.
-    """
+    """Which effect was named for which: an SVG with counts."""
     rows, columns = sorted({t for t, _ in cells}), sorted({n for _, n in cells})
     text = io.StringIO()
     with pyplot.rc_context(FILE_STYLE):

@@ -9,15 +9,7 @@ from scipy.stats import beta
 
 
 def clopper_pearson(count: int, total: int) -> tuple[float, float]:
-    """Clopper-Pearson 95 % interval of a fraction.
-
-    Parameters
-    ----------
-    count : int
-        Of true rows.
-    total : int
-        Of all rows.
-    """
+    """Clopper-Pearson 95 % interval of a fraction."""
     low = beta.ppf(0.025, count, total - count + 1) if count else 0.0
     high = beta.ppf(0.975, count + 1, total - count) if count < total else 1.0
     return float(low), float(high)

@@ -42,10 +42,7 @@ Bins = Sequence[Mapping[str, Any]]
 def reliability_bins(said: Iterable[tuple[float, bool]]) -> list[dict[str, Any]]:
     """Bins of probabilities, each with its edges, count, mean probability and fraction right.
 
-    Parameters
-    ----------
-    said : iterable of (float, bool)
-        Probability of an effect that it is missing, and whether it was.
+    `said`: probability of an effect that it is missing, and whether it was.
     """
     members: list[list[tuple[float, bool]]] = [[] for _ in EDGES[1:]]
     for probability, missing in said:
@@ -64,25 +61,13 @@ def reliability_bins(said: Iterable[tuple[float, bool]]) -> list[dict[str, Any]]
 
 
 def largest_deviation(bins: Bins) -> float | None:
-    """Largest difference of probability and fraction right, over the bins of enough effects.
-
-    Parameters
-    ----------
-    bins : sequence of dict
-        From `reliability_bins`.
-    """
+    """Largest difference of probability and fraction right, over the bins of enough effects."""
     off = [abs(b["mean_probability"] - b["fraction"]) for b in bins if b["of"] >= LEAST_COUNT]
     return max(off, default=None)
 
 
 def reliability_table(bins: Mapping[str, Bins]) -> str:
-    """Markdown table: one row for each bin, one column for each rig; empty without any effect.
-
-    Parameters
-    ----------
-    bins : mapping of str to sequence of dict
-        From `reliability_bins`, by heading of the column.
-    """
+    """Markdown table: one row for each bin, one column for each rig; empty without any effect."""
     if not any(b["of"] for own in bins.values() for b in own):
         return ""
     head = "| missing, of those said to be with a probability of | "
@@ -94,13 +79,7 @@ def reliability_table(bins: Mapping[str, Bins]) -> str:
 
 
 def reliability_svg(bins: Mapping[str, Bins]) -> str:
-    """Reliability diagram as an SVG: fraction right over probability, with the diagonal.
-
-    Parameters
-    ----------
-    bins : mapping of str to sequence of dict
-        From `reliability_bins`, by purpose of the rigs.
-    """
+    """Reliability diagram as an SVG: fraction right over probability, with the diagonal."""
     text = io.StringIO()
     with pyplot.rc_context(FILE_STYLE):
         figure, ax = pyplot.subplots(figsize=(7.0, 5.2), layout="constrained")

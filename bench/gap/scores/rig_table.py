@@ -44,13 +44,7 @@ Figures = dict[str, Any]
 
 
 def rig_figures(results: Sequence[Result]) -> Figures:
-    """Figures of some results.
-
-    Parameters
-    ----------
-    results : sequence of dict
-        Result files of `bench.gap.case_run`.
-    """
+    """Figures of some results."""
     possible = [r for r in results if "impossible" not in r]
     single = [r for r in possible if r["case"]["kind"] == "single"]
     null = [r for r in possible if r["case"]["kind"] == "null"]
@@ -94,13 +88,7 @@ def rig_figures(results: Sequence[Result]) -> Figures:
 
 
 def figures_by_rig(directory: Path) -> dict[str, Figures]:
-    """Figures of every rig, of those for tuning, and of those for testing.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the result files.
-    """
+    """Figures of every rig, of those for tuning, and of those for testing."""
     results = list(bench_results(directory).values())
     names = sorted({r["case"]["rig"] for r in results})
     purposes = {name: rig_purpose(name) for name in names}

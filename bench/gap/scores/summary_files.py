@@ -14,13 +14,7 @@ from models.rig.drawn_rig import rig_purpose
 
 
 def write_bench_summary(directory: Path) -> tuple[Figures, dict[str, Figures]]:
-    """Write the summary of a run to its folder `summary`; return figures and those by rig.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the run.
-    """
+    """Write the summary of a run to its folder `summary`; return figures and those by rig."""
     figures, by_rig = benchmark_figures(directory), figures_by_rig(directory)
     results = list(bench_results(directory).values())
     bins = {p: by_rig[of]["reliability"] for p in WORDS if (of := f"all for {p}") in by_rig}

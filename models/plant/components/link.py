@@ -25,6 +25,7 @@ from typing import ClassVar, Final
 
 import casadi as ca
 
+from firmware_py.link.link_description import STUDY_LINK
 from models.plant.components.lagrange import (
     add_rod,
     lagrange_equations,
@@ -55,18 +56,18 @@ class Link:
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Geometry, masses, and stiffness and damping of each plane."""
         shared = (
-            Parameter(name="base_offset_m", unit="m", value=0.06, low=0.0, high=1.0,
-                      description="base plate above the joint axes",
+            Parameter(name="base_offset_m", unit="m", value=STUDY_LINK.base_offset_m, low=0.0,
+                      high=1.0, description="base plate above the joint axes",
                       source='docs/sources.md, "The link": assumed'),
-            Parameter(name="base_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
+            Parameter(name="base_mass_kg", unit="kg", value=0.5, low=0.0, high=10.0,
                       description="mass at the base plate, where the link begins",
-                      source="assumed none: weigh the plate"),
-            Parameter(name="link_length_m", unit="m", value=0.95, low=0.05, high=10.0,
-                      description="length of the link", source="paper, fig. 2"),
-            Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
+                      source='docs/sources.md, "The link": assumed'),
+            Parameter(name="link_length_m", unit="m", value=STUDY_LINK.length_m, low=0.05,
+                      high=10.0, description="length of the link", source="paper, fig. 2"),
+            Parameter(name="link_width_m", unit="m", value=STUDY_LINK.width_m, low=0.01, high=2.0,
                       description="width of the link", source="paper, fig. 2"),
-            Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
-                      description=f"gravity, along {_direction(scope.gravity)}",
+            Parameter(name="gravity_m_s2", unit="m/s2", value=STUDY_LINK.gravity.size_m_s2,
+                      low=0.0, high=30.0, description=f"gravity, along {_direction(scope.gravity)}",
                       source="standard gravity"),
             Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
                       role="nuisance", description="mass of the link",
@@ -279,7 +280,6 @@ def _direction(unit: Sequence[float]) -> str:
 
 
 def _about_z(angle_rad: Expr) -> Expr:
-    """Rotation about z."""
     cos, sin = ca.cos(angle_rad), ca.sin(angle_rad)
     return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
 
@@ -287,12 +287,9 @@ def _about_z(angle_rad: Expr) -> Expr:
 def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:
     """Rows and edges of the markers.
 
-    Returns
-    -------
-    rows : list
-        Height over the length of the link, and length of the segment below, of each row.
-    edges : list
-        Distances from the axis along x and y, and how many edges have this strain or its negative.
+    Returns `rows`: height over the length of the link, and length of the segment below, of each
+    row; `edges`: distances from the axis along x and y, and how many edges have this strain or its
+    negative.
     """
     length_m, layout = scope.p("link_length_m"), scope.layout
     if layout is None:
@@ -311,13 +308,7 @@ def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Exp
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
-    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero.
-
-    Parameters
-    ----------
-    mean, deviation : SX
-        Mean and standard deviation of x.
-    """
+    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)

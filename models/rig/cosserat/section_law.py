@@ -24,6 +24,7 @@ from typing import Final
 import numpy as np
 
 from models.rig.rig_parameters import RigParameters
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
 WALL_FRACTION: Final = 0.3
@@ -43,12 +44,6 @@ CREEP_REACH: Final = 3.0
 SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 """Yield bends of the sliders over the yield bend; their mean is one."""
 
-REFERENCE_BEND_RAD: Final = 0.1
-"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
-
-LEAK_TIME_S: Final = 10.0
-"""Time over which the leaking fraction is given."""
-
 
 def stiffness_factor(parameters: RigParameters) -> float:
     """Stiffness of wall and pressure at the rig's pressure, over that at the reference."""
@@ -58,24 +53,7 @@ def stiffness_factor(parameters: RigParameters) -> float:
 
 
 class SectionLaw:
-    """Moments and tangent stiffness of the root patch and all sections, with their memory.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Time between two calls of `advance`.
-    sections : int
-        Number of sections of the span.
-
-    Attributes
-    ----------
-    stiffness_nm_rad : ndarray, shape (sections + 1,)
-        Elastic stiffness at small bends.
-    stiffest_nm_rad : ndarray, shape (sections + 1,)
-        Largest tangent stiffness at small bends.
-    """
+    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
@@ -156,14 +134,8 @@ class SectionLaw:
     def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
         """Elastic moment and its derivative.
 
-        Parameters
-        ----------
-        size_rad : ndarray, shape (sections + 1,)
-            Length of the measure of bend; positive.
-
-        Returns
-        -------
-        moment_nm, tangent_nm_rad : ndarray, shape (sections + 1,)
+        Shapes: `size_rad` (sections + 1,).
+        Returns `moment_nm`, `tangent_nm_rad` (sections + 1,).
         """
         stiffness = self.stiffness_nm_rad
         room = self._limit_nm - self._wrinkle_nm
@@ -183,19 +155,10 @@ class SectionLaw:
     def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
         """Advance the memory to these bends; compute moments and their tangent.
 
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (sections + 1, 2)
-            Bend of each section towards +x and +y, one step after the last call's.
-        leaking_s : float
-            Time since the pressure started to leak.
-
-        Returns
-        -------
-        moment_nm : ndarray, shape (sections + 1, 2)
-            Restoring moment.
-        tangent_nm_rad : ndarray, shape (sections + 1, 2, 2)
-            Stiffness against bends until the next call.
+        Shapes: `angle_rad` (sections + 1, 2).
+        `angle_rad`: bend of each section towards +x and +y, one step after the last call's.
+        Returns `moment_nm` (sections + 1, 2); `tangent_nm_rad` (sections + 1, 2, 2): stiffness
+        against bends until the next call.
         """
         u, slope = self._measure(angle_rad)
         du = u - self._bend

@@ -21,7 +21,7 @@ numbers each, which NumPy spends its time on calling. Both planes of n pairs are
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,30 +30,12 @@ from models.rig.forms.creep_forms import relaxation_spectrum
 from models.rig.forms.hysteresis_forms import both_planes, hysteresis_form
 from models.rig.hinged.in_place_function import InPlaceFunction
 from models.rig.rig_parameters import RigParameters
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
-
-REFERENCE_BEND_RAD: Final = 0.1
-"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
-
-LEAK_TIME_S: Final = 10.0
-"""Time over which the leaking fraction is given."""
 
 
 class BendLaw:
-    """Torque of all n hinge pairs and its memory: the root's, then those of the span.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-
-    Attributes
-    ----------
-    stiffness_nm_rad : ndarray, shape (n,)
-        Of each hinge pair, root first; N·m/rad.
-    """
+    """Torque of all n hinge pairs and its memory: the root's, then those of the span."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
@@ -72,17 +54,9 @@ class BendLaw:
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and compute the torque on the hinges.
 
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (n, 2)
-            Hinge angles towards +x and +y, one integration step after the last call's.
-        leaking_s : float
-            Time since the pressure started to leak.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Restoring torque in N·m.
+        Shapes: `angle_rad` (n, 2).
+        `angle_rad`: hinge angles towards +x and +y, one integration step after the last call's.
+        Returns shape (n, 2), restoring torque in N·m.
         """
         self._angle_rad[:] = angle_rad.ravel()
         if leaking_s:
@@ -173,5 +147,4 @@ class BendLaw:
 
 
 def _stacked(parts: list[Any]) -> Any:
-    """One column of all parts."""
     return ca.vertcat(*[ca.vec(part) for part in parts])

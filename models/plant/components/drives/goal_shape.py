@@ -49,15 +49,16 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
                   source="assumed: read before the next goal is sent", prior_deviation=1.0),
         Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
                   role="nuisance", description="time after which a goal takes effect",
-                  source="assumed at once; docs/sources.md, \"Control tables\": 1 to 26 ms",
+                  source='assumed at once; docs/sources.md, "Control tables": line time, '
+                         "1 to 26 ms",
                   prior_deviation=0.004),
         Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
                   description="speed limit of the goal's profile; 100 is none",
-                  source="docs/sources.md, \"Control tables\": profile velocity, 0 is none"),
+                  source='docs/sources.md, "Control tables": profile velocity, 0 is none'),
         Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
                   value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
                   description="acceleration limit of the goal's profile; 1e6 is none",
-                  source="docs/sources.md, \"Control tables\": profile acceleration, 0 is none"),
+                  source='docs/sources.md, "Control tables": profile acceleration, 0 is none'),
     ]  # fmt: skip
 
 
@@ -71,15 +72,7 @@ def declare_step_length(scope: Scope) -> Expr:
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
-    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the parameters of `goal_shape_parameters`.
-    joint : int
-        Number of the joint.
-    """
+    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`."""
     declare_goal(scope, joint)
     sent, angle = scope.goal[joint], scope.suffix["angle"]
     unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
@@ -103,17 +96,7 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
 
 
 def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Change of the goal in a step, times the sampled current above that of the twin per jump.
-
-    Parameters
-    ----------
-    scope : Scope
-        After the command port.
-    joint : int
-        Number of the joint.
-    decay_s : SX
-        Time constant of the velocity loop.
-    """
+    """Change of the goal in a step, times the sampled current above that of the twin per jump."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
@@ -126,28 +109,14 @@ def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
 
 
 def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Current as sampled, above that at the end of the step, per jump of the current.
-
-    Parameters
-    ----------
-    scope, joint, decay_s
-        As for `staircase_in_current`.
-    """
+    """Current as sampled, above that at the end of the step, per jump of the current."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
 
 
 def declare_goal_rate_change(scope: Scope, joint: int) -> None:
-    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`.
-
-    Parameters
-    ----------
-    scope : Scope
-        With a shaped goal.
-    joint : int
-        Number of the joint.
-    """
+    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`."""
     angle = scope.suffix["angle"]
     name = f"goal_rate_change_{joint}_{angle}_s"
     scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
@@ -161,15 +130,7 @@ def goal_rate_change(scope: Scope, joint: int) -> Expr:
 
 
 def goal_rate(scope: Scope, joint: int) -> Expr:
-    """Rate of the goal in this step, after the command port.
-
-    Parameters
-    ----------
-    scope : Scope
-        With a shaped goal.
-    joint : int
-        Number of the joint.
-    """
+    """Rate of the goal in this step, after the command port."""
     sent = scope.goal_change[joint] / declare_step_length(scope)
     if joint not in scope.delayed_staircase:
         return sent
@@ -190,12 +151,7 @@ def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
 def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
     """Current at a phase of the step above its mean, per jump of the current.
 
-    Parameters
-    ----------
-    phase : SX
-        From the jump on, 0 to 1.
-    step_s, decay_s : SX
-        Length of the step; time constant of the velocity loop.
+    `step_s`, `decay_s`: length of the step; time constant of the velocity loop.
     """
     left = ca.exp(-step_s / decay_s)
     return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
