@@ -6,29 +6,34 @@ Scientific Python). The robot's wheel holds this package too: names of `firmware
 those of the workshop say that it is missing. Whatever is not listed may change (docs/library.md).
 """
 
-import ast
+import functools
 import importlib
-from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from firmware_py import __version__
+from firmware_py import __version__ as __version__
 
-_MODULE_OF: Final = {
-    alias.name: str(node.module)
-    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
-    if isinstance(node, ast.ImportFrom)
-    for alias in node.names
-}
-"""Module of each name."""
 
-__all__ = ["__version__", *_MODULE_OF]
+@functools.cache
+def _modules() -> dict[str, str]:
+    """Module of each name of the library; read when one is asked for: the command needs none."""
+    import ast
+    from pathlib import Path
+
+    return {
+        alias.name: str(node.module)
+        for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
 
 
 def __getattr__(name: str) -> Any:
     """Load a name of the library from its room."""
-    if name not in _MODULE_OF:
+    if name == "__all__":
+        return ["__version__", *_modules()]
+    module = _modules().get(name)
+    if module is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module = _MODULE_OF[name]
     try:
         value = getattr(importlib.import_module(module), name)
     except ModuleNotFoundError as error:
@@ -44,4 +49,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Names of the library."""
-    return sorted(__all__)
+    return sorted(["__version__", *_modules()])

@@ -35,7 +35,7 @@ FADE_FRACTION: Final = 0.1
 """Part of the duration in which the series is eased in, and out: that of the multisine."""
 HIGHEST_FREQUENCY_HZ: Final = 10.0
 """Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
-_MAKE: Final = "write it anew with python -m models experiment"
+_MAKE: Final = "write it anew with dropstitch experiment"
 
 
 class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -49,7 +49,7 @@ class MotionDocument(Document, frozen=True):
     """Content of a motion file; the module's text defines the series."""
 
     VERSION: ClassVar[int] = 1
-    MADE_BY: ClassVar[str] = "python -m models experiment"
+    MADE_BY: ClassVar[str] = "dropstitch experiment"
 
     duration_s: float
     harmonics: tuple[int, ...]  # Cycles in the duration

@@ -1,4 +1,4 @@
-"""Commands of the FMI export: build, check and simulate FMUs."""
+"""`python -m fmu`: alias of the commands of this room, see `dropstitch --help`."""
 
 from __future__ import annotations
 
@@ -7,21 +7,14 @@ from collections.abc import Sequence
 
 from firmware_py.commands.early_interrupt import quiet_interrupt
 
-quiet_interrupt("python -m fmu")  # before the imports that take time
+quiet_interrupt("dropstitch")  # before the imports that take time
 
-from firmware_py.console import Command, dispatch  # noqa: E402
-
-COMMANDS = (
-    Command("build", "fmu.commands.build", "build a twin, predictor or observer FMU"),
-    Command("ssp", "fmu.commands.ssp", "build an SSP package of twin, observer and controller"),
-    Command("check", "fmu.commands.check", "validate an FMU and compare it with the Python model"),
-    Command("simulate", "fmu.commands.simulate", "step an FMU in FMPy and plot the run"),
-)
+from firmware_py.command_table import run_alias  # noqa: E402
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `python -m fmu`."""
-    return dispatch("python -m fmu", __doc__ or "", COMMANDS, argv)
+    """Run a command of the room."""
+    return run_alias("fmu", argv)
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ class FmuArchive:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        remedy = "build one with 'python -m fmu build'"
+        remedy = "build one with 'dropstitch fmu build'"
         try:
             with (
                 open_bounded(self.path, remedy) as file,

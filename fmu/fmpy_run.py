@@ -92,7 +92,7 @@ def simulate_fmu(
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
         raise InputError(
-            archive.path, "carries no parts of ours", "give one that 'python -m fmu build' wrote"
+            archive.path, "carries no parts of ours", "give one that 'dropstitch fmu build' wrote"
         )
     model = parts.model()
     inputs, outputs = names(model.inputs), names(model.outputs)

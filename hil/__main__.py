@@ -1,4 +1,4 @@
-"""Commands around the loop and emulated servos: emulate, sil, faults, campaign, gap, report."""
+"""`python -m hil`: alias of the commands of this room, see `dropstitch --help`."""
 
 from __future__ import annotations
 
@@ -7,28 +7,14 @@ from collections.abc import Sequence
 
 from firmware_py.commands.early_interrupt import quiet_interrupt
 
-quiet_interrupt("python -m hil")  # before the imports that take time
+quiet_interrupt("dropstitch")  # before the imports that take time
 
-from firmware_py.console import Command, dispatch  # noqa: E402
-
-COMMANDS = (
-    Command("emulate", "hil.commands.emulate", "emulate servos for any Dynamixel program",
-            linux_only=True),
-    Command("sil", "hil.commands.sil", "run the loop in software, judge its timing",
-            linux_only=True),
-    Command("faults", "hil.commands.faults", "inject every fault, check what happens",
-            linux_only=True),
-    Command("campaign", "hil.commands.campaign", "run many cases, here or on a cluster",
-            linux_only=True),
-    Command("gap", "hil.commands.gap", "write the HTML report of a diagnosed gap"),
-    Command("plans", "hil.commands.plans", "write the HTML page of plans that were run on the rig"),
-    Command("report", "hil.commands.report", "write the HTML report of a whole run"),
-)  # fmt: skip
+from firmware_py.command_table import run_alias  # noqa: E402
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `python -m hil`."""
-    return dispatch("python -m hil", __doc__ or "", COMMANDS, argv)
+    """Run a command of the room."""
+    return run_alias("hil", argv)
 
 
 if __name__ == "__main__":

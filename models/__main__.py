@@ -1,4 +1,4 @@
-"""Offline commands: from trials to plant and bundle."""
+"""`python -m models`: alias of the commands of this room, see `dropstitch --help`."""
 
 from __future__ import annotations
 
@@ -7,41 +7,14 @@ from collections.abc import Sequence
 
 from firmware_py.commands.early_interrupt import quiet_interrupt
 
-quiet_interrupt("python -m models")  # before the imports that take time
+quiet_interrupt("dropstitch")  # before the imports that take time
 
-from firmware_py.console import Command, dispatch  # noqa: E402
-
-GAP_WORKFLOW = "models.commands.gap_workflow"
-
-COMMANDS = (
-    Command("new", "models.commands.new", "describe a link of your own"),
-    Command("simulate", "models.commands.simulate", "run the rig, write trials"),
-    Command("import", "models.commands.import_", "turn mocap and servo logs into trials"),
-    Command("validate", "models.commands.validate", "check trials before a fit"),
-    Command("identify", "models.commands.identify", "fit the plant to trials"),
-    Command("evaluate", "models.commands.evaluate", "compare a plant with trials"),
-    Command(
-        "calibrate",
-        f"{GAP_WORKFLOW}.calibrate",
-        "measure the plant's own error for gap",
-    ),
-    Command("gap", f"{GAP_WORKFLOW}.gap", "find the effect that the plant lacks, add it"),
-    Command(
-        "experiment",
-        f"{GAP_WORKFLOW}.experiment",
-        "design the motion that separates best",
-    ),
-    Command("plan", "models.commands.plan", "plan the goals that lead the tip along a path"),
-    Command("goalmap", "models.commands.goalmap", "map places of the tip to goals at rest"),
-    Command("linearise", "models.commands.linearise", "linearise the twin for python-control"),
-    Command("train", "models.commands.train", "train the predictors, write a bundle"),
-    Command("sign", "models.commands.sign", "sign a bundle for robots that name the key"),
-)
+from firmware_py.command_table import run_alias  # noqa: E402
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `python -m models`."""
-    return dispatch("python -m models", __doc__ or "", COMMANDS, argv)
+    """Run a command of the room."""
+    return run_alias("models", argv)
 
 
 if __name__ == "__main__":

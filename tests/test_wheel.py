@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware_py.command_table import COMMANDS
+from firmware_py.console import Command
 from fmu.__main__ import main as fmu
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -118,9 +120,31 @@ def test_the_wheel_is_reproducible(wheel: Path, tmp_path: Path) -> None:
 def test_help_shows_every_command(robot: Path, tmp_path: Path) -> None:
     shown = run(robot / "dropstitch", "--help", cwd=tmp_path)
     assert shown.returncode == 0
-    for command in ("run", "doctor", "replay", "bench", "install-service"):
-        assert command in shown.stdout
-        assert run(robot / "dropstitch", command, "--help", cwd=tmp_path).returncode == 0
+    assert all(f"  {command.name} " in shown.stdout for command in COMMANDS)
+
+
+@pytest.mark.parametrize(
+    "command", [c for c in COMMANDS if c.module.startswith(("firmware_py.", "dropstitch."))]
+)
+def test_the_commands_of_the_robot_have_help(robot: Path, tmp_path: Path, command: Command) -> None:
+    assert run(robot / "dropstitch", command.name, "--help", cwd=tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize("words", [("simulate", "--help"), ("fmu", "build", "B"), ("list", "rigs")])
+def test_a_command_of_the_workshop_says_what_to_install(
+    robot: Path, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    refused = run(robot / "dropstitch", *words, cwd=tmp_path)
+    assert refused.returncode == 2 and refused.stderr.count("\n") == 1
+    assert refused.stderr.endswith(
+        "belongs to the workshop, which is not installed here; "
+        "use it in a checkout of the project after 'make setup'.\n"
+    )
+
+
+def test_the_servos_are_listed(robot: Path, tmp_path: Path) -> None:
+    shown = run(robot / "dropstitch", "list", "servos", cwd=tmp_path)
+    assert shown.returncode == 0 and "XM430-W350" in shown.stdout
 
 
 def test_the_package_runs_as_the_command(robot: Path, tmp_path: Path) -> None:

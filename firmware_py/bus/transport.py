@@ -142,7 +142,7 @@ class SocketTransport:
             self._socket.close()
             raise InputError(
                 f"unix:{path}", f"cannot be connected to ({error.strerror})",
-                "start the emulator with 'python -m hil emulate --line socket'",
+                "start the emulator with 'dropstitch emulate --line socket'",
             ) from None  # fmt: skip
         self._socket.setblocking(False)
         self._clock = clock

@@ -38,7 +38,10 @@ LEAST_S, MOST_S = 0.1, 86400.0
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument(
-        "--bundle", type=Path, help="bundle whose estimator and predictor run (default: neither)"
+        "--bundle",
+        type=Path,
+        metavar="BUNDLE",
+        help="bundle whose estimator and predictor run (default: neither)",
     )
     parser.add_argument(
         "--dof", type=int, choices=(1, 2), help="number of joints (of the bundle; without it 2)"

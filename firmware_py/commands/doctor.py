@@ -4,8 +4,8 @@ With --bus: the transmission time of a tick of the configured robot, for every p
 might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
 period is refused with the numbers.
 
-With --joints: asks, torque off, to turn each joint by hand, and says which angle changed. Exchanged
-ids show in no other check.
+With --check-joints: asks, torque off, to turn each joint by hand, and says which angle changed.
+Exchanged ids show in no other check.
 """
 
 from __future__ import annotations
@@ -34,23 +34,25 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--bus", action="store_true", help="print the bus's time budget instead")
     parser.add_argument(
-        "--joints", action="store_true", help="ask for a turn of each joint by hand, torque off"
+        "--check-joints",
+        action="store_true",
+        help="ask for a turn of each joint by hand, torque off",
     )
     parser.add_argument(
-        "--config", type=Path, metavar="ROBOT.toml", help="configuration for --bus or --joints"
+        "--config", type=Path, metavar="ROBOT", help="robot.toml, for --bus or --check-joints"
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the checks; the verdict is negative where a setting is bad or ids are exchanged."""
-    if args.bus and args.joints:
-        raise InputError("doctor", "is given --bus and --joints", "run one after the other")
-    if (args.bus or args.joints) != (args.config is not None):
+    if args.bus and args.check_joints:
+        raise InputError("doctor", "is given --bus and --check-joints", "run one after the other")
+    if (args.bus or args.check_joints) != (args.config is not None):
         raise InputError(
-            "doctor", "needs --bus and --config together, or --joints and --config",
+            "doctor", "needs --bus and --config together, or --check-joints and --config",
             f"like '{EXAMPLE}'",
         )  # fmt: skip
-    if args.joints:
+    if args.check_joints:
         return _joints(args, read_config(args.config))
     return _bus(args, read_config(args.config)) if args.bus else _machine(args)
 

@@ -99,7 +99,7 @@ ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}=
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
+    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
     parser.add_argument(
         "--user", default=os.environ.get("SUDO_USER") or getpass.getuser(),
         help="user of the service (default: the one who called sudo)",
@@ -169,7 +169,7 @@ def service_file(
         socket = f"BindReadOnlyPaths={_optional(directory)}\n"
     return _SERVICE.format(
         user=user,
-        command=f"{_quoted(sys.executable)} -m firmware_py",
+        command=f"{_quoted(sys.executable)} -m dropstitch",
         config=_quoted(path),
         affinity_is=affinity_is,
         affinity=" ".join(map(str, sorted(others or processors))),

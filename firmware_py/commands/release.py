@@ -17,7 +17,7 @@ EXAMPLE = "dropstitch release --config robot.toml"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
+    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
 
 
 def run(args: argparse.Namespace) -> int:

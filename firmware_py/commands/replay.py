@@ -41,7 +41,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("log", type=Path, nargs="?", help="MCAP log of 'dropstitch run'")
     parser.add_argument(
-        "--bundle", type=Path, help="bundle to replay through (default: the one of the log)"
+        "--bundle",
+        type=Path,
+        metavar="BUNDLE",
+        help="bundle to replay through (default: the one of the log)",
     )
 
 

@@ -58,7 +58,7 @@ EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT.toml")
+    parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
     parser.add_argument(
         "--seconds", type=float, help="repeat the motion for this time (default: run it once)"
     )
@@ -71,19 +71,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--amplitude-deg", type=float, help="amplitude instead of the configured one"
     )
     parser.add_argument(
-        "--plan", type=Path, metavar="PLAN.json",
-        help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
+        "--plan", type=Path, metavar="PLAN",
+        help="plan of a path of the tip in place of the motion, see 'dropstitch plan'",
     )  # fmt: skip
     parser.add_argument(
         "--goals", metavar="unix:PATH",
         help="goals of another program, one message a tick, in place of the motion",
     )  # fmt: skip
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.json",
-        help="with --goals: goals at rest and modes, see 'python -m models goalmap'",
+        "--goal-map", type=Path, metavar="MAP",
+        help="with --goals: goals at rest and modes, see 'dropstitch goalmap'",
     )  # fmt: skip
     parser.add_argument(
-        "--payload", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
+        "--payload-kg", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
     )
     parser.add_argument(
         "--open-loop", action="store_true", help="run the plan without feedback of the tip"
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         if args.goals is not None:
             goals = outside = stack.enter_context(
-                outside_goals(args.goals, args.map, config, bundle)
+                outside_goals(args.goals, args.goal_map, config, bundle)
             )
             note = outside.note
         bus = stack.enter_context(open_bus(config, clock))
@@ -190,8 +190,8 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
         raise InputError("--plan", "is given beside a motion", "leave one out")
     if args.goals is not None and (args.plan, args.motion, args.amplitude_deg) != (None,) * 3:
         raise InputError("--goals", "is given beside a plan or a motion", "leave one out")
-    if args.map is not None and args.goals is None:
-        raise InputError("--map", "is given without --goals", "leave it out")
+    if args.goal_map is not None and args.goals is None:
+        raise InputError("--goal-map", "is given without --goals", "leave it out")
     if args.log is not None and not config.record:
         raise InputError("--log", "is given, but record = false", "set record = true in the file")
     if args.log is not None:
@@ -207,9 +207,9 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
     if args.open_loop:
         feedback = msgspec.structs.replace(config.feedback, use=False)
         config = msgspec.structs.replace(config, feedback=feedback)
-    if args.payload is not None:
-        config = msgspec.structs.replace(config, payload_kg=args.payload)
-        check_config(config, "--payload")
+    if args.payload_kg is not None:
+        config = msgspec.structs.replace(config, payload_kg=args.payload_kg)
+        check_config(config, "--payload-kg")
     return config
 
 

@@ -1,6 +1,6 @@
 """Document of a plan: goals over a grid of payloads that lead the tip along a path.
 
-`python -m models plan` writes it, the robot reads it. Rows are control periods: first the rest,
+`dropstitch plan` writes it, the robot reads it. Rows are control periods: first the rest,
 then the way to the path, the path, and the way back to rest, so that a plan can be repeated.
 """
 
@@ -28,7 +28,7 @@ __all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "as_columns", "rea
 Array = NDArray[np.float64]
 MOST_ROWS: Final = 100_000
 """Rows of the longest plan that is read: 28 minutes [assumed]."""
-_MAKE: Final = "write it anew with python -m models plan"
+_MAKE: Final = "write it anew with dropstitch plan"
 
 Columns = tuple[tuple[float, ...], ...]
 
@@ -82,7 +82,7 @@ class TipPlan(Document, frozen=True):
     """Plan of a path of the tip."""
 
     VERSION: ClassVar[int] = 1
-    MADE_BY: ClassVar[str] = "python -m models plan"
+    MADE_BY: ClassVar[str] = "dropstitch plan"
 
     path: str
     # {"inverse", "rigid", "zvd"}, Whether the twin was inverted, or, for comparison, the link taken

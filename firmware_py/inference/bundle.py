@@ -6,13 +6,13 @@
     predictor.onnx    features -> tip_m, in_range, half_width_m; the best of the candidates
     polynomial.onnx   the same by the paper's polynomial, for a robot without the observer
     lagged.onnx       lagged regressor of DI (the fallback estimator)
-    observer.fmu      plant observer of DI (added by `python -m fmu build --unit observer`)
+    observer.fmu      plant observer of DI (added by `dropstitch fmu build --unit observer`)
     plant.json        the plant that the observer was built from
     study.json        the paper's tables on these trials
     predictors.json   the candidates compared, and why this one was chosen
     golden.npz        ticks that the robot replays before it moves
     MODEL_CARD.md     description for people
-    manifest.sig      signature of the manifest, where `python -m models sign` was used
+    manifest.sig      signature of the manifest, where `dropstitch sign` was used
 
 `models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads each file once and
 refuses what does not match. `observer.fmu` is a native library: **who makes a bundle decides what
@@ -70,7 +70,7 @@ def load_predictor(files: BundleFiles) -> OnnxPredictor:
         raise InputError(
             files.directory / PREDICTOR,
             f"needs {predictor.wanted[0]} of an observer that is missing",
-            "add it in a checkout ('python -m fmu build --unit observer'), copy the bundle again",
+            "add it in a checkout ('dropstitch fmu build --unit observer'), copy the bundle again",
         )
     return OnnxPredictor(files.file(POLYNOMIAL), manifest.dof)
 
@@ -237,7 +237,7 @@ def _compiled(
         if required:
             raise InputError(
                 files.directory, "has no observer, so it has no compiled predictor",
-                "add it in a checkout ('python -m fmu build --unit observer'), copy it again",
+                "add it in a checkout ('dropstitch fmu build --unit observer'), copy it again",
             )  # fmt: skip
         return None
     fmu = FmuInstance(files.file(OBSERVER))

@@ -25,7 +25,7 @@ _PREFIX: Final = "ed25519:"
 _KEY_BYTES: Final = 32
 _CONTEXT: Final = b"dropstitch bundle manifest 1\n"
 """Start of the signed message: the key's signature of anything else is none of a bundle."""
-_SIGN: Final = "sign it with 'python -m models sign'"
+_SIGN: Final = "sign it with 'dropstitch sign'"
 
 
 class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -38,7 +38,7 @@ class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class BundleSignature(Document, frozen=True, kw_only=True):
     """Contents of `manifest.sig`."""
 
-    MADE_BY: ClassVar[str] = "python -m models sign"
+    MADE_BY: ClassVar[str] = "dropstitch sign"
 
     key: str  # Public key, `ed25519:` and base64
     signature: str  # The 64 bytes of the signature in base64
@@ -60,7 +60,7 @@ def key_bytes(text: str, where: Path | str) -> bytes:
     if not text.startswith(_PREFIX) or len(raw) != _KEY_BYTES:
         raise InputError(
             where, f"{text!r} is no public key",
-            "give ed25519: and 44 characters, as 'python -m models sign' prints them",
+            "give ed25519: and 44 characters, as 'dropstitch sign' prints them",
         )  # fmt: skip
     return raw
 

@@ -36,7 +36,7 @@ class CompiledObserver(ObserverEstimator):
         if not self.offered_by(fmu):
             raise InputError(
                 fmu.path, "holds no compiled predictor",
-                "build it with 'python -m fmu build --unit observer' in a checkout, or choose "
+                "build it with 'dropstitch fmu build --unit observer' in a checkout, or choose "
                 'runtime = "onnx"',
             )  # fmt: skip
         joints = range(1, dof + 1)

@@ -41,7 +41,7 @@ class InstanceVariable(NamedTuple):
 
 def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
     """Read the model description with its variables, and load the binary for this machine."""
-    remedy = "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
+    remedy = "copy the bundle again, or build it with 'dropstitch fmu build' in a checkout"
     path, data = content_of(source, remedy)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -85,7 +85,7 @@ def _binary(path: Path, root: ET.Element, names: Iterable[str]) -> str:
     simulation = root.find("CoSimulation")
     if simulation is None:
         raise InputError(
-            path, "is not for Co-Simulation", "build it with 'python -m fmu build' in a checkout"
+            path, "is not for Co-Simulation", "build it with 'dropstitch fmu build' in a checkout"
         )
     here = platform_here()
     suffix = _SUFFIXES.get(here.partition("-")[2], ".so")

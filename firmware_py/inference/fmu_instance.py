@@ -95,7 +95,7 @@ class FmuInstance:
 
     def __init__(self, source: Source) -> None:
         content = content_of(
-            source, "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
+            source, "copy the bundle again, or build it with 'dropstitch fmu build' in a checkout"
         )
         self.path = content.path
         root, self.variables, self._library = open_fmu(content)

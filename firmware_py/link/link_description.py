@@ -1,6 +1,6 @@
 """Description of a link, `link.toml`: what trial, plant, rig and robot.toml share.
 
-Without one the study's link is meant (`STUDY_LINK`). `python -m models new LINK.toml` writes a
+Without one the study's link is meant (`STUDY_LINK`). `dropstitch new LINK.toml` writes a
 file with every key.
 """
 
@@ -190,7 +190,7 @@ def describes_link(document: Any) -> bool:
 def read_link(path: Path | str) -> LinkDescription:
     r"""Read and check `link.toml`."""
     path = Path(path)
-    document = read_toml(path, "write one with 'python -m models new LINK.toml'")
+    document = read_toml(path, "write one with 'dropstitch new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
     for key in _REQUIRED:
         if key not in document:

@@ -18,14 +18,16 @@ from firmware_py.errors import InputError
 if TYPE_CHECKING:
     from fmu.fmu_models import Kind
 
-EXAMPLE = "python -m fmu build build/bundle_1dof --plant build/plant.json --out build/twin_1dof.fmu"
+EXAMPLE = (
+    "dropstitch fmu build build/bundle_1dof --plant build/plant.json --out build/twin_1dof.fmu"
+)
 _OBSERVER = "observer.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
+    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'dropstitch train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
     add("--out", type=Path, metavar="FILE", help="the .fmu (observer: observer.fmu in the bundle)")
     add("--fmi", type=int, choices=(2, 3), default=3, help="version of the standard (3)")

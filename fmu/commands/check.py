@@ -12,7 +12,7 @@ from pathlib import Path
 from firmware_py.console import DONE, NEGATIVE, emit
 from firmware_py.errors import InputError
 
-EXAMPLE = "python -m fmu check build/twin_1dof.fmu"
+EXAMPLE = "dropstitch fmu check build/twin_1dof.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,7 @@ from firmware_py.errors import InputError
 from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
 from firmware_py.signals import PERIOD_S
 
-EXAMPLE = "python -m fmu simulate build/twin_1dof.fmu --payload 1 --out build/twin_run"
+EXAMPLE = "dropstitch fmu simulate build/twin_1dof.fmu --payload-kg 1 --out build/twin_run"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--period", type=float, default=STUDY_PERIOD_S, metavar="S", help="of the motion (4.352)")
     add("--phase-deg", type=float, default=0.0, metavar="DEG", help="lead of joint 2 (0)")
     add(
-        "--payload", type=float, metavar="KG",
+        "--payload-kg", type=float, metavar="KG",
         help="mass at the tip in kg (half of the link's largest: 1 for the study's)",
     )  # fmt: skip
     add("--step", type=float, default=PERIOD_S, metavar="S", help="communication step (0.017)")
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     )
     with FmuArchive(args.file) as archive:
         result = simulate_fmu(
-            archive, trial or motion, args.payload, args.step, _assignments(args.set)
+            archive, trial or motion, args.payload_kg, args.step, _assignments(args.set)
         )
     args.out.mkdir(parents=True, exist_ok=True)
     write_fmu_run(result, args.out / "result.csv")

@@ -12,22 +12,22 @@ from firmware_py.console import DONE, emit
 from firmware_py.display_units import FILE_SIZE
 from firmware_py.errors import InputError
 
-EXAMPLE = "python -m fmu ssp build/bundle_1dof --plant build/plant.json --out build/link_1dof.ssp"
+EXAMPLE = "dropstitch fmu ssp build/bundle_1dof --plant build/plant.json --out build/link_1dof.ssp"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
+    add("bundle", type=Path, metavar="BUNDLE", help="directory that 'dropstitch train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
     add("--out", type=Path, required=True, metavar="FILE", help="the .ssp file")
     add(
-        "--payload", type=float, metavar="KG",
+        "--payload-kg", type=float, metavar="KG",
         help="mass at the twin's tip in kg (half of the link's largest: 1 for the study's)",
     )  # fmt: skip
     add(
         "--platforms", default="x86_64-linux", metavar="NAMES",
-        help="platforms of the FMUs, see 'fmu build' (x86_64-linux)",
+        help="platforms of the FMUs, see 'dropstitch fmu build' (x86_64-linux)",
     )  # fmt: skip
 
 
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     )
     if args.plant:
         compare_with_bundle(twin.required_plant(), args.plant, files, "this package")
-    payload_kg = usual_payload_kg(twin) if args.payload is None else args.payload
+    payload_kg = usual_payload_kg(twin) if args.payload_kg is None else args.payload_kg
     check_payload(payload_kg, link=twin.required_plant().link)
     build_ssp(twin, observer, args.out, payload_kg=payload_kg, platforms=platforms)
     size = args.out.stat().st_size

@@ -122,8 +122,8 @@ def _validation(plant: Plant) -> Section:
     checked = Paragraph(
         f"Every output agrees with the interpreted plant within {FMU_PARITY:g} of its SI "
         "unit, at fixed and "
-        "varying steps: python -m fmu check FILE.fmu. The same is replayed without Python from the "
-        "files under extra/org.fmi-standard.fmi-ls-ref."
+        "varying steps: dropstitch fmu check FILE.fmu. The same is replayed without Python from "
+        "the files under extra/org.fmi-standard.fmi-ls-ref."
     )
     if held_out is None:
         return Section(

@@ -32,7 +32,7 @@ class FailureCount(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class CampaignDocument(Document, frozen=True, kw_only=True):
     """Result of a campaign."""
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     name: str  # Of the campaign's file
     kind: str

@@ -35,7 +35,7 @@ TASK_BYTES: Final = 2500
 class CostPlan(Document, frozen=True, kw_only=True):
     """Plan of a campaign."""
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign --plan"
+    MADE_BY: ClassVar[str] = "dropstitch campaign --dry-run"
 
     kind: str
     cases: int
@@ -61,7 +61,9 @@ def cost_plan(
     """Plan from measured costs."""
     done = [row for row in costs if row["state"] == "done"]
     if not done:
-        raise InputError("--plan", "has no case that ended well to plan from", "see the failures")
+        raise InputError(
+            "--dry-run", "has no case that ended well to plan from", "see the failures"
+        )
     cpu_s = np.array([float(row["cpu_s"]) for row in costs])
     # The first case of each worker reads bundles, compiles and fills caches: it is a start.
     workers_of = [row["worker"] for row in costs]

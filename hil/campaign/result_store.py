@@ -39,7 +39,7 @@ COST_COLUMNS: Final = ("key", "code", "state", "wall_s", "cpu_s", "memory_bytes"
 class CaseRecord(Document, frozen=True, kw_only=True):
     """Result of one case."""
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     sha256: str  # Hash of the rest of the document, as canonical JSON
     key: str
@@ -52,7 +52,7 @@ class CaseRecord(Document, frozen=True, kw_only=True):
 class FailureRecord(Document, frozen=True, kw_only=True):
     """Failure of one case."""
 
-    MADE_BY: ClassVar[str] = "python -m hil campaign"
+    MADE_BY: ClassVar[str] = "dropstitch campaign"
 
     key: str  # Key of the case, its kind, and the version of the code
     kind: str

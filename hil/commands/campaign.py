@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from hil.campaign.engines.engine import Engine
     from hil.campaign.result_store import ResultStore
 
-EXAMPLE = "python -m hil campaign docs/campaigns/payload-and-loss.toml --out build/campaign"
+EXAMPLE = "dropstitch campaign docs/campaigns/payload-and-loss.toml --out build/campaign"
 EXECUTORS = ("processes", "dask", "submitit")
 
 
@@ -47,10 +47,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="with submitit: of a job, like slurm_partition=short; repeatable",
     )  # fmt: skip
     add(
-        "--plan", "--dry-run", action="store_true",
+        "--dry-run", action="store_true",
         help="run only a few cases, and say what all would take",
     )  # fmt: skip
-    add("--cases", type=int, nargs="+", metavar="N", help="with --plan: for so many cases instead")
+    add(
+        "--cases",
+        type=int,
+        nargs="+",
+        metavar="N",
+        help="with --dry-run: for so many cases instead",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     with store.locked():
         (args.out / "campaign.toml").write_bytes(args.spec.read_bytes())
         _say_other_code(store, maker.code)
-        if args.plan:
+        if args.dry_run:
             return _plan(args, cases, maker, store)
         return _run_all(args, spec, cases, maker, store)
 
@@ -88,8 +94,8 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(
             "--executor dask", "needs the address of a scheduler", "add --scheduler tcp://HOST:8786"
         )
-    if args.cases and (not args.plan or min(args.cases) < 1):
-        raise InputError("--cases", "is for --plan, 1 or more", "add --plan")
+    if args.cases and (not args.dry_run or min(args.cases) < 1):
+        raise InputError("--cases", "is for --dry-run, 1 or more", "add --dry-run")
 
 
 def _engine(args: argparse.Namespace) -> Engine:
@@ -169,7 +175,7 @@ def _plan(
 
 
 def _command(args: argparse.Namespace, workers: int) -> str:
-    words = ["python", "-m", "hil", "campaign", str(args.spec), "--out", str(args.out)]
+    words = ["dropstitch", "campaign", str(args.spec), "--out", str(args.out)]
     words += ["--executor", args.executor]
     words += ["--scheduler", args.scheduler] if args.scheduler else ["--workers", str(workers)]
     words += ["--cluster", args.cluster] if args.cluster else []

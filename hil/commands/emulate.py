@@ -28,18 +28,18 @@ SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)
 """That of a loop by default. A loop that waits for a reply sleeps, so the servos need no more; and
 they run for days, so garbage is collected."""
 NOT_REAL_TIME: Final = (
-    "python -m hil emulate: warning: the kernel refuses real-time priority, so on a busy machine "
+    "dropstitch emulate: warning: the kernel refuses real-time priority, so on a busy machine "
     "the servos answer late and the ticks of a loop may be out of range; run it as root or grant "
     "CAP_SYS_NICE"
 )
-EXAMPLE = "python -m hil emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
+EXAMPLE = "dropstitch emulate --model PH54-200-S500-R --line pty --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("--line", choices=("pty", "socket"), default="pty")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--plant", type=Path, help="plant file behind the servos")
+    source.add_argument("--plant", type=Path, metavar="PLANT", help="plant file behind the servos")
     source.add_argument("--fmu", type=Path, help="or a twin that was built from one")
     parser.add_argument(
         "--ids", type=int, nargs="+", default=[1], help="one per joint, 1 or 2 (default: 1)"

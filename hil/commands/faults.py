@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     from hil.faults.fault_verdict import CaseVerdict
     from hil.faults.faults_document import FaultsDocument
 
-EXAMPLE = "python -m hil faults --bundle build/bundle_2dof --out build/faults"
+EXAMPLE = "dropstitch faults --bundle build/bundle_2dof --out build/faults"
 LINES = ("virtual", "socket", "process")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bundle", type=Path, required=True, help="bundle of the robot")
+    parser.add_argument(
+        "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
+    )
     parser.add_argument("--out", type=Path, required=True, help="directory for the results")
     parser.add_argument(
         "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"

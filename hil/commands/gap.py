@@ -13,7 +13,8 @@ from firmware_py.console import DONE, emit
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
-    "python -m hil gap build/gap_demo/dead_time_0.03 --plant build/plant.json --hide dead_time=0.03"
+    "dropstitch report gap build/gap_demo/dead_time_0.03 --plant build/plant.json "
+    "--hide dead_time=0.03"
 )
 
 
@@ -21,7 +22,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make gap-demo` filled")
-    add("--plant", type=Path, required=True, help="plant before the diagnosis")
+    add("--plant", type=Path, metavar="PLANT", required=True, help="plant before the diagnosis")
     add(
         "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="effect hidden in the rig, shown beside the effect found; repeatable",

@@ -1,7 +1,7 @@
 """HTML page about plans of the tip that were run on the rig: paths, errors, payloads.
 
 DIR holds what `make tip-demo` left: the plans inverse_Ndof.json and rigid_Ndof.json, and the
-results of 'python -m hil sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG, Ndof_unknown_KG and, of
+results of 'dropstitch sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG, Ndof_unknown_KG and, of
 a robot that was told too small a payload, Ndof_misled_KG.
 --json prints the RMS errors, and the largest ratio of the plan's to that of rigid kinematics.
 """
@@ -14,14 +14,19 @@ from pathlib import Path
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
 
-EXAMPLE = "python -m hil plans build/plans --plant build/plant.json"
+EXAMPLE = "dropstitch report plans build/plans --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
-    add("--plant", type=Path, help="plant that was inverted, for diagrams of the feedback")
+    add(
+        "--plant",
+        type=Path,
+        metavar="PLANT",
+        help="plant that was inverted, for diagrams of the feedback",
+    )
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/plans.html)")
 
 

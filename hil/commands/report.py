@@ -11,13 +11,14 @@ from pathlib import Path
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import FILE_SIZE
 
-EXAMPLE = "python -m hil report --build build --out build/report.html"
+EXAMPLE = "dropstitch report build build --out build/report.html"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("--build", type=Path, default=Path("build"), metavar="DIR", help="what 'make demo' built")
+    add("build", type=Path, nargs="?", default=Path("build"), metavar="DIR",
+        help="what 'make demo' built (build)")  # fmt: skip
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/report.html)")
 
 

@@ -44,7 +44,7 @@ from models.learning.axis_coverage import coverage_text
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
-    "python -m hil sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
+    "dropstitch sil --bundle build/bundle_1dof --fmu build/twin_1dof.fmu --out build/sil "
     "--seconds 60 --load 1"
 )
 
@@ -54,7 +54,9 @@ PATIENCE_S: Final = 2.0
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("--bundle", type=Path, required=True, help="bundle of the robot")
+    parser.add_argument(
+        "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
+    )
     parser.add_argument(
         "--runtime", choices=("onnx", "compiled"),
         help="what evaluates the predictor (default: compiled, where the bundle has it)",
@@ -81,8 +83,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--runs", type=int, default=1, help="with --plan: times to run it (1)")
     parser.add_argument(
-        "--plan", type=Path, metavar="PLAN.json",
-        help="plan of a path of the tip in place of the motion, see 'python -m models plan'",
+        "--plan", type=Path, metavar="PLAN",
+        help="plan of a path of the tip in place of the motion, see 'dropstitch plan'",
     )  # fmt: skip
     parser.add_argument(
         "--goals",
@@ -90,7 +92,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="goals of another program, see 'dropstitch run --goals'",
     )
     parser.add_argument(
-        "--map", type=Path, metavar="MAP.json", help="with --goals: see 'python -m models goalmap'"
+        "--goal-map", type=Path, metavar="MAP", help="with --goals: see 'dropstitch goalmap'"
     )
     parser.add_argument(
         "--payload-known", action="store_true",
@@ -150,11 +152,11 @@ def run(args: argparse.Namespace) -> int:
             patience_s = PATIENCE_S if args.line == "virtual" else 0.0
             config = sil_config(options, options.line)
             goals = stack.enter_context(
-                outside_goals(args.goals, args.map, config, options.bundle, patience_s)
+                outside_goals(args.goals, args.goal_map, config, options.bundle, patience_s)
             )
             options = replace(options, goals=goals)
         if options.goals_note:
-            print(f"python -m hil: {options.goals_note}", file=sys.stderr)
+            print(f"dropstitch: {options.goals_note}", file=sys.stderr)
         timing = write_results(run_sil(options), options)
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
@@ -166,8 +168,8 @@ def _check(args: argparse.Namespace, plan: TipPlan | None) -> None:
     if plan is not None and args.seconds is None and args.runs * plan.duration_s > LONGEST_S:
         most = int(LONGEST_S / plan.duration_s)
         raise InputError("--runs", f"is {args.runs}", f"give {most} at most")
-    if args.map is not None and args.goals is None:
-        raise InputError("--map", "is given without --goals", "leave it out")
+    if args.goal_map is not None and args.goals is None:
+        raise InputError("--goal-map", "is given without --goals", "leave it out")
     if args.goals is not None and plan is not None:
         raise InputError("--goals", "is given beside a plan", "leave one out")
 

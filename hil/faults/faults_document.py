@@ -36,7 +36,7 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     """Contents of `faults.json`."""
 
     VERSION: ClassVar[int] = 2
-    MADE_BY: ClassVar[str] = "python -m hil faults"
+    MADE_BY: ClassVar[str] = "dropstitch faults"
 
     # The worst of the cases; inconclusive where cases were not run and none failed
     verdict: Verdict

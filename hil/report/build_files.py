@@ -52,7 +52,7 @@ class BuildFiles:
     """JSON files and directories of a build directory."""
 
     plant: Path | None
-    evaluations: list[Path]  # Outputs of `models evaluate` and `fmu check`
+    evaluations: list[Path]  # Outputs of `dropstitch evaluate` and `dropstitch fmu check`
     checks: list[Path]
     left_out: list[str]  # Plants beside the one that is taken
 

@@ -2,13 +2,13 @@
 
 ::
 
-    bundle_1dof/study.json, manifest.json     python -m models train
+    bundle_1dof/study.json, manifest.json     dropstitch train
     bundle_1dof/predictors.json               the same
-    study_2dof_phase90/study.json             python -m models train --phase-deg 90
-    plant.json                                python -m models identify
-    evaluate*.json                            python -m models evaluate … --json
-    check_twin_1dof.json                      python -m fmu check … --json
-    sil_1dof/timing.json, ticks.mcap, trial/  python -m hil sil
+    study_2dof_phase90/study.json             dropstitch train --phase-deg 90
+    plant.json                                dropstitch identify
+    evaluate*.json                            dropstitch evaluate … --json
+    check_twin_1dof.json                      dropstitch fmu check … --json
+    sil_1dof/timing.json, ticks.mcap, trial/  dropstitch sil
     faults/faults.json                        make faults
     commands.log                              make demo
 
@@ -59,7 +59,7 @@ class CheckRow(msgspec.Struct, frozen=True):
 
 
 class FmuCheckOutput(msgspec.Struct, frozen=True):
-    """Output of `python -m fmu check --json`."""
+    """Output of `dropstitch fmu check --json`."""
 
     fmi: int  # Version of the standard
     bytes: int  # Size of the file
@@ -201,7 +201,7 @@ def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation
 
 
 def read_loop(directory: Path) -> LoopRun:
-    """Read the output directory of `hil sil`.
+    """Read the output directory of `dropstitch sil`.
 
     `directory`: with timing.json, and ticks.mcap and trial/ if the run kept them.
     """

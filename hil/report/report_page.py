@@ -85,7 +85,7 @@ def fault_page(document: FaultsDocument) -> str:
 
 def _study(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        return [missing_inputs("python -m models train")]
+        return [missing_inputs("dropstitch train")]
     intro = (
         "Figures 7 to 15 of the paper on the trials of this build: five payloads, two cycles of "
         "256 steps, trained on trial 1 and tested on trial 2. The paper does not state the phase "
@@ -99,7 +99,7 @@ def _study(inputs: BuildInputs) -> list[Part]:
 
 def _estimators(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        return [missing_inputs("python -m models train")]
+        return [missing_inputs("dropstitch train")]
     intro = (
         "On the robot DI is not measured. The plant observer estimates it from angle and current. "
         "It is compared with a lagged regressor and with no DI, on trial 2 and on a motion that "
@@ -117,7 +117,7 @@ def _plant(inputs: BuildInputs) -> list[Part]:
     parts: list[Part] = (
         [evaluation_table(inputs.evaluations)]
         if inputs.evaluations
-        else [missing_inputs("python -m models evaluate")]
+        else [missing_inputs("dropstitch evaluate")]
     )
     if inputs.plant and (fitted := parameter_table(inputs.plant)):
         parts.append(fitted)
@@ -126,7 +126,7 @@ def _plant(inputs: BuildInputs) -> list[Part]:
 
 def _fmus(inputs: BuildInputs) -> list[Part]:
     if not inputs.checks:
-        command = "python -m fmu check build/twin_1dof.fmu --json > build/check_twin_1dof.json"
+        command = "dropstitch fmu check build/twin_1dof.fmu --json > build/check_twin_1dof.json"
         return [missing_inputs(command)]
     listed = [
         f"{name}: FMI {check.fmi}, {FILE_SIZE.text(check.bytes)}, "
@@ -142,7 +142,7 @@ def _fmus(inputs: BuildInputs) -> list[Part]:
 
 def _loops(inputs: BuildInputs) -> list[Section]:
     if not inputs.loops:
-        return [Section("loop", "Control loop", [missing_inputs("python -m hil sil")])]
+        return [Section("loop", "Control loop", [missing_inputs("dropstitch sil")])]
     return [Section(loop.name, _loop_title(loop), _loop(loop)) for loop in inputs.loops]
 
 
@@ -187,7 +187,7 @@ def _environment(environment: SilEnvironment) -> list[tuple[str, str]]:
 def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
     """The paper's findings, those of all studies under one claim; equal texts are shown once."""
     if not studies:
-        return [missing_inputs("python -m models train")]
+        return [missing_inputs("dropstitch train")]
     badges = study_badges(studies)
     claims: dict[str, dict[Any, list[str]]] = {}
     depends_on: dict[str, list[str]] = {}

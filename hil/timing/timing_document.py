@@ -105,7 +105,7 @@ class MoveFigures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     """Contents of `timing.json`: the verdict, and what it was reached on."""
 
-    MADE_BY: ClassVar[str] = "python -m hil sil"
+    MADE_BY: ClassVar[str] = "dropstitch sil"
 
     environment: SilEnvironment  # Machine, line and scheduler
     run: RunFacts

@@ -20,13 +20,13 @@ from models.plant.plant import read_plant
 from models.plant.provenance import Evaluation
 from models.trials.trial_directories import read_trial_directories
 
-EXAMPLE = "python -m models evaluate build/unseen_20deg --plant build/plant.json"
+EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
-    parser.add_argument("--plant", type=Path, required=True, help="plant document")
+    parser.add_argument("--plant", type=Path, required=True, metavar="PLANT", help="plant document")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,7 +1,7 @@
 """Map of the goals at which the tip rests at a place, and of the first mode, over payloads.
 
-'dropstitch run --goals --map' takes it: places of the tip become goals, and all goals are shaped so
-that they do not excite the first mode.
+'dropstitch run --goals --goal-map' takes it: places of the tip become goals, and all goals are
+shaped so that they do not excite the first mode.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from models.plant.plant import read_plant
 from models.study.bundle_plant import compare_with_bundle
 
 EXAMPLE = (
-    "python -m models goalmap --plant build/plant.json --bundle build/bundle_2dof "
+    "dropstitch goalmap --plant build/plant.json --bundle build/bundle_2dof "
     "--out build/goalmap.json"
 )
 
@@ -28,9 +28,15 @@ EXAMPLE = (
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("--plant", type=Path, required=True, help="plant to invert at rest")
-    add("--bundle", type=Path, required=True, help="bundle of the robot: its joints and its period")
-    add("--out", type=Path, required=True, metavar="MAP.json", help="file to write")
+    add("--plant", type=Path, required=True, metavar="PLANT", help="plant to invert at rest")
+    add(
+        "--bundle",
+        type=Path,
+        required=True,
+        metavar="BUNDLE",
+        help="bundle of the robot: its joints and its period",
+    )
+    add("--out", type=Path, required=True, metavar="MAP", help="file to write")
     add("--reach", type=float, default=0.65, metavar="M", help="largest coordinate, m (0.65)")
     add("--payloads", type=float, nargs="+", metavar="KG",
         help="grid of payloads (five up to the largest of the link, 2 of the study's)")  # fmt: skip

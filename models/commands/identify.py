@@ -33,8 +33,7 @@ from models.trials.trial_listing import conditions_beside
 from models.trials.verdict.trial_check import judge_not_fitted, judge_pressures
 
 EXAMPLE = (
-    "python -m models identify build/trials --plant models/plant/nominal.toml "
-    "--out build/plant.json"
+    "dropstitch identify build/trials --plant models/plant/nominal.toml --out build/plant.json"
 )
 
 PLANT_SUFFIXES: Final = (".json", ".toml")
@@ -50,7 +49,9 @@ LEAST_LEFT: Final = 10
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
-    parser.add_argument("--plant", type=Path, required=True, help="plant to start from")
+    parser.add_argument(
+        "--plant", type=Path, required=True, metavar="PLANT", help="plant to start from"
+    )
     parser.add_argument("--out", type=Path, required=True, help="plant to write (JSON or TOML)")
     parser.add_argument(
         "--gains", type=Path, metavar="LOG.mcap|ROBOT.toml",

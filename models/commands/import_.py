@@ -44,9 +44,7 @@ from models.trials.verdict.verdict_page import clock_text, write_verdict
 SECONDS_PER_BYTE: Final = 2e-6
 """Processor time by the size of a recording: five times that of a bag of joint states
 [measured]."""
-EXAMPLE = (
-    "python -m models import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
-)
+EXAMPLE = "dropstitch import take_001.csv --as motive --servo run.mcap --map map.toml --out trials"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -29,7 +29,9 @@ from models.commands.output_paths import check_output_file
 from models.plant.physical_limits import check_payload
 from models.plant.plant import read_plant
 
-EXAMPLE = "python -m models linearise build/plant.json --dof 1 --payload 1 --out build/linear.json"
+EXAMPLE = (
+    "dropstitch linearise --plant build/plant.json --dof 1 --payload-kg 1 --out build/linear.json"
+)
 
 
 MOST_ANGLE_DEG: Final = 90.0
@@ -39,9 +41,9 @@ MOST_ANGLE_DEG: Final = 90.0
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
-    add("plant", type=Path, metavar="PLANT", help="plant to linearise")
+    add("--plant", type=Path, required=True, metavar="PLANT", help="plant to linearise")
     add("--out", type=Path, required=True, metavar="FILE.json", help="file to write")
-    add("--payload", type=float, metavar="KG",
+    add("--payload-kg", type=float, metavar="KG",
         help="mass at the tip (half the largest of the link, 1 of the study's)")  # fmt: skip
     add("--dof", type=int, choices=(1, 2), default=1, help="number of joints (1)")
     add("--period", type=float, default=PERIOD_S, metavar="S", help="control period (0.017)")
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if not all(abs(angle) <= MOST_ANGLE_DEG for angle in angles_deg):
         raise InputError("--angle-deg", f"is {angles_deg}", f"give {MOST_ANGLE_DEG:g}° at most")
     link = plant.link or STUDY_LINK
-    payload_kg = link.payload_kg / 2 if args.payload is None else args.payload
+    payload_kg = link.payload_kg / 2 if args.payload_kg is None else args.payload_kg
     check_payload(payload_kg, link=link)
     if not 1e-3 <= args.period <= 1.0:
         raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")

@@ -3,8 +3,8 @@
 Without options it asks for every value in a terminal; an empty answer takes the value in brackets.
 With options, or without a terminal, what is left out has the study's value. The file holds every
 key with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers
-with their source. 'simulate --rig', 'identify --plant', a map's 'link', 'hil sil --rig' and
-robot.toml take it.
+with their source. 'simulate --rig', 'identify --plant', 'sil --rig', a map's 'link' and robot.toml
+take it.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from firmware_py.link.servo_presets import PRESETS
 from models.shared.link_scale import LinkScale
 
 EXAMPLE = (
-    "python -m models new link.toml --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 "
-    "--mounting hanging --payload 0.1"
+    "dropstitch new link.toml --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 "
+    "--mounting hanging --largest-payload-kg 0.1"
 )
 
 RECOMMENDED_TORQUE: Final = 0.2
@@ -62,13 +62,13 @@ _QUESTIONS: Final = {
     "width": _Question("side or diameter of the section, m", STUDY_LINK.width_m),
     "base_offset": _Question("base plate above the joint axes, m", STUDY_LINK.base_offset_m),
     "pressure_pa": _Question("inflation, Pa", STUDY_LINK.pressure_pa),
-    "joints": _Question("driven joints", STUDY_LINK.joints, int, (1, 2)),
+    "dof": _Question("driven joints", STUDY_LINK.joints, int, (1, 2)),
     "rows": _Question("rows of markers", STUDY_LINK.layout.rows, int),
     "corners": _Question("markers in a row", STUDY_LINK.layout.corners, int),
     "mounting": _Question("mounting", STUDY_LINK.gravity.mounting, str, tuple(DIRECTIONS)),
     "effective_weight": _Question("part of the weight that the balloon leaves", 1.0),
     "servo": _Question("servo", STUDY_LINK.servo.model, str, tuple(PRESETS)),
-    "payload": _Question("largest payload, kg", "what the servo carries"),
+    "largest_payload_kg": _Question("largest payload, kg", "what the servo carries"),
 }
 """By option: what is asked for in a terminal."""
 
@@ -81,7 +81,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--width", type=float, metavar="M", help="side or diameter of the section (0.15)")
     add("--section", choices=("square", "round"), help="its shape (square)")
     add("--base-offset", type=float, metavar="M", help="base plate above the joint axes (0.06)")
-    add("--joints", type=int, choices=(1, 2), help="driven joints (2)")
+    add("--dof", type=int, choices=(1, 2), help="driven joints (2)")
     add("--rows", type=int, metavar="N", help="rows of markers at equal distances (4)")
     add("--corners", type=int, metavar="N", help="markers in a row (4)")
     add("--mounting", choices=tuple(DIRECTIONS), help="how it stands at zero angle (upright)")
@@ -90,7 +90,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="part of the weight that is left with a balloon (1)",
     )  # fmt: skip
     add("--servo", choices=tuple(PRESETS), help="model of the servos (H54-200-S500-R)")
-    add("--payload", type=float, metavar="KG", help="largest payload (what the servo carries)")
+    add("--largest-payload-kg", type=float, metavar="KG", help="what the servo carries (taken)")
     add("--mass", type=float, metavar="KG", help="of the link, weighed (estimated)")
     add("--tip-mass", type=float, metavar="KG", help="of the hardware at its tip (estimated)")
     add("--pressure-pa", type=float, metavar="PA", help="inflation (41300)")
@@ -171,8 +171,9 @@ def _ask_one(args: argparse.Namespace, key: str, question: _Question) -> None:
 def _described(args: argparse.Namespace) -> LinkDescription:
     given = {
         "length_m": args.length, "width_m": args.width, "base_offset_m": args.base_offset,
-        "joints": args.joints, "mass_kg": args.mass, "tip_mass_kg": args.tip_mass,
-        "payload_kg": args.payload or 0.0, "section": args.section, "pressure_pa": args.pressure_pa,
+        "joints": args.dof, "mass_kg": args.mass, "tip_mass_kg": args.tip_mass,
+        "payload_kg": args.largest_payload_kg or 0.0, "section": args.section,
+        "pressure_pa": args.pressure_pa,
     }  # fmt: skip
     servo = args.servo or STUDY_LINK.servo.model
     model_named(servo)
@@ -193,7 +194,7 @@ def _described(args: argparse.Namespace) -> LinkDescription:
     places = _corners_m(corners, link.marker_width_m)
     link = msgspec.structs.replace(link, markers=MarkerLayout(heights, places))
     check_link(link, args.link)
-    if args.payload is None:
+    if args.largest_payload_kg is None:
         link = msgspec.structs.replace(link, payload_kg=_payload_kg(link))
     return link
 

@@ -3,7 +3,7 @@
 PATH is circle, figure_eight, line, square, star, hold, point_to_point, text:HELLO, or a CSV file
 with the columns time_s, x_m and, for two joints, y_m. The plan holds goals for a grid of payloads,
 the tip and the currents that the twin predicts with them, and the error to expect; 'dropstitch run
---plan' and 'python -m hil sil --plan' run it. A picture is written beside it. What the arm cannot
+--plan' and 'dropstitch sil --plan' run it. A picture is written beside it. What the arm cannot
 reach, or what breaks a limit, is refused with the row.
 """
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from models.plan.planning import Method
 
 EXAMPLE = (
-    "python -m models plan circle --plant build/plant.json --bundle build/bundle_2dof "
+    "dropstitch plan circle --plant build/plant.json --bundle build/bundle_2dof "
     "--seconds 8 --out build/circle.json"
 )
 
@@ -56,12 +56,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--improve", type=Path, metavar="LOG",
         help="improve the plan PATH by a recorded run of it: a trial (.csv) or a log (.mcap)",
     )  # fmt: skip
-    add("--plant", type=Path, required=True, help="plant to invert")
-    add("--bundle", type=Path, required=True, help="bundle of the robot: its joints and its period")
-    add("--out", type=Path, required=True, metavar="PLAN.json", help="file to write")
+    add("--plant", type=Path, required=True, metavar="PLANT", help="plant to invert")
     add(
-        "--limits", type=Path, metavar="ROBOT.toml",
-        help="limits of the robot (default: those of a robot.toml without [limits] that names the "
+        "--bundle",
+        type=Path,
+        required=True,
+        metavar="BUNDLE",
+        help="bundle of the robot: its joints and its period",
+    )
+    add("--out", type=Path, required=True, metavar="PLAN", help="file to write")
+    add(
+        "--config", type=Path, metavar="ROBOT",
+        help="robot.toml, for its limits (default: those of one without [limits] that names the "
         "plant's link)",
     )  # fmt: skip
     add("--size", type=float, default=DEFAULT_SIZE_M, metavar="M",
@@ -97,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     path = _path(args, manifest.dof, manifest.period_s, args.move)
     method = _method(args, path)
     plant = read_plant(args.plant)
-    limits = _limits(args.limits, plant)
+    limits = _limits(args.config, plant)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.plan.planning import PlanRequest, plan_path, shortest_move_s
 
@@ -125,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _inputs(args: argparse.Namespace) -> list[Path]:
     """Files that are read; a plan may take the place of the one that it improves."""
-    read = [args.plant, args.limits, args.improve]
+    read = [args.plant, args.config, args.improve]
     if args.improve is None and args.path.lower().endswith(".csv"):
         read.append(Path(args.path))
     return [path for path in read if path is not None]
@@ -146,7 +152,7 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
         print(f"warning: {args.improve}: {beyond}", file=sys.stderr)
     plant = read_plant(args.plant)
     compare_with_bundle(plant, args.plant, files, "this plan")
-    found = improve_plan(plan, run, plant, _limits(args.limits, plant))
+    found = improve_plan(plan, run, plant, _limits(args.config, plant))
     picture = _write(found.plan, args.out)
     own = found.run
     text = (

@@ -32,7 +32,7 @@ from firmware_py.inference.manifest import MANIFEST
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-EXAMPLE = "python -m models sign build/bundle_1dof --key ~/.dropstitch.pem"
+EXAMPLE = "dropstitch sign build/bundle_1dof --key ~/.dropstitch.pem"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

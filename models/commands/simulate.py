@@ -29,12 +29,11 @@ from models.rig.conditions_record import (
 )
 from models.rig.drawn_rig import rig_named
 from models.rig.rig_parameters import RigParameters
-from models.rig.rig_structure import named_structures
 from models.rig.trial_case import TrialCase
-from models.shared.catalogue import CATALOGUE, parse_strengths
+from models.shared.catalogue import parse_strengths
 from models.shared.link_scale import LinkScale
 
-EXAMPLE = "python -m models simulate --out build/trials --dof 1 2 --hide backlash=0.01"
+EXAMPLE = "dropstitch simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 
 _LARGEST_PAYLOAD_KG = 10.0
 _LARGEST_TRIALS = 1000
@@ -70,7 +69,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add(
         "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="add an effect to the rig's defaults, with JOINT in that servo alone; repeatable; "
-        + _effects_help(),
+        "names and units: 'dropstitch list effects'",
     )  # fmt: skip
     add(
         "--pressure-pa", type=float, metavar="PA",
@@ -83,8 +82,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add(
         "--rig", default="default", metavar="NAME|TOML",
-        help="structure of the rig, a file that changes it, or the file of a link (default); "
-        + _structures_help(),
+        help="structure ('dropstitch list rigs'), a file that changes it, or a link's (default)",
     )  # fmt: skip
     cores = os.cpu_count() or 1
     add("--workers", type=int, default=cores, metavar="N", help="processes (all cores)")
@@ -198,13 +196,3 @@ def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
     if not any(args.gravity):
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
     check_output_directory(args.out)
-
-
-def _structures_help() -> str:
-    return "; ".join(
-        f"{name}: {named.summary} [{named.purpose}]" for name, named in named_structures().items()
-    )
-
-
-def _effects_help() -> str:
-    return ", ".join(f"{name} ({effect.unit})" for name, effect in CATALOGUE.items())

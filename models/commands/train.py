@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from models.tip.tip_training import TipTraining
 
 EXAMPLE = (
-    "python -m models train build/trials --dof 1 --plant build/plant.json "
+    "dropstitch train build/trials --dof 1 --plant build/plant.json "
     "--out build/bundle_1dof --unseen build/unseen_20deg"
 )
 STEPS: Final = 20
@@ -212,7 +212,7 @@ def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
         if abs(t.step_s - step_s) > STEP_TOLERANCE * step_s:
             raise InputError(
                 t.path, f"has a time step of {t.step_s:.6g} s, {trials[0].name} of {step_s:.6g} s",
-                "resample it with 'python -m models import --as table'",
+                "resample it with 'dropstitch import --as table'",
             )  # fmt: skip
 
 

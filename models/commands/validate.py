@@ -18,14 +18,17 @@ from models.trials.trial_files import read_trials
 from models.trials.verdict.trial_check import check_trial, check_trials
 from models.trials.verdict.verdict_page import write_verdict
 
-EXAMPLE = "python -m models validate trials --out build/validated"
+EXAMPLE = "dropstitch validate trials --out build/validated"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
     parser.add_argument(
-        "--plant", type=Path, help="plant document, of a plant that is not the link"
+        "--plant",
+        type=Path,
+        metavar="PLANT",
+        help="plant document, of a plant that is not the link",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write a page for each trial")
 

@@ -1,8 +1,9 @@
 """Recorded run of a plan: goals sent, angles and tip measured, row by row of the plan.
 
-A trial (CSV and TOML, of `models import` or `hil sil`) brings the tip of the motion capture, a log
-of `dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
-recording the last whole one counts: there the robot's estimate of the payload has settled.
+A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) brings the tip of the motion
+capture, a log of `dropstitch run` the tip that the robot predicted with its observer. Of several
+runs in one recording the last whole one counts: there the robot's estimate of the payload has
+settled.
 
 A trial tells the mass at the tip. The goals sent hold the corrections of feedback, which no
 recording tells apart. So the payload between whose plans the robot interpolated follows from the

@@ -106,7 +106,7 @@ def impossible_sums(
 
 
 def check_payload(
-    payload_kg: float, option: str = "--payload", link: LinkDescription | None = None
+    payload_kg: float, option: str = "--payload-kg", link: LinkDescription | None = None
 ) -> None:
     """Refuse a payload that the plant of a link is not made for."""
     most_kg = (link or STUDY_LINK).most_payload_kg

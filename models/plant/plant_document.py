@@ -85,7 +85,7 @@ class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, om
 class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A plant file."""
 
-    MADE_BY: ClassVar[str] = "python -m models identify"
+    MADE_BY: ClassVar[str] = "dropstitch identify"
 
     name: str
     drive: PartKind

@@ -34,7 +34,7 @@ class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Conditions by trial."""
 
-    MADE_BY: ClassVar[str] = "python -m models simulate"
+    MADE_BY: ClassVar[str] = "dropstitch simulate"
 
     trials: dict[str, RigConditions]
 

@@ -51,7 +51,7 @@ def write_bundle(
 ) -> dict[str, float]:
     """Write the bundle of a study, complete or not at all.
 
-    Its estimator is the lagged regressor, until `python -m fmu build --unit observer` adds the
+    Its estimator is the lagged regressor, until `dropstitch fmu build --unit observer` adds the
     observer that the predictor was trained with. The same study gives the same bytes.
 
     `directory`: directory of the bundle. The files of an old bundle there are replaced, others

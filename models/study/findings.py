@@ -227,5 +227,5 @@ def doubts_of_di(document: StudyDocument) -> list[str]:
     return [
         f"R² of the estimated DI is {r2[worst]:.3f} on {worst}: the mean of the DI would be a "
         "better estimate, so the plant does not bend as the link of these trials; check their "
-        "payloads and sizes ('python -m models validate') and identify the plant on them"
+        "payloads and sizes ('dropstitch validate') and identify the plant on them"
     ]

@@ -49,7 +49,7 @@ def _purpose(manifest: Manifest, predictors: PredictorsDocument | None) -> str:
 
 {_what(manifest, predictors)} It predicts the tip position of an inflatable link every \
 {DURATION.factor * manifest.period_s:g} ms. On the robot the Deformation Index (DI) is estimated, \
-not measured: the plant observer (`observer.fmu`, added by `python -m fmu build --unit observer`) \
+not measured: the plant observer (`observer.fmu`, added by `dropstitch fmu build --unit observer`) \
 drives the identified link with the measured angle and current.
 
 It is valid for this link, its servos, its pressure and its motions. It is not a safety device: \

@@ -161,7 +161,7 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     """Content of `study.json`."""
 
     VERSION: ClassVar[int] = 2
-    MADE_BY: ClassVar[str] = "python -m models train"
+    MADE_BY: ClassVar[str] = "dropstitch train"
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     rows: str  # Which rows of the trials were used

@@ -32,7 +32,7 @@ def study_summary(out: Path, document: StudyDocument) -> str:
         lines.append("  no trial 2 to test on: simulate with --trials 2")
     if not any(name.startswith("unseen") for name in document.tests):
         lines.append(
-            "  no unseen motion: python -m models simulate --amplitude-deg 20 --trials 1 --out "
+            "  no unseen motion: dropstitch simulate --amplitude-deg 20 --trials 1 --out "
             "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
         )
     return "\n".join(lines)

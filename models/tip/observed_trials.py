@@ -23,7 +23,7 @@ largest error of a plant that is required to be noticed."""
 
 ASKEW_RAD: Final = 0.005
 """Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip; assumed for a link that is taken off and mounted again by hand. `models train --askew-deg`
+the tip; assumed for a link that is taken off and mounted again by hand. `train --askew-deg`
 sets another; 0 leaves out what the servos cannot see."""
 
 

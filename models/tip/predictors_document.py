@@ -56,7 +56,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     """Content of `predictors.json`."""
 
     VERSION: ClassVar[int] = 1
-    MADE_BY: ClassVar[str] = "python -m models train"
+    MADE_BY: ClassVar[str] = "dropstitch train"
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     chosen: str  # Candidate that the robot gets

@@ -176,7 +176,7 @@ def _column_remedy(name: str, header: Sequence[str]) -> str:
     alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
     if alike:
         return f"convert column {alike[0]!r} to the SI unit and call it {name}"
-    return "add it, or use 'python -m models import' to map your columns"
+    return "add it, or use 'dropstitch import' to map your columns"
 
 
 def _check_magnitude(path: Path, name: str, column: Array) -> None:

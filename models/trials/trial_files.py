@@ -103,7 +103,7 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     paths = sample_files(directory)
     if not paths:
         raise InputError(
-            directory, "holds no trial", "write some with 'python -m models simulate --out DIR'"
+            directory, "holds no trial", "write some with 'dropstitch simulate --out DIR'"
         )
     return TrialSet(tuple(read_trial(path, signals) for path in paths))
 
@@ -295,7 +295,7 @@ def _check_rows(trial: Trial, signals: PlantSignals | None) -> None:
     if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
         raise InputError(
             where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
-            "resample to a uniform step with 'python -m models import --as table'",
+            "resample to a uniform step with 'dropstitch import --as table'",
         )  # fmt: skip
     if not signals:
         check_step_range(where, "column time_s", mean)

@@ -1,42 +1,100 @@
 """Conventions that hold for every command line: version, help, exit codes."""
 
 import contextlib
+import importlib
 import io
 import os
 import re
+import shlex
 import signal
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
 import firmware_py
-import firmware_py.__main__
 import fmu.__main__
 import hil.__main__
 import models.__main__
+from dropstitch.__main__ import main
 from firmware_py import console
+from firmware_py.command_table import COMMANDS
 from firmware_py.errors import InputError, SafetyTrip
+from tests.house.page_commands import parse
 
-ROOMS = {
-    "firmware_py": firmware_py.__main__,
-    "models": models.__main__,
-    "fmu": fmu.__main__,
-    "hil": hil.__main__,
-}
-COMMANDS = [(name, command.name) for name, room in ROOMS.items() for command in room.COMMANDS]
+ALIASES = {"models": models.__main__, "fmu": fmu.__main__, "hil": hil.__main__}
 
 
-@pytest.mark.parametrize("room", ROOMS)
-def test_every_command_line_tells_the_version(room, capsys):
-    assert ROOMS[room].main(["--version"]) == 0
+@pytest.mark.parametrize("words", [[], ["replay"]])
+def test_the_program_and_its_commands_tell_the_version(words, capsys):
+    assert main([*words, "--version"]) == 0
     assert capsys.readouterr().out == f"dropstitch {firmware_py.__version__}\n"
 
 
-@pytest.mark.parametrize(("room", "command"), COMMANDS)
-def test_every_sub_command_tells_the_version(room, command, capsys):
-    assert ROOMS[room].main([command, "--version"]) == 0
-    assert capsys.readouterr().out == f"dropstitch {firmware_py.__version__}\n"
+def test_the_help_lists_every_command_by_its_group(capsys):
+    assert main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    for command in COMMANDS:
+        own = shown.split(f"\n{command.group}:\n")[1]
+        assert f"  {command.name} " in own and command.summary in own
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda c: c.name)
+def test_every_command_has_help_with_an_example_that_its_parser_accepts(command, capsys):
+    assert main([*command.name.split(), "--help"]) == 0
+    usage, _, example = capsys.readouterr().out.partition("example:\n")
+    assert usage.startswith(f"usage: dropstitch {command.name} [-h]") and "--quiet" in usage
+    words = shlex.split(example)
+    words = words[words.index("dropstitch") + 1 :]
+    assert console.chosen_command(COMMANDS, words) == command
+    assert parse(words) is not None
+
+
+@pytest.mark.parametrize(
+    ("family", "members"),
+    [("fmu", ("build", "check", "simulate", "ssp")), ("report", ("build", "gap", "plans"))],
+)
+def test_a_family_lists_its_commands_and_wants_one(family, members, capsys):
+    assert main([family, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"  {family} {name} " in shown for name in members) and "simulate  run" not in shown
+    assert main([family]) == main([family, "fly"]) == console.BAD_INPUT
+    assert "invalid choice: 'fly' (choose from" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("room", "words", "name"),
+    [
+        ("models", ["simulate"], "simulate"), ("models", ["import"], "import"),
+        ("models", ["calibrate"], "calibrate"), ("fmu", ["build"], "fmu build"),
+        ("fmu", ["fmu", "ssp"], "fmu ssp"), ("hil", ["sil"], "sil"), ("hil", ["gap"], "report gap"),
+        ("hil", ["report"], "report build"), ("hil", ["report", "plans"], "report plans"),
+    ],
+)  # fmt: skip
+def test_a_room_runs_its_commands_under_their_old_names(room, words, name, monkeypatch):
+    command = next(c for c in COMMANDS if c.name == name)
+    module, ran = importlib.import_module(command.module), []
+    monkeypatch.setattr(module, "configure", lambda parser: None)
+    monkeypatch.setattr(module, "run", lambda args: ran.append(name) or console.DONE)
+    assert ALIASES[room].main(words) == 0 and ran == [name]
+
+
+def test_a_room_has_no_commands_of_others(capsys):
+    assert models.__main__.main(["sil"]) == console.BAD_INPUT
+    assert "invalid choice: 'sil'" in capsys.readouterr().err
+
+
+def test_an_option_cannot_be_abbreviated(capsys):
+    assert main(["linearise", "--plant", "p.json", "--out", "x.json", "--payload", "1"]) == 2
+    assert "unrecognized arguments: --payload" in capsys.readouterr().err
+
+
+def test_the_help_of_simulate_fits_on_a_screen(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "100")
+    assert main(["simulate", "--help"]) == 0
+    assert capsys.readouterr().out.count("\n") <= 45
 
 
 def test_the_version_has_one_source_and_an_entry_in_the_changelog():
@@ -68,7 +126,7 @@ def test_errors_become_exit_codes_and_one_sentence(error, code, message, capsys,
         raise error
 
     monkeypatch.setattr("firmware_py.commands.release.run", fail)
-    commands = (console.Command("go", "firmware_py.commands.release", "a command"),)
+    commands = (console.Command("", "go", "firmware_py.commands.release", "a command"),)
     assert console.dispatch("tool", "", commands, ["go", "--config", "robot.toml"]) == code
     assert capsys.readouterr().err == message
 
@@ -84,7 +142,7 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypa
             raise
 
     monkeypatch.setattr("firmware_py.console.importlib.import_module", interrupt)
-    commands = (console.Command("go", "firmware_py.commands.release", "a command"),)
+    commands = (console.Command("", "go", "firmware_py.commands.release", "a command"),)
     of_the_tests = signal.signal(signal.SIGINT, signal.default_int_handler)  # may ignore it
     try:
         assert console.dispatch("tool", "", commands, ["go"]) == 130
@@ -95,7 +153,7 @@ def test_an_interrupt_while_a_command_is_loaded_is_one_sentence(capsys, monkeypa
 
 
 def test_an_unknown_command_is_bad_input(capsys):
-    assert ROOMS["firmware_py"].main(["fly"]) == console.BAD_INPUT
+    assert main(["fly"]) == console.BAD_INPUT
     assert "invalid choice" in capsys.readouterr().err
 
 
@@ -115,9 +173,10 @@ class Echo:
 def dispatched(monkeypatch):
     """Exit code of a command that does something."""
 
-    def dispatched(action):
+    def dispatched(action, *options):
         monkeypatch.setattr(console.importlib, "import_module", lambda _: Echo(action))
-        return console.dispatch("tool", "", [console.Command("echo", "m", "")], ["echo"])
+        commands = [console.Command("", "echo", "m", "")]
+        return console.dispatch("tool", "", commands, ["echo", *options])
 
     return dispatched
 
@@ -254,3 +313,67 @@ def test_a_job_whose_first_step_takes_long_is_shown_at_its_beginning(capsys):
     progress.begin("each takes minutes")
     assert " ".join(capsys.readouterr().err.split()) == "calibrate 0/3 0.0 s each takes minutes"
     assert progress.done == 0
+
+
+def test_quiet_hides_progress_and_nothing_else(dispatched, capsys):
+    job = a_job_with_progress(console.DONE, [])
+    assert dispatched(job, "-q") == dispatched(job, "--quiet") == 0
+    said = capsys.readouterr()
+    assert said.err == "warning\n" * 2 and said.out == "result\n" * 2
+    assert dispatched(job) == 0
+    assert "job 2/2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("missing", "said"),
+    [
+        ("models.trials", "belongs to the workshop, which is not installed here"),
+        ("casadi", "needs casadi, which is not installed here"),
+    ],
+)
+def test_a_package_that_is_missing_is_one_sentence(dispatched, capsys, monkeypatch, missing, said):
+    def lacking(_):
+        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+
+    monkeypatch.setattr(console.importlib.util, "find_spec", lambda name: None)
+    assert dispatched(lacking) == console.BAD_INPUT
+    remedy = "use it in a checkout of the project after 'make setup'"
+    assert capsys.readouterr().err == f"tool: echo: {said}; {remedy}.\n"
+
+
+def test_a_missing_module_of_a_package_that_is_there_is_an_error_of_ours(dispatched):
+    def lacking(_):
+        raise ModuleNotFoundError("No module named 'models.nothing'", name="models.nothing")
+
+    with pytest.raises(ModuleNotFoundError):
+        dispatched(lacking)
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("dropstitch sim", {"simulate"}),
+        ("dropstitch fmu ", {"-h", "--help", "build", "check", "simulate", "ssp"}),
+        ("dropstitch fmu build --pl", {"--plant", "--platforms"}),
+        ("dropstitch import --as ", {"motive", "c3d", "rosbag", "recording", "table"}),
+    ],
+)
+def test_a_shell_gets_what_may_follow(line, offered, tmp_path):
+    answer = tmp_path / "answer"
+    asked = {
+        "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "COMP_TYPE": "9",
+        "COMP_LINE": line, "COMP_POINT": str(len(line)),
+    }  # fmt: skip
+    code = "import sys; from dropstitch.__main__ import main; sys.exit(main())"
+    done = subprocess.run([sys.executable, "-c", code], env=os.environ | asked, check=False)
+    assert done.returncode == 0
+    assert set(answer.read_text().split("\n")) == offered
+
+
+def test_completion_is_imported_only_for_a_shell():
+    code = (
+        "import sys; from dropstitch.__main__ import main; main(['--help']); "
+        "sys.exit('argcomplete' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL).returncode == 0

@@ -12,7 +12,7 @@ from firmware_py.errors import InputError
 
 class Sample(Document, frozen=True, kw_only=True):
     VERSION = 2
-    MADE_BY = "python -m models gap"
+    MADE_BY = "dropstitch gap"
 
     tip_x_m: float
     note: str | None = None
@@ -43,7 +43,7 @@ def test_what_does_not_fit_is_refused_with_file_reason_and_remedy(tmp_path, text
     with pytest.raises(InputError) as refused:
         read_document(path, Sample)
     message = str(refused.value)
-    assert str(path) in message and reason in message and "python -m models gap" in message
+    assert str(path) in message and reason in message and "dropstitch gap" in message
 
 
 def test_a_missing_file_is_refused(tmp_path):

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.register_access import RegisterAccess
@@ -233,7 +233,7 @@ def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bund
     assert (code, "needs the payload" in output.err) == (2, True)
     code, output = call(capsys, "run", "--config", config, *plan, "--motion", "steps")
     assert (code, "is given beside a motion" in output.err) == (2, True)
-    code, output = call(capsys, "run", "--config", config, *plan, "--payload", "0.5", "--json")
+    code, output = call(capsys, "run", "--config", config, *plan, "--payload-kg", "0.5", "--json")
     assert code == 0, output.err
     log = read_recording(json.loads(output.out)["log"])
     assert json.loads(log.metadata["motion"])["motion"] == "plan_circle"

@@ -89,7 +89,7 @@ def test_the_usual_payload_goes_by_the_link():
     assert usual_payload_kg(parts(SMALL)) == 0.05
 
 
-@pytest.mark.parametrize(("given", "held_kg"), [([], 0.05), (["--payload", "0.1"], 0.1)])
+@pytest.mark.parametrize(("given", "held_kg"), [([], 0.05), (["--payload-kg", "0.1"], 0.1)])
 def test_a_package_holds_a_payload_of_its_link(
     bundle_1dof, tmp_path, capsys, monkeypatch, given, held_kg
 ):

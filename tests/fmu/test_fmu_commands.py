@@ -45,7 +45,7 @@ def _read(path):
 
 def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
     out = tmp_path / "run"
-    assert main(["simulate", str(twin), "--out", str(out), "--payload", "2", "--json"]) == 0
+    assert main(["simulate", str(twin), "--out", str(out), "--payload-kg", "2", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rows"] == 512
     columns = _read(out / "result.csv")
     assert columns["time_s"][-1] == pytest.approx(511 * 0.017)
@@ -61,7 +61,7 @@ def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
     di = {}
     for payload in ("0", "2"):
         out = tmp_path / payload
-        assert main(["simulate", str(twin), "--out", str(out), "--payload", payload]) == 0
+        assert main(["simulate", str(twin), "--out", str(out), "--payload-kg", payload]) == 0
         di[payload] = _read(out / "result.csv")["di"].mean()
     assert di["2"] > di["0"]
 
@@ -89,7 +89,7 @@ def _trial_of(columns, directory):
 
 def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
     """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
-    assert main(["simulate", str(twin), "--out", str(tmp_path), "--payload", "1"]) == 0
+    assert main(["simulate", str(twin), "--out", str(tmp_path), "--payload-kg", "1"]) == 0
     trial = str(_trial_of(_read(tmp_path / "result.csv"), tmp_path))
     observer = tmp_path / "observer.fmu"
     assert main(["build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
@@ -181,7 +181,7 @@ def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
         "--out: is missing": ["build", bundle],
         "does not end in .fmu": ["build", bundle, "--out", str(tmp_path / "any.zip")],
         "manifest.json: is missing": ["build", str(tmp_path), "--out", out],
-        "--payload: is nan kg": ["ssp", bundle, "--payload", "nan", "--out", f"{out}.ssp"],
+        "--payload-kg: is nan kg": ["ssp", bundle, "--payload-kg", "nan", "--out", f"{out}.ssp"],
         "toml: is missing": ["build", bundle, "--plant", str(tmp_path / "no.toml"), "--out", out],
         "cannot run on the robot (FMI 3.0)": ["build", bundle, "--unit", "observer", "--fmi", "2"],
     }

@@ -7,15 +7,15 @@ That every command of every page is accepted by its own parser, and finds its fi
 from __future__ import annotations
 
 import argparse
-import importlib
 import shlex
 import shutil
 
 import pytest
 
+from dropstitch.__main__ import main
 from models.trials.trial_files import write_trial
 from tests.house.each_file import ROOT
-from tests.house.page_commands import PROGRAMS, commands, parse
+from tests.house.page_commands import PROGRAM, commands, parse
 
 BUNDLE = ROOT / "docs" / "notebooks" / "bundle_1dof"
 
@@ -23,25 +23,20 @@ BUNDLE = ROOT / "docs" / "notebooks" / "bundle_1dof"
 QUICK = {"new", "evaluate", "validate", "sign", "replay", "install-service", "doctor"}
 
 
-def quick_commands() -> dict[str, tuple[str, list[str]]]:
-    """Command as printed to its program and arguments.
-
-    A service is not installed, and there is no log to replay.
-    """
+def quick_commands() -> dict[str, list[str]]:
+    """Command as printed to its arguments; a service is not installed, and there is no log."""
     found = {}
     for page in sorted((ROOT / "docs" / "guides").glob("*.md")):
-        for words in commands(page.read_text(encoding="utf-8")):
-            line = shlex.join(words)
-            for program in PROGRAMS:
-                if line.startswith(f"{program} "):
-                    arguments = words[len(program.split()) :]
-                    installs = arguments[0] == "install-service" and "--dry-run" not in arguments
-                    if arguments[0] in QUICK and not installs and ".mcap" not in line:
-                        found[line] = PROGRAMS[program], arguments
+        for program, *arguments in commands(page.read_text(encoding="utf-8")):
+            line = shlex.join([program, *arguments])
+            if program != PROGRAM or arguments[0] not in QUICK or ".mcap" in line:
+                continue
+            if arguments[0] != "install-service" or "--dry-run" in arguments:
+                found[line] = arguments
     return found
 
 
-COMMANDS = quick_commands()
+QUICK_COMMANDS = quick_commands()
 
 
 @pytest.fixture
@@ -62,11 +57,11 @@ def place(tmp_path, monkeypatch, toy_trials):
     return put
 
 
-@pytest.mark.parametrize("line", COMMANDS)
+@pytest.mark.parametrize("line", QUICK_COMMANDS)
 def test_a_command_of_the_guides_runs(line, place, capsys):
-    program, arguments = COMMANDS[line]
-    place(parse(program, arguments))
-    code = importlib.import_module(program).main(arguments)
+    arguments = QUICK_COMMANDS[line]
+    place(parse(arguments))
+    code = main(arguments)
     said = capsys.readouterr()
     # The verdict of doctor is about this machine.
     assert code in ((0, 1) if arguments[0] == "doctor" else (0,)), said.err or said.out

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_py.__main__ import main as dropstitch
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor

@@ -18,12 +18,12 @@ import signal
 import socket
 import sys
 
-ROOMS = ("firmware_py", "models", "fmu", "hil")
+ROOMS = ("firmware_py", "models", "fmu", "hil", "dropstitch")
 FAULTS = {
     "hil.faults.fault_table", "hil.faults.fault_docs", "hil.faults.safety_requirements",
     "hil.faults.campaign", "hil.faults.recorded.run_recorder",
 }  # fmt: skip
-"""The table of faults names signals of POSIX; `hil faults` and what writes its page read it."""
+"""The table of faults names signals of POSIX; `faults` and what writes its page read it."""
 
 ABSENT_MODULES = ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty")
 KEPT_SIGNALS = ("SIGABRT", "SIGFPE", "SIGILL", "SIGINT", "SIGSEGV", "SIGTERM")
@@ -33,16 +33,12 @@ ABSENT_IN_OS = (
     "WIFSIGNALED", "WTERMSIG",
 )  # fmt: skip
 ABSENT_IN_SOCKET = ("AF_UNIX", "MSG_NOSIGNAL", "SOCK_SEQPACKET", "socketpair")
-LINUX_ONLY = {
-    "firmware_py": (
-        "run --config robot.toml", "release --config robot.toml", "doctor", "bench",
-        "install-service --config robot.toml",
-    ),
-    "hil": (
-        "emulate --plant plant.json", "sil --bundle bundle --out out",
-        "faults --bundle bundle --out out", "campaign spec.toml --out out --plan",
-    ),
-}  # fmt: skip
+LINUX_ONLY = (
+    "run --config robot.toml", "release --config robot.toml", "doctor", "bench",
+    "install-service --config robot.toml", "emulate --plant plant.json",
+    "sil --bundle bundle --out out", "faults --bundle bundle --out out",
+    "campaign spec.toml --out out --dry-run",
+)  # fmt: skip
 
 
 def modules() -> list[str]:
@@ -82,11 +78,11 @@ def become_windows() -> None:
         del sys.modules[name]
 
 
-def call(room: str, line: str) -> tuple[int, str]:
+def call(line: str) -> tuple[int, str]:
     """Exit code and stderr of a command."""
     said = io.StringIO()
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-        code = importlib.import_module(f"{room}.__main__").main(line.split())
+        code = importlib.import_module("dropstitch.__main__").main(line.split())
     return code, said.getvalue()
 
 
@@ -95,12 +91,9 @@ def main() -> None:
     errors_of_imports()
     become_windows()
     imports = errors_of_imports()
-    commands = {
-        room: [c.name for c in importlib.import_module(f"{room}.__main__").COMMANDS]
-        for room in ROOMS
-    }
-    helps = {f"{r} {n}": call(r, f"{n} --help") for r, names in commands.items() for n in names}
-    refusals = {line: call(room, line) for room, lines in LINUX_ONLY.items() for line in lines}
+    rows = importlib.import_module("firmware_py.command_table").COMMANDS
+    helps = {row.name: call(f"{row.name} --help") for row in rows}
+    refusals = {line: call(line) for line in LINUX_ONLY}
     print(json.dumps({"imports": imports, "helps": helps, "refusals": refusals}))
 
 

@@ -21,16 +21,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from dropstitch.__main__ import main
 from firmware_py import console
+from firmware_py.command_table import COMMANDS
 from tests.house.each_file import ROOT
 
-PROGRAMS: Final = {
-    "python -m models": "models.__main__",
-    "python -m fmu": "fmu.__main__",
-    "python -m hil": "hil.__main__",
-    "dropstitch": "firmware_py.__main__",
-}
-"""Our command lines and the modules that hold their `COMMANDS` and `main`."""
+PROGRAM: Final = "dropstitch"
 
 FOREIGN: Final = {
     ".", "cd", "git", "gcc", "mkdir", "pip", "python3", "scp", "ssh", "unzip", "fmpy", "systemctl",
@@ -108,9 +104,8 @@ class PageCommands:
         while words and (words[0] == "sudo" or re.fullmatch(r"[A-Z_]+=.*", words[0])):
             words.pop(0)
         line, name = " ".join(words), Path(words[0]).name or words[0]
-        own = next((p for p in PROGRAMS if " ".join([name, *words[1:]]).startswith(p)), None)
-        if own is not None:
-            self._check_own(PROGRAMS[own], words[len(own.split()) :], line)
+        if name == PROGRAM:
+            self._check_own(words[1:], line)
         elif name == "make":
             wanted = [w for w in words[1:] if "=" not in w and not w.startswith("-")]
             missing = [w for w in wanted if w not in targets_of_make()]
@@ -123,8 +118,8 @@ class PageCommands:
             assert name in FOREIGN, f"{line}: {words[0]} is no known program"
             self._check_foreign(words, line)
 
-    def _check_own(self, main: str, arguments: list[str], line: str) -> None:
-        parsed = parse(main, arguments)
+    def _check_own(self, arguments: list[str], line: str) -> None:
+        parsed = parse(arguments)
         assert parsed is not None, f"{line}: its parser refuses it"
         for key, value in vars(parsed).items():
             for path in value if isinstance(value, list) else [value]:
@@ -154,10 +149,9 @@ class PageCommands:
                 assert self._exists(word), f"{line}: nothing makes {word}"
 
 
-def parse(main: str, arguments: Sequence[str]) -> argparse.Namespace | None:
+def parse(arguments: Sequence[str]) -> argparse.Namespace | None:
     """Arguments as the command's own parser reads them; None where it refuses them."""
-    room = importlib.import_module(main)
-    chosen = next((c for c in room.COMMANDS if c.name == arguments[0]), None)
+    chosen = console.chosen_command(COMMANDS, arguments)
     if chosen is None:
         return None
     module: Any = importlib.import_module(chosen.module)
@@ -170,7 +164,7 @@ def parse(main: str, arguments: Sequence[str]) -> argparse.Namespace | None:
 
     module.run = only_read
     try:
-        room.main(list(arguments))
+        main(list(arguments))
     finally:
         module.run = work
     return read[0] if read else None

@@ -39,9 +39,9 @@ def test_every_command_of_a_page_can_be_given_as_printed(page):
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("python -m models plan circle --plant build/plant.json --out x.json", "parser refuses"),
-        ("python -m models evaluate build/trails --plant build/plant.json", "makes build/trails"),
-        ("python -m hil emulat", "parser refuses"),
+        ("dropstitch plan circle --plant build/plant.json --out x.json", "parser refuses"),
+        ("dropstitch evaluate build/trails --plant build/plant.json", "makes build/trails"),
+        ("dropstitch emulat", "parser refuses"),
         ("make dmeo", "no target"),
         ("python -m bench.onyx", "no module"),
         ("pip install 'dropstitch[live,recorder]'", "no extra {'recorder'}"),

@@ -1,6 +1,6 @@
 """Map of the goals at which the tip rests at a place, and of the first mode, over payloads.
 
-`python -m models goalmap` writes it, the robot reads it: the twin inverted for approaches from
+`dropstitch goalmap` writes it, the robot reads it: the twin inverted for approaches from
 upright, by a ramp of 4 s and a hold of 10 s (`models.plan.moves.rest_map`), and what the
 zero-vibration shaper is tuned by.
 """
@@ -39,7 +39,7 @@ class GoalMap(Document, frozen=True):
     """Goals at which the tip rests, over places and payloads."""
 
     VERSION: ClassVar[int] = 1
-    MADE_BY: ClassVar[str] = "python -m models goalmap"
+    MADE_BY: ClassVar[str] = "dropstitch goalmap"
 
     dof: int  # Joints; the places are x, and y with two
     period_s: float

@@ -167,7 +167,7 @@ class OutsideGoals:
         goals = list(message.joint_rad or ())
         if message.tip_m is not None:
             if self._rest is None:
-                self._refuse("sends places of the tip, but there is no map (--map)")
+                self._refuse("sends places of the tip, but there is no map (--goal-map)")
                 return None
             found = self._rest.goals_rad(message.tip_m, self.payload_kg)
             if found is None:

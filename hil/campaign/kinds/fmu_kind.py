@@ -71,7 +71,9 @@ class FmuKind(CaseKind[FmuConfig]):
                 for v in archive.description.modelVariables
             )
             if joints not in (1, 2):
-                raise InputError(config.fmu, "has no joints", "give one that 'fmu build' wrote")
+                raise InputError(
+                    config.fmu, "has no joints", "give one that 'dropstitch fmu build' wrote"
+                )
             run = simulate_fmu(
                 archive, motion.motion(joints), config.payload_kg, config.step_s, parameters
             )

@@ -22,8 +22,7 @@ class GapConfig(CaseConfig, frozen=True, kw_only=True):
     """Configuration of a diagnosis."""
 
     plant: str  # Plant as it was identified, with its noise floor
-    # Patterns of the plant's own error, of `python -m models calibrate`; those shipped where it is
-    # empty
+    # Patterns of the plant's own error, of `dropstitch calibrate`; those shipped where it is empty
     patterns: str = ""
     rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
     # Effects that are hidden in the rig

@@ -93,7 +93,7 @@ def _robot(config: RobotConfig, scratch: Path, seconds: float) -> Iterator[subpr
     document = _without_none(msgspec.to_builtins(config))
     path.write_text(tomli_w.dumps(document), encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-m", "firmware_py", "run", "--config", str(path), "--seconds",
+        [sys.executable, "-m", "dropstitch", "run", "--config", str(path), "--seconds",
          str(seconds), "--log", str(scratch / "ticks.mcap"), "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip

@@ -41,7 +41,7 @@ class FmuErrors(msgspec.Struct, frozen=True):
     tip_rms_m: ByVariant  # Root mean square distance of the tip, in m
     fraction_removed: float | None  # Of the gap; see `fraction_removed`
     worst_difference: float  # Largest difference from the plants in Python, SI units
-    passed: bool  # Whether `fmu check` passed
+    passed: bool  # Whether `dropstitch fmu check` passed
 
 
 class RobotErrors(msgspec.Struct, frozen=True):
@@ -54,7 +54,9 @@ class RobotErrors(msgspec.Struct, frozen=True):
 
 
 class BeforeAfter(msgspec.Struct, frozen=True):
-    """Figures of the page; what `hil gap --json` prints, with the path of the page."""
+    """Figures of the page; what `dropstitch report gap --json` prints, with the path of the
+    page.
+    """
 
     verdict: str
     hidden: dict[str, HiddenEffect]

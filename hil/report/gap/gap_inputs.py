@@ -2,13 +2,13 @@
 
 ::
 
-    trials/                     python -m models simulate --hide …      searched for the gap
+    trials/                     dropstitch simulate --hide …      searched for the gap
     sealed/                     the same on another motion              no value is fitted to
-    found/gap.json, plant.json  python -m models gap
-    check_twin_1dof.json        python -m fmu check … --json            of the rebuilt FMU
-    fmpy_VARIANT_PAYLOAD.json   python -m fmu simulate … --json         and …/result.csv
-    sil_VARIANT_PAYLOAD/        python -m hil sil --rig --hide …
-    plan_VARIANT/               python -m hil sil --rig --hide … --plan    (may be absent)
+    found/gap.json, plant.json  dropstitch gap
+    check_twin_1dof.json        dropstitch fmu check … --json            of the rebuilt FMU
+    fmpy_VARIANT_PAYLOAD.json   dropstitch fmu simulate … --json         and …/result.csv
+    sil_VARIANT_PAYLOAD/        dropstitch sil --rig --hide …
+    plan_VARIANT/               dropstitch sil --rig --hide … --plan    (may be absent)
     commands.log                make gap-demo
 
 Variants: `before` and `after` the diagnosis; `without` the effect, with FMU and bundle as before:
@@ -48,7 +48,7 @@ ByPayload = dict[float, Any]
 
 
 class FmuRunOutput(msgspec.Struct, frozen=True):
-    """Output of `python -m fmu simulate --json` on a trial."""
+    """Output of `dropstitch fmu simulate --json` on a trial."""
 
     rms: dict[str, float]  # Root mean square error by signal, SI units
     units: dict[str, str]  # SI unit of every signal

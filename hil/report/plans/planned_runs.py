@@ -30,14 +30,14 @@ _NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Last run of a plan in a directory of `hil sil`."""
+    """Last run of a plan in a directory of `dropstitch sil`."""
 
     dof: int
     knowledge: Knowledge  # {"rigid", "known", "unknown", "misled"}
     payload_kg: float  # Mass at the tip of the rig; for the misled robot what it was told
     plan: TipPlan
     tip_m: Array  # (n, dof), true tip at each row of the plan, in its last run
-    rms_m: float  # Distance from the path over that run, as `hil sil` judged it
+    rms_m: float  # Distance from the path over that run, as `dropstitch sil` judged it
     max_m: float
     goals_rad: Array  # (n, dof)
     # (n,), trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`)

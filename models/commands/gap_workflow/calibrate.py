@@ -27,12 +27,12 @@ from models.shared.worker_pool import worker_pool
 from models.trials.trial import TrialSet
 from models.trials.trial_directories import read_trial_directories
 
-EXAMPLE = "python -m models calibrate build/trials --plant build/plant.json"
+EXAMPLE = "dropstitch calibrate build/trials --plant build/plant.json"
 
 COUNTS: Final = {
     "rigs": (12, 2, "drawn rigs"),
     "links": (3, 1, "changed links of each rig"),
-    "processes": (2, 1, "processes that work at once"),
+    "workers": (2, 1, "processes that work at once"),
 }
 """Options that count something: usual and least value, and help."""
 
@@ -42,7 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "trials", type=Path, nargs="+", metavar="DIR", help="trials that the plant is identified on"
     )
-    parser.add_argument("--plant", type=Path, required=True, help="plant that was identified")
+    parser.add_argument(
+        "--plant", type=Path, required=True, metavar="PLANT", help="plant that was identified"
+    )
     parser.add_argument("--link", type=Path, help="description of the link, where not the study's")
     for name, (value, _, help_text) in COUNTS.items():
         parser.add_argument(f"--{name}", type=int, default=value, help=f"{help_text} ({value})")
@@ -82,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     files = [work.file(k) for k in range(args.rigs)]
     progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
     progress.begin("drawn rigs: each takes minutes")
-    with worker_pool(args.processes, "--processes") as pool:
+    with worker_pool(args.workers, "--workers") as pool:
         run_pattern_work(work, range(args.rigs), pool, progress.step)
     write_patterns(learned_patterns(files), patterns)
     measured = own_errors_of(files)

@@ -1,6 +1,6 @@
 """Design of the next experiment: the motion that separates the hypotheses of a diagnosis best.
 
-MOTION is a file for 'dropstitch run --motion' and 'python -m models simulate --motion'; MOTION.html
+MOTION is a file for 'dropstitch run --motion' and 'dropstitch simulate --motion'; MOTION.html
 beside it shows goals and separation. With --repeat the motion is run on a rig with hidden effects,
 and its trial is diagnosed together with those at hand; both lie in MOTION/trials and MOTION/gap.
 """
@@ -28,7 +28,7 @@ from models.trials.trial_directories import read_trial_directories
 from models.trials.trial_listing import conditions_beside
 
 EXAMPLE = (
-    "python -m models experiment --gap build/gap/gap.json --limits robot.toml --seconds 10 "
+    "dropstitch experiment --gap build/gap/gap.json --config robot.toml --seconds 10 "
     "--out build/motion.toml"
 )
 
@@ -39,10 +39,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     add = parser.add_argument
     add("--gap", type=Path, required=True, metavar="GAP.json", help="document of the diagnosis")
-    add("--limits", type=Path, required=True, metavar="ROBOT.toml", help="limits of the robot")
+    add("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml, for its limits")
     add("--seconds", type=float, default=10.0, help="duration of the motion (10)")
     add("--out", type=Path, required=True, metavar="MOTION.toml", help="file to write")
-    add("--plant", type=Path, help="plant of the diagnosis, where it was moved")
+    add("--plant", type=Path, metavar="PLANT", help="plant of the diagnosis, where it was moved")
     add(
         "--trials", type=Path, nargs="+", metavar="DIR",
         help="trials of the diagnosis, where they were moved",
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
     trials = _trials(inputs, plant)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
-    limits = _limits(args.limits, trials.trials[0].meta.dof)
+    limits = _limits(args.config, trials.trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.calibration.calibration_files import patterns_beside
@@ -126,7 +126,7 @@ def _check_options(args: argparse.Namespace) -> None:
         raise InputError(f"--seed {args.seed}", "is out of range", f"choose 0 to {LARGEST_SEED}")
     if args.out.suffix.lower() != ".toml":
         raise InputError(f"--out {args.out}", "is no TOML file", "let its name end with .toml")
-    read = [args.limits, args.gap, *([Path(args.rig)] if args.repeat else [])]
+    read = [args.config, args.gap, *([Path(args.rig)] if args.repeat else [])]
     check_output_file(args.out, read)
 
 

@@ -19,7 +19,7 @@ from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
 from models.trials.trial_directories import read_trial_directories
 
-EXAMPLE = "python -m models gap build/gap_trials --plant build/plant.json --out build/gap"
+EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
 
 DIAGNOSIS_FILES: Final = ("gap.json", "plant.json", "report.html")
 """Files that `models.gap.report.diagnosis_files` writes to a directory."""
@@ -31,7 +31,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "trials", type=Path, nargs="+", metavar="DIR",
         help="directory of trials; several are diagnosed together",
     )  # fmt: skip
-    parser.add_argument("--plant", type=Path, required=True, help="plant to compare with")
+    parser.add_argument(
+        "--plant", type=Path, required=True, metavar="PLANT", help="plant to compare with"
+    )
     parser.add_argument("--out", type=Path, required=True, help="directory to write")
     parser.add_argument(
         "--dof", type=int, choices=(1, 2), help="joints of the trials to look at, where both are"

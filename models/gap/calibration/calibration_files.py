@@ -37,7 +37,7 @@ def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
     if lines[1:] not in ([], [sha256]):
         raise InputError(
             directory, f"was measured for another plant than {plant.name} is now",
-            "run python -m models calibrate again, or remove it",
+            "run dropstitch calibrate again, or remove it",
         )  # fmt: skip
     return read_patterns(path)
 

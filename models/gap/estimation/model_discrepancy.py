@@ -99,7 +99,7 @@ def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
     except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise InputError(
             str(path), f"holds no patterns of a plant's own error ({error})",
-            "delete it, and run python -m models calibrate again",
+            "delete it, and run dropstitch calibrate again",
         ) from error  # fmt: skip
 
 

@@ -184,7 +184,8 @@ class MotionDesigner:
         """Coefficients made smaller until every rival stays within the twin's limits."""
         if self.twin_excess(0.0 * x, payload_kg) > 0:
             raise InputError(
-                "--limits", f"leave no room for a motion with {payload_kg:g} kg: the twin exceeds "
+                "--config",
+                f"its limits leave no room for a motion with {payload_kg:g} kg: the twin exceeds "
                 "one at rest",
                 "widen those of tip, current or following error, or choose another payload",
             )  # fmt: skip

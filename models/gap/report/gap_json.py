@@ -281,7 +281,7 @@ class GapDocument(Document, frozen=True):
     """
 
     VERSION: ClassVar[int] = 2
-    MADE_BY: ClassVar[str] = "python -m models gap"
+    MADE_BY: ClassVar[str] = "dropstitch gap"
 
     verdict: GapVerdict
     gap_left_fraction: float

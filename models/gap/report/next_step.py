@@ -26,7 +26,7 @@ def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") ->
         return _next_step_of_the_rest(document, gap_json)
     names = ", ".join(o.name for o in document.odd_trials)
     return (
-        f"Check payload_kg, conditions and recording of {names} (python -m models validate), mend "
+        f"Check payload_kg, conditions and recording of {names} (dropstitch validate), mend "
         f"or repeat it, and run gap again. Without it: {_next_step_of_the_rest(document, gap_json)}"
     )
 
@@ -47,8 +47,8 @@ def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
     if undecided:
         two = any("_2_" in signal for signal in document.before["fitted"])
         return (
-            f"These trials do not decide on {', '.join(undecided)}: 'python -m models experiment "
-            f"--gap {shlex.quote(gap_json)} --limits robot.toml --out MOTION.toml' designs the "
+            f"These trials do not decide on {', '.join(undecided)}: 'dropstitch experiment "
+            f"--gap {shlex.quote(gap_json)} --config robot.toml --out MOTION.toml' designs the "
             f"motion that tells best{', for a robot.toml with both servos' if two else ''}."
         )
     if is_plant_as_given(document):
@@ -64,7 +64,7 @@ def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
         )
     if document.verdict == "reduced":
         return _next_step_of_more(document)
-    return "Use the improved plant: train a bundle with it (python -m models train --plant)."
+    return "Use the improved plant: train a bundle with it (dropstitch train --plant)."
 
 
 def _next_step_of_more(document: GapDocument) -> str:
@@ -93,7 +93,7 @@ def _next_step_without_a_name(document: GapDocument) -> str:
     answers = document.answers
     if answers is None or answers.nothing >= DECIDED:
         if document.refitted:
-            return "Use the refitted plant: train a bundle with it (python -m models train)."
+            return "Use the refitted plant: train a bundle with it (dropstitch train)."
         return "Nothing: the plant explains these trials."
     refitted = "plant.json holds the refitted link, the better plant so far. "
     return (
@@ -135,7 +135,7 @@ def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSetti
     """
     largest = max(separated_by.separation.values(), default=0.0) if separated_by else 0.0
     if separated_by is None or largest < settings.indistinguishable_separation:
-        return "no fixed motion tells them apart, a designed one may (python -m models experiment)"
+        return "no fixed motion tells them apart, a designed one may (dropstitch experiment)"
     return f"the motion '{separated_by.motion}' tells them apart (d′ {largest:.1f})"
 
 

@@ -111,7 +111,7 @@ def _patterns(document: GapDocument) -> str:
     where = groups_in_words(lacking)
     return where and (
         "how the plant's own error varies between links was not measured, so faint effects may be "
-        f"missed: run python -m models calibrate on the trials of the plant, for: {where}"
+        f"missed: run dropstitch calibrate on the trials of the plant, for: {where}"
     )
 
 

@@ -68,7 +68,7 @@ def _beyond_any_bend(dof: str, error: DofEvaluation, plant: Plant) -> list[str]:
     return [
         f"{dof}DOF: the measured tip is {LENGTH.text(error.rigid_tip_rms_m, 0)} from that of a "
         f"rigid link, {FRACTION.text(part)} of the link's length, and no link bends so far: check "
-        "tip, units, angles and size of the trials ('models validate')"
+        "tip, units, angles and size of the trials ('dropstitch validate')"
     ]
 
 
@@ -80,7 +80,7 @@ def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
     return [
         f"{dof}DOF: the plant misses the tip by {LENGTH.text(plant_m, 2)}, a rigid link by "
         f"{LENGTH.text(rigid_m, 2)}: check the link's size, mounting and the signs of the "
-        "trials ('models validate')"
+        "trials ('dropstitch validate')"
     ]
 
 

@@ -33,7 +33,7 @@ READERS: Final[dict[str, Reader]] = {
     "recording": read_robot_log,
     "table": read_table,
 }
-"""Readers by the name that `python -m models import --as` takes."""
+"""Readers by the name that `dropstitch import --as` takes."""
 
 KINDS: Final = tuple(READERS)
 _KIND_OF_SUFFIX: Final = {".mcap": "recording", ".c3d": "c3d"}

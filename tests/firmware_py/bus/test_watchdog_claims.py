@@ -1,6 +1,6 @@
 """Help of `run` about what keeps the torque on when the program is gone."""
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 
 
 def test_the_help_of_run_says_what_sigkill_leaves_behind(capsys):

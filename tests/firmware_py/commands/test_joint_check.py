@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.joint_check import PATIENCE_S, turn_joints
 from firmware_py.errors import InputError
@@ -67,7 +67,9 @@ def test_a_hand_that_turns_too_little_and_servos_that_say_nothing_are_refused():
         turn_joints(silent, silent.clock, 0.008, silent.ask)
 
 
-@pytest.mark.parametrize("words", [["--joints"], ["--joints", "--bus", "--config", "robot.toml"]])
+@pytest.mark.parametrize(
+    "words", [["--check-joints"], ["--check-joints", "--bus", "--config", "robot.toml"]]
+)
 def test_the_check_wants_its_robot_and_nothing_else(words, capsys):
-    assert main(["doctor", *words]) == 2
-    assert "--joints" in capsys.readouterr().err
+    assert main(["doctor", "--check-joints", *words]) == 2
+    assert "--check-joints" in capsys.readouterr().err

@@ -62,12 +62,12 @@ def test_a_payload_that_the_bundle_does_not_use_is_told(servos, config, toy_bund
 def test_a_payload_beyond_those_of_a_plan_is_refused(servos, config, toy_bundle, tmp_path, capsys):
     plan = tmp_path / "plan.json"
     write_document(plan, small_plan(toy_bundle))
-    code, output = call(capsys, "run", "--config", config, "--plan", plan, "--payload", "2.5")
+    code, output = call(capsys, "run", "--config", config, "--plan", plan, "--payload-kg", "2.5")
     assert code == 2
     assert "payload_kg: is 2.5 kg, the plan circle holds 0 to 1 kg; plan again" in output.err
 
 
 def test_a_negative_payload_names_the_option_and_the_rule(config, capsys):
-    code, output = call(capsys, "run", "--config", config, "--payload", "-1")
-    sentence = "--payload: payload_kg is -1 kg; give a mass from 0 to 100 kg.\n"
+    code, output = call(capsys, "run", "--config", config, "--payload-kg", "-1")
+    sentence = "--payload-kg: payload_kg is -1 kg; give a mass from 0 to 100 kg.\n"
     assert (code, output.err.endswith(sentence), output.err.count("\n")) == (2, True, 1)

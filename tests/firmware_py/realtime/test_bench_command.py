@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 
 
 def call(capsys, *arguments):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.commands.install_service import SERVICE_PATH, service_file
 from firmware_py.config import read_config
 from firmware_py.errors import InputError

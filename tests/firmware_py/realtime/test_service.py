@@ -12,7 +12,7 @@ import tracemalloc
 import msgspec
 import pytest
 
-from firmware_py.__main__ import main
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.install_service import RULE_PATH, SERVICE_PATH, service_file
 from firmware_py.config import read_config
@@ -173,8 +173,8 @@ def test_the_unit_gives_the_loop_what_it_needs_and_no_more(config):
     assert parser.sections() == ["Unit", "Service"], "no [Install]: nothing starts it by itself"
     service = parser["Service"]
     assert (service["Type"], service["Restart"], service["User"]) == ("notify", "no", "robot")
-    assert service["ExecStart"] == f"{sys.executable} -m firmware_py run --config {config}"
-    assert service["ExecStopPost"] == f"{sys.executable} -m firmware_py release --config {config}"
+    assert service["ExecStart"] == f"{sys.executable} -m dropstitch run --config {config}"
+    assert service["ExecStopPost"] == f"{sys.executable} -m dropstitch release --config {config}"
     assert set(service["AmbientCapabilities"].split()) == {"CAP_SYS_NICE", "CAP_IPC_LOCK"}
     assert (service["LimitMEMLOCK"], service["LimitRTPRIO"]) == ("infinity", "99")
     assert float(service["WatchdogSec"]) > 1

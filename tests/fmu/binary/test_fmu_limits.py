@@ -117,7 +117,7 @@ def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof
     twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
     assert main(["build", str(bundle_1dof), "--out", twin]) == 0
     for payload in ("-0.3", "3.5"):
-        assert main(["simulate", twin, "--out", out, "--payload", payload]) == 2
+        assert main(["simulate", twin, "--out", out, "--payload-kg", payload]) == 2
         error = capsys.readouterr().err
         assert f"payload_kg = {payload} lies outside 0 to 3" in error
         assert error.count("\n") == 1

@@ -1,4 +1,4 @@
-"""Command `hil campaign`: results, a second run, plans, and what is refused."""
+"""Command `dropstitch campaign`: results, a second run, plans, and what is refused."""
 
 import csv
 import json
@@ -75,7 +75,7 @@ def test_other_code_is_told_and_does_not_count(ran, capsys, monkeypatch):
 
 def test_a_plan_follows_from_cases_that_ran(ran, capsys):
     where, _ = ran
-    options = ("--plan", "--cases", "1000", "100000", "--workers", "50", "--json")
+    options = ("--dry-run", "--cases", "1000", "100000", "--workers", "50", "--json")
     assert campaign(where, TOYS, *options) == 0
     few, many = json.loads(capsys.readouterr().out)["plans"]
     assert (few["cases"], many["cases"], few["workers"]) == (1000, 100_000, 50)
@@ -84,7 +84,7 @@ def test_a_plan_follows_from_cases_that_ran(ran, capsys):
     assert many["workers_bytes"] == 50 * many["worker_bytes"]
     assert (many["cpu_hours"] - few["cpu_hours"]) / (few["cpu_hours"]) > 90 or few["start_s"] > 0
     assert "--workers 50" in few["command"]
-    assert few["command"].startswith("python -m hil campaign ")
+    assert few["command"].startswith("dropstitch campaign ")
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_plan_follows_from_cases_that_ran(ran, capsys):
         (TOYS, ("--workers", "0"), "--workers: is 0"),
         (TOYS, ("--executor", "dask"), "add --scheduler"),
         (TOYS, ("--scheduler", "tcp://nowhere:1"), "is of --executor dask"),
-        (TOYS, ("--cases", "5"), "is for --plan"),
+        (TOYS, ("--cases", "5"), "is for --dry-run"),
         (TOYS + "[fixed]\nmeasures_time = true\n", (), "add --workers 1"),
         (TOYS + "[fixed]\nmeasures_time = true\n",
          ("--executor", "submitit", "--cluster", "local"), "shared with other programs"),

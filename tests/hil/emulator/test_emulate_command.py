@@ -1,4 +1,4 @@
-"""`python -m hil emulate`, spoken to by the official SDK, untouched."""
+"""`dropstitch emulate`, spoken to by the official SDK, untouched."""
 
 from __future__ import annotations
 

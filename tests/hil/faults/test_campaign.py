@@ -242,7 +242,7 @@ def test_verdicts_are_counted_and_written(tmp_path):
     written = json.loads((tmp_path / "faults.json").read_text())
     assert written["cases"][0]["model"] == "H54-200-S500-R(A)"
     (tmp_path / "faults.json").write_text(json.dumps(written | {"schema": 1}))
-    with pytest.raises(InputError, match=r"schema version 1.*python -m hil faults"):
+    with pytest.raises(InputError, match=r"schema version 1.*dropstitch faults"):
         read_faults(tmp_path / "faults.json")
     suite = ET.fromstring(fault_verdict.faults_junit(judged))
     assert (suite.get("tests"), suite.get("failures")) == ("2", "1")

@@ -33,9 +33,9 @@ from models.trials.trial import TrialSet
 from models.trials.trial_files import write_trial
 
 COMMANDS = [
-    "python -m models simulate --out build/trials --dof 1 2 --seed 1",
-    "python -m models train build/trials --dof 1 --plant build/plant.json --out build/bundle_1dof",
-    "python -m hil report --build build --out build/report.html",
+    "dropstitch simulate --out build/trials --dof 1 2 --seed 1",
+    "dropstitch train build/trials --dof 1 --plant build/plant.json --out build/bundle_1dof",
+    "dropstitch report build build --out build/report.html",
 ]
 
 

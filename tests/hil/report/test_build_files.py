@@ -36,7 +36,7 @@ def test_files_are_found_by_what_they_hold(build, renamed):
 
 
 def test_a_study_written_with_a_bundle_around_it_stays_a_study(build, tmp_path):
-    """`models train --study-only` writes a manifest too, which is no robot's."""
+    """`dropstitch train --study-only` writes a manifest too, which is no robot's."""
     for name in ("bundle_1dof", "bundle_2dof", "study_2dof_phase0", "study_2dof_phase90"):
         shutil.copytree(build / name, tmp_path / name)
     for phase in (0, 90):

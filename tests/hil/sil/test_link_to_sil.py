@@ -21,8 +21,8 @@ from models.tip.candidates.paper_polynomial import PaperPolynomial
 from models.trials.trial_files import read_trial
 
 LINK = (
-    "--length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --joints 1 "
-    "--pressure-pa 20700 --payload 0.4"
+    "--length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --dof 1 "
+    "--pressure-pa 20700 --largest-payload-kg 0.4"
 )
 MOTION = "--period 2.2 --amplitude-deg 20"
 """Brief, and within the robot's default limit of acceleration."""

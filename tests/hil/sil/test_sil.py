@@ -188,7 +188,7 @@ def test_a_timing_document_of_before_is_refused_in_one_sentence(options):
     path.write_text(json.dumps(document | {"schema": 1}))
     with pytest.raises(InputError, match="schema version 1") as error:
         read_timing(path)
-    assert "python -m hil sil" in str(error.value) and "\n" not in str(error.value)
+    assert "dropstitch sil" in str(error.value) and "\n" not in str(error.value)
     del document["miss_rate_upper_bound_95"]
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match="miss_rate_upper_bound_95"):

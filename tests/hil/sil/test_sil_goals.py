@@ -71,10 +71,10 @@ def test_the_run_is_that_of_the_program(options, tmp_path):  # noqa: F811
 
 
 def test_a_map_without_goals_is_refused_as_on_the_robot(tmp_path, capsys):
-    words = f"sil --bundle {tmp_path} --out {tmp_path}/out --line virtual --map P.json"
+    words = f"sil --bundle {tmp_path} --out {tmp_path}/out --line virtual --goal-map P.json"
     assert main(words.split()) == 2
     said = capsys.readouterr().err
-    assert said == "python -m hil: --map: is given without --goals; leave it out.\n"
+    assert said == "dropstitch: --goal-map: is given without --goals; leave it out.\n"
 
 
 def test_a_map_for_another_robot_is_refused(options, tmp_path):  # noqa: F811

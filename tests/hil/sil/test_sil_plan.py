@@ -225,4 +225,4 @@ def test_a_file_that_is_no_plan_gets_one_sentence(bundle, plan, tmp_path, capsys
     code = main([str(a) for a in (*arguments, "--plan", tmp_path / "plan.json")])
     output = capsys.readouterr()
     assert code == 2
-    assert "plan.json: has no payload; write it anew with python -m models plan" in output.err
+    assert "plan.json: has no payload; write it anew with dropstitch plan" in output.err

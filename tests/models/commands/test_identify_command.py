@@ -1,4 +1,4 @@
-"""The command `models identify`: names of its result, refused before the fit."""
+"""The command `dropstitch identify`: names of its result, refused before the fit."""
 
 import pytest
 

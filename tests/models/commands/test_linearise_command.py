@@ -1,4 +1,4 @@
-"""The command `models linearise`: what it writes is what python-control reads."""
+"""The command `dropstitch linearise`: what it writes is what python-control reads."""
 
 import json
 
@@ -12,7 +12,7 @@ from models.plant.plant import NOMINAL
 
 def test_the_file_is_a_system_of_python_control(tmp_path, capsys):
     out = tmp_path / "linear.json"
-    assert main(["linearise", str(NOMINAL), "--payload", "2", "--out", str(out)]) == 0
+    assert main(["linearise", "--plant", str(NOMINAL), "--payload-kg", "2", "--out", str(out)]) == 0
     m = json.loads(out.read_text())
     system = control.ss(m["A"], m["B"], m["C"], m["D"], m["dt"])
     assert (system.ninputs, system.noutputs) == (1, len(m["outputs"]))
@@ -27,18 +27,18 @@ def test_the_file_is_a_system_of_python_control(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("options", "sentence"),
-    [(["--payload", "9"], "give 0 to 3 kg"), (["--angle-deg", "1", "2"], "give 1"),
+    [(["--payload-kg", "9"], "give 0 to 3 kg"), (["--angle-deg", "1", "2"], "give 1"),
      (["--period", "0"], "0.001 to 1 s"), (["--angle-deg", "nan"], "give 90° at most"),
-     (["--angle-deg", "400"], "give 90° at most"), (["--payload", "nan"], "give 0 to 3 kg")],
+     (["--angle-deg", "400"], "give 90° at most"), (["--payload-kg", "nan"], "give 0 to 3 kg")],
 )  # fmt: skip
 def test_wrong_options_are_refused(tmp_path, capsys, options, sentence):
-    assert main(["linearise", str(NOMINAL), "--out", str(tmp_path / "x"), *options]) == 2
+    assert main(["linearise", "--plant", str(NOMINAL), "--out", str(tmp_path / "x"), *options]) == 2
     assert sentence in capsys.readouterr().err
 
 
 def test_the_plant_that_is_read_is_not_overwritten(tmp_path, capsys):
     plant = tmp_path / "plant.json"
     plant.write_bytes(NOMINAL.read_bytes())
-    assert main(["linearise", str(plant), "--out", str(plant)]) == 2
+    assert main(["linearise", "--plant", str(plant), "--out", str(plant)]) == 2
     assert "is a file that is read" in capsys.readouterr().err
     assert plant.read_bytes() == NOMINAL.read_bytes()

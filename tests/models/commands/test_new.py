@@ -1,4 +1,4 @@
-"""`models new` at a terminal: it asks, tells a wrong answer at once, and leaves no half a file."""
+"""`new` at a terminal: it asks, tells a wrong answer at once, and leaves no half a file."""
 
 import os
 import pty
@@ -17,7 +17,7 @@ CTRL_C, CTRL_D = b"\x03", b"\x04"
 
 
 class Terminal:
-    """`python -m models new` on a pseudo-terminal of its own."""
+    """`dropstitch new` on a pseudo-terminal of its own."""
 
     def __init__(self, *arguments):
         self.process, self.file = pty.fork()
@@ -122,7 +122,7 @@ def test_wrong_answers_are_told_and_empty_ones_take_the_value_in_brackets(termin
 @pytest.mark.parametrize(
     ("key", "code", "sentence"),
     [
-        (CTRL_C, 130, "python -m models: interrupted"),
+        (CTRL_C, 130, "dropstitch: interrupted"),
         (CTRL_D, 2, "is not written, the answers end before the last question"),
     ],
 )

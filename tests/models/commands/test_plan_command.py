@@ -1,4 +1,4 @@
-"""The command `models plan`: options that contradict each other or would change nothing."""
+"""The command `dropstitch plan`: options that contradict each other or would change nothing."""
 
 import numpy as np
 import pytest

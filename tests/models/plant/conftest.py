@@ -147,7 +147,7 @@ def _markers(plant, values, dof):
 
 @pytest.fixture
 def plant_of(tmp_path):
-    """Function (link) -> plant of its file, as `models new` writes it."""
+    """Function (link) -> plant of its file, as `dropstitch new` writes it."""
 
     def plant(link):
         path = tmp_path / "link.toml"

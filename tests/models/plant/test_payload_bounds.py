@@ -62,7 +62,7 @@ def test_the_observer_of_a_heavy_link_estimates_what_the_link_carries(plant_of):
 def test_payloads_beyond_the_link_are_refused_and_those_within_are_not(plant_of):
     heavy, small = plant_of(HEAVY), plant_of(SMALL)
     check_payload(7.5, link=HEAVY)
-    with pytest.raises(InputError, match=r"--payload: is 7.6 kg; give 0 to 7.5 kg"):
+    with pytest.raises(InputError, match=r"--payload-kg: is 7.6 kg; give 0 to 7.5 kg"):
         check_payload(7.6, link=HEAVY)
     with pytest.raises(InputError, match="give 0 to 3 kg"):
         check_payload(3.1)
@@ -101,7 +101,7 @@ def test_the_payload_that_nobody_gives_is_within_the_bounds(plant_of, tmp_path, 
     told = []
     monkeypatch.setattr(linearise, "emit", lambda args, data, text: told.append(data))
     args = Namespace(
-        plant=tmp_path / "plant.json", out=tmp_path / "linear.json", payload=None, dof=1,
+        plant=tmp_path / "plant.json", out=tmp_path / "linear.json", payload_kg=None, dof=1,
         period=STEP_S, angle_deg=None, at_rest=False,
     )  # fmt: skip
     linearise.run(args)

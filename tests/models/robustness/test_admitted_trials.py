@@ -32,7 +32,7 @@ FEW_STEPS = GapSettings(
     refitted_pairs=1, restart_bound_fractions=(0.25,), restart_steps=1, deletion_steps=1,
     ladder_bound_fractions=(0.5,), ladder_refinements=1, bootstrap_draws=20, waterfall_steps=1,
 )  # fmt: skip
-ONE_SENTENCE = re.compile(r"python -m models: .+; .+\.")
+ONE_SENTENCE = re.compile(r"dropstitch: .+; .+\.")
 QUICK = {
     ("link", "50 rows"), ("link", "markers mostly occluded"),
     ("link", "no motion capture in one trial"),

@@ -24,7 +24,7 @@ def test_a_study_of_another_version_is_refused_in_one_sentence(toy_study, tmp_pa
     with pytest.raises(InputError) as refused:
         read_study(path)
     message = str(refused.value)
-    assert "schema version 1" in message and "python -m models train" in message
+    assert "schema version 1" in message and "dropstitch train" in message
     assert "\n" not in message
 
 

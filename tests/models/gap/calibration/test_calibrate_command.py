@@ -1,4 +1,4 @@
-"""`python -m models calibrate`: what it refuses, keeps and writes."""
+"""`dropstitch calibrate`: what it refuses, keeps and writes."""
 
 import json
 
@@ -40,7 +40,7 @@ def plant_file(tmp_path):
     return path
 
 
-@pytest.mark.parametrize("option", ["--rigs", "--links", "--processes"])
+@pytest.mark.parametrize("option", ["--rigs", "--links", "--workers"])
 def test_counts_that_are_too_small_are_refused(option, plant_file, tmp_path, capsys):
     said = refusal(capsys, tmp_path, "--plant", plant_file, option, 0)
     assert option in said

@@ -153,7 +153,7 @@ def test_a_damaged_file_of_patterns_is_told_with_a_remedy(tmp_path):
     path = tmp_path / "patterns.npz"
     write_patterns([patterns_named("one")], path)
     path.write_bytes(path.read_bytes()[:-200])
-    with pytest.raises(InputError, match="models calibrate"):
+    with pytest.raises(InputError, match="dropstitch calibrate"):
         read_patterns(path)
 
 

@@ -15,7 +15,7 @@ from models.trials.trial_files import write_trial
 def test_the_diagnosis_is_not_overwritten(tmp_path, capsys, out, said):
     for name in ("gap.json", "gap.toml"):
         (tmp_path / name).write_text("kept")
-    code = main(["experiment", "--gap", str(tmp_path / out), "--limits", "robot.toml",
+    code = main(["experiment", "--gap", str(tmp_path / out), "--config", "robot.toml",
                  "--out", str(tmp_path / out)])  # fmt: skip
     assert code == 2
     assert said in capsys.readouterr().err
@@ -32,7 +32,7 @@ def test_the_diagnosis_is_not_overwritten(tmp_path, capsys, out, said):
     ],
 )
 def test_wrong_options_give_one_sentence(tmp_path, capsys, options, sentence):
-    code = main(["experiment", "--gap", str(tmp_path / "none.json"), "--limits", "robot.toml",
+    code = main(["experiment", "--gap", str(tmp_path / "none.json"), "--config", "robot.toml",
                  "--out", str(tmp_path / "motion.toml"), *options])  # fmt: skip
     assert code == 2
     told = capsys.readouterr().err
@@ -62,7 +62,7 @@ def diagnosis(late, toy_trials, tmp_path):
 
 def test_trials_that_were_changed_are_refused(diagnosis, tmp_path, capsys):
     gap = diagnosis(tmp_path / "trials", "0" * 64)
-    code = main(["experiment", "--gap", str(gap), "--limits", "robot.toml",
+    code = main(["experiment", "--gap", str(gap), "--config", "robot.toml",
                  "--out", str(tmp_path / "motion.toml")])  # fmt: skip
     assert code == 2
     assert "are not the trials of this diagnosis" in capsys.readouterr().err
@@ -78,7 +78,7 @@ def test_a_repetition_touches_nothing_of_the_diagnosis(
         "models.gap.experiment.experiment.design_experiment", lambda *_: pytest.fail("designed")
     )
     out = tmp_path / out.replace("TRIAL", toy_trials(1)[0].name)
-    code = main(["experiment", "--gap", str(gap), "--limits", "robot.toml", "--repeat",
+    code = main(["experiment", "--gap", str(gap), "--config", "robot.toml", "--repeat",
                  "--out", str(out)])  # fmt: skip
     assert code == 2
     said = capsys.readouterr().err

@@ -64,7 +64,7 @@ def test_an_old_document_is_refused_in_one_sentence(path):
     path.write_text(json.dumps(data | {"schema": 1, "strained": {}}))
     with pytest.raises(InputError, match="has schema version 1") as refusal:
         read_gap_document(path)
-    assert str(refusal.value).endswith("write it anew with python -m models gap.")
+    assert str(refusal.value).endswith("write it anew with dropstitch gap.")
     assert "\n" not in str(refusal.value)
 
 

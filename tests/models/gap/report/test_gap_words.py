@@ -49,7 +49,7 @@ def document(verdict, *named, answers=None, further=None, refitted=(), **probabi
         (document("not in the catalogue", answers=Answers(0.3, 0.0, 0.7)), "identify the plant"),
         (
             document("closed", "creep", creep=0.6, hysteresis=0.4),
-            "creep, hysteresis: 'python -m models experiment --gap OUT/gap.json",
+            "creep, hysteresis: 'dropstitch experiment --gap OUT/gap.json",
         ),
         (document("closed", "creep", creep=0.97, hysteresis=0.03), "Use the improved plant"),
         (

@@ -77,7 +77,7 @@ def test_that_the_values_of_a_plant_count_as_known_is_noted():
 
 def test_patterns_that_nobody_measured_are_noted_with_the_command_that_does():
     (note,) = notes_in_words(document(patterns="unknown"))
-    assert "python -m models calibrate" in note and "1dof steps" in note
+    assert "dropstitch calibrate" in note and "1dof steps" in note
     assert notes_in_words(document(patterns="transferred")) == []
     (note,) = notes_in_words(document("unknown", patterns="unknown"))
     assert "calibrate" not in note

@@ -94,4 +94,4 @@ def test_an_estimate_of_the_di_that_is_worse_than_its_mean_is_told():
     assert doubts_of_di(study()) == []
     (said,) = doubts_of_di(study(trial_2=-0.1, unseen=-1.035))
     assert said.startswith("R² of the estimated DI is -1.035 on unseen")
-    assert "models validate" in said
+    assert "dropstitch validate" in said

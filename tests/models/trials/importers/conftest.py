@@ -114,7 +114,7 @@ def refused(run):
     def call(*arguments):
         code, _, err = run(*arguments)
         assert code == 2
-        assert err.startswith("python -m models: ") and err.count("\n") == 1
+        assert err.startswith("dropstitch: ") and err.count("\n") == 1
         assert "Traceback" not in err
         return err
 

@@ -39,7 +39,7 @@ def sentence(tmp_path, capsys):
         argv = [str(file), "--as", kind, "--map", str(tmp_path / "map.toml"), *more]
         assert main(["import", *argv, "--out", str(tmp_path / "out")]) == 2
         said = capsys.readouterr().err
-        assert said.startswith("python -m models: ") and said.count("\n") == 1, said
+        assert said.startswith("dropstitch: ") and said.count("\n") == 1, said
         assert not list((tmp_path / "out").glob(".*")), "nothing is left behind"
         return said
 

@@ -170,4 +170,4 @@ def test_joints_that_move_together_matter_to_a_predictor_only():
 def test_a_late_clock_of_trials_that_exist_is_mended_by_another_import_or_named():
     late = run_case(read_parameters().hide({"sync_offset": 0.02}), TrialCase(Motion(), 1.0, 1, 0))
     (found,) = [f for f in check_trial(late).findings if f.cause == "clock"]
-    assert "late" in found.text and "again" in found.remedy and "models gap" in found.remedy
+    assert "late" in found.text and "again" in found.remedy and "dropstitch gap" in found.remedy
