@@ -4,14 +4,14 @@ All variants drive the same emulated servos (transmission time, return delay, la
 replies) with the same bundle and period, in turns, under the same CPU load. The variants with the
 SDK read, estimate, predict and write; they do not supervise or log.
 
-ours, socket   the robot's loop over a socket, as for timing claims
+ours, socket   the robot's loop over a socket, as for timing verdicts
 ours, pty      the same over a pseudo-terminal, the only port that the SDK as shipped can open
 SDK            group sync read and write as shipped, normal scheduler, absolute deadlines
 SDK, FIFO      the same with the real-time rights of the robot's loop
 
 Writes OUT/loop.json; exit 1 if the robot's loop misses more slots than the SDK.
 
-    python -m bench.robot.sdk_loop --bundle build/bundle_2dof --fmu build/twin_2dof.fmu
+    python -m bench.sdk_loop --bundle build/bundle_2dof --fmu build/twin_2dof.fmu
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Setting(NamedTuple):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the comparison."""
     parser = argparse.ArgumentParser(
-        prog="python -m bench.robot.sdk_loop", description=__doc__,
+        prog="python -m bench.sdk_loop", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     parser.add_argument("--bundle", type=Path, required=True)

@@ -9,7 +9,8 @@ around a fifth of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
@@ -57,6 +58,10 @@ TYPICAL_OF_TWO_JOINTS: Final = TYPICAL | {
     "cross_axis_coupling": CATALOGUE["cross_axis_coupling"].size
 }  # fmt: skip
 """The same for two joints; only these couple the planes of bending."""
+
+USUAL_SIZE: Final = 1.0
+FAINT_SIZE: Final = 0.4
+"""Sizes of the effects, as a fraction of what matters (`TYPICAL`)."""
 
 SIGNED: Final = {
     "torque_constant_drift", "payload_offset", "prebend", "directional_stiffness",
@@ -144,6 +149,54 @@ def drawn_case(
     turns = FRAME_TURN_RAD * np.random.default_rng([seed, 1]).standard_normal(3)
     turn_rad = dict(zip(("roll", "tilt", "yaw"), turns.tolist(), strict=True))
     return HiddenCase(kind, strengths, nuisance, seed, rig, joints, frame_turn_rad=turn_rad)
+
+
+def hidden_cases(
+    rig: str,
+    usual: int,
+    faint: int,
+    nulls: int,
+    pairs: int,
+    outside: int,
+    seed: int,
+    same_link: bool,
+    joints: int = 1,
+    effects: Sequence[str] = (),
+) -> Iterator[HiddenCase]:
+    """Draw the cases of one rig.
+
+    Parameters
+    ----------
+    rig : str
+        Name of the rig.
+    usual, faint : int
+        Data sets with one effect of either size, each with another effect.
+    nulls, pairs, outside : int
+        Without an effect, with two, and with one that the catalogue is denied.
+    seed : int
+        Of the draw.
+    same_link : bool
+        Whether the link is the one that the plant was identified on.
+    joints : int
+        Driven joints, 1 or 2.
+    effects : sequence of str
+        Effects to draw from; all of the catalogue where it is empty.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
+
+    def case(kind: Kind, *hidden: tuple[str, float]) -> HiddenCase:
+        return drawn_case(rng, kind, hidden, rig, same_link, joints)
+
+    catalogue = list(effects or (TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL))
+    names = rng.permutation(catalogue).tolist()
+    yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])
+    yield from (case("single", (e, FAINT_SIZE)) for e in names[usual : usual + faint])
+    yield from (case("null") for _ in range(nulls))
+    for _ in range(pairs):
+        first, second = rng.choice(catalogue, 2, replace=False).tolist()
+        yield case("pair", (first, USUAL_SIZE), (second, USUAL_SIZE))
+    drawn = (str(rng.choice(catalogue)) for _ in range(outside))
+    yield from (case("outside", (effect, USUAL_SIZE)) for effect in drawn)
 
 
 def _strength(rng: np.random.Generator, effect: str, size: float) -> float:

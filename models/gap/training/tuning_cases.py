@@ -11,69 +11,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
-
-import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE
 from models.gap.training.case_runs import run_cases
-from models.gap.training.cases import TYPICAL, TYPICAL_OF_TWO_JOINTS, HiddenCase, Kind, drawn_case
+from models.gap.training.cases import TYPICAL_OF_TWO_JOINTS, hidden_cases
 from models.rig.drawn_rig import rig_purpose
-
-USUAL_SIZE: Final = 1.0
-FAINT_SIZE: Final = 0.4
-"""Sizes of the effects, as a fraction of what matters (`models.gap.training.cases.TYPICAL`)."""
-
-
-def tuning_cases(
-    rig: str,
-    usual: int,
-    faint: int,
-    nulls: int,
-    pairs: int,
-    outside: int,
-    seed: int,
-    same_link: bool,
-    joints: int = 1,
-    effects: Sequence[str] = (),
-) -> Iterator[HiddenCase]:
-    """Draw the cases of one rig.
-
-    Parameters
-    ----------
-    rig : str
-        Name of the rig.
-    usual, faint : int
-        Data sets with one effect of either size, each with another effect.
-    nulls, pairs, outside : int
-        Without an effect, with two, and with one that the catalogue is denied.
-    seed : int
-        Of the draw.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
-    joints : int
-        Driven joints, 1 or 2.
-    effects : sequence of str
-        Effects to draw from; all of the catalogue where it is empty.
-    """
-    rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
-
-    def case(kind: Kind, *hidden: tuple[str, float]) -> HiddenCase:
-        return drawn_case(rng, kind, hidden, rig, same_link, joints)
-
-    catalogue = list(effects or (TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL))
-    names = rng.permutation(catalogue).tolist()
-    yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])
-    yield from (case("single", (e, FAINT_SIZE)) for e in names[usual : usual + faint])
-    yield from (case("null") for _ in range(nulls))
-    for _ in range(pairs):
-        first, second = rng.choice(catalogue, 2, replace=False).tolist()
-        yield case("pair", (first, USUAL_SIZE), (second, USUAL_SIZE))
-    drawn = (str(rng.choice(catalogue)) for _ in range(outside))
-    yield from (case("outside", (effect, USUAL_SIZE)) for effect in drawn)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -108,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error(f"{rig} is for testing: nothing is set on it")
     counts = args.usual, args.faint, args.nulls, args.pairs, args.outside
     links = args.seed, args.same_link, args.joints, args.effects
-    cases = [c for rig in args.rigs for c in tuning_cases(rig, *counts, *links)]
+    cases = [c for rig in args.rigs for c in hidden_cases(rig, *counts, *links)]
     if failed := run_cases(cases, args.out):
         print(f"{failed} cases have no result: see {args.out}/failures", file=sys.stderr)
     return NEGATIVE if failed else DONE

@@ -6,6 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.gap.decision.answers import read_answer_model
+from models.gap.decision.evidence import Evidence
 from models.gap.training import answer_model, answer_tests
 from models.gap.training.answer_model import (
     OF_A_GAP_ASKED,
@@ -17,8 +19,6 @@ from models.gap.training.answer_model import (
     loss,
 )
 from models.gap.training.answer_tests import labelled, read_answer_tests, weights, with_left
-from models.gap.decision.answers import read_answer_model
-from models.gap.decision.evidence import Evidence
 
 KINDS = ("single", "null", "outside")
 IN_USE = answer_tests.PATH

@@ -5,8 +5,8 @@ import json
 import msgspec
 import pytest
 
-from models.gap.training import plant_error
 from models.gap.search.null_distribution import KEY_ENDS, NullDistribution, null_distributions
+from models.gap.training import plant_error
 
 ROW = {"separations": {"creep": 3.0}, "left": 1.0, "named": [], "change": 0.3, "verdict": "no gap"}
 

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.gap.equation_error import EquationError, read_equation_error
 from models.gap.training import strengths
 from models.gap.training.strengths import (
     FoundStrength,
@@ -11,7 +12,6 @@ from models.gap.training.strengths import (
     fitted_error,
     found_strengths,
 )
-from models.gap.equation_error import EquationError, read_equation_error
 
 IN_USE = strengths.TABLE
 

@@ -4,6 +4,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.gap.decision.set_weights import MEAN_NUMBER, ODDS_OF_WHOLE_GAP
 from models.gap.training import weight_fit
 from models.gap.training.weight_fit import (
     ExplainedSets,
@@ -12,7 +13,6 @@ from models.gap.training.weight_fit import (
     losses,
     read_explained_sets,
 )
-from models.gap.decision.set_weights import MEAN_NUMBER, ODDS_OF_WHOLE_GAP
 
 IN_USE = weight_fit.TABLE
 

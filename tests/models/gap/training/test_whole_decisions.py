@@ -2,13 +2,13 @@
 
 import pytest
 
+from models.gap.decision.evidence import Evidence
 from models.gap.training.answer_tests import AnswerTest
 from models.gap.training.whole_decisions import (
     decisions_table,
     mean_cost,
     whole_decisions,
 )
-from models.gap.decision.evidence import Evidence
 
 NOTHING_FOUND = Evidence(0, 0, 0, 0, 0, 0, 0)
 
