@@ -40,6 +40,7 @@ from hil.sil import LineKind, SilOptions, run_sil
 from hil.timing.processors import assign_processors, cpu_load, pinned_to
 
 BAUD: Final = 1_000_000
+MODEL: Final = "PH54-200-S500-R"
 _PROTOCOL: Final = 2.0
 
 
@@ -66,6 +67,23 @@ class Setting(NamedTuple):
     scratch: Path
 
 
+def measure(setting: Setting, rounds: int) -> dict[str, dict[str, Any]]:
+    """Figures of every variant, which take turns."""
+    variants: dict[str, Callable[[Setting], Turn]] = {
+        "ours, socket": lambda setting: robot_turn(setting, "socket"),
+        "ours, pty": lambda setting: robot_turn(setting, "pty"),
+        "SDK": lambda setting: sdk_turn(setting, priority=0),
+        "SDK, FIFO": lambda setting: sdk_turn(setting, priority=RealTimeOptions().priority),
+    }
+    turns: dict[str, list[Turn]] = {name: [] for name in variants}
+    progress = Progress("loop and SDK", rounds * len(variants))
+    for _ in range(rounds):
+        for name, variant in variants.items():
+            turns[name].append(variant(setting))
+            progress.step(name)
+    return {name: figures_of_turns(each) for name, each in turns.items()}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the comparison."""
     parser = argparse.ArgumentParser(
@@ -75,30 +93,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--bundle", type=Path, required=True)
     parser.add_argument("--fmu", type=Path, required=True, help="twin of the same dof")
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
-    parser.add_argument("--model", default="PH54-200-S500-R", help="servo (%(default)s)")
+    parser.add_argument("--model", default=MODEL, help="servo (%(default)s)")
     parser.add_argument("--seconds", type=float, default=8.0, help="of a turn (8)")
     parser.add_argument("--rounds", type=int, default=2, help="turns of each (2)")
     parser.add_argument("--lost", type=float, default=0.01, help="fraction of lost replies (0.01)")
     parser.add_argument("--load", type=int, default=1, help="processes that load the PC (1)")
     args = parser.parse_args(argv)
-    variants: dict[str, Callable[[Setting], Turn]] = {
-        "ours, socket": lambda setting: robot_turn(setting, "socket"),
-        "ours, pty": lambda setting: robot_turn(setting, "pty"),
-        "SDK": lambda setting: sdk_turn(setting, priority=0),
-        "SDK, FIFO": lambda setting: sdk_turn(setting, priority=RealTimeOptions().priority),
-    }
-    turns: dict[str, list[Turn]] = {name: [] for name in variants}
-    progress = Progress("bench", args.rounds * len(variants))
     with TemporaryDirectory(prefix="dropstitch-bench-") as scratch:
         setting = Setting(
             ModelBundle.load(args.bundle), args.fmu, model_named(args.model), args.seconds,
             args.lost, args.load, Path(scratch),
         )  # fmt: skip
-        for _ in range(args.rounds):
-            for name, variant in variants.items():
-                turns[name].append(variant(setting))
-                progress.step(name)
-    rows = {name: figures_of_turns(each) for name, each in turns.items()}
+        rows = measure(setting, args.rounds)
     print(figures_table(rows))
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "loop.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
