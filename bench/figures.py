@@ -226,7 +226,8 @@ def fmu(out: Path) -> list[Figure]:
         ))  # fmt: skip
     exchange_nm = 1e9 * max(own["exchange_m"] for own in hosted.values())
     rows.append(Figure(
-        "fmu-exchange", "tip in Model Exchange (CVode, 1e-9) beside Co-Simulation, largest distance",
+        "fmu-exchange",
+        "tip in Model Exchange (CVode, 1e-9) beside Co-Simulation, largest distance",
         exchange_nm, f"{exchange_nm:.0f} nm", "10 s, 1DOF and 2DOF", SIMULATION,
         "python -m bench.fmu_host --dof 2",
     ))  # fmt: skip
@@ -383,6 +384,9 @@ PARTS: Final = {
     "faults": Part("Faults", faults, ("build/twin_2dof.fmu",)),
 }  # fmt: skip
 """In the order of measuring; those that measure times come first."""
+READING: Final = ("plant", "estimator", "tip", "plans", "gap", "real", "link", "loop", "sdk",
+                  "faults", "onnx", "fmu", "campaign", "image")  # fmt: skip
+"""Order of the page."""
 
 
 def measure_parts(names: Sequence[str]) -> list[dict[str, Any]]:
@@ -402,7 +406,7 @@ def measure_parts(names: Sequence[str]) -> list[dict[str, Any]]:
             row["error"] = f"{type(error).__name__}: {error}".splitlines()[0]
         found.append(row | {"seconds": round(time.monotonic() - start_s, 1)})
         progress.step(name)
-    return found
+    return sorted(found, key=lambda row: READING.index(row["part"]))
 
 
 def measured_by() -> dict[str, Any]:
@@ -444,10 +448,9 @@ def page_text(document: dict[str, Any]) -> str:
             "| figure | value | beside it, or n | measured on | command |",
             "|---|---|---|---|---|",
         ]
-        lines += [
-            f"| {f['what']} | {f['shown']} | {f['beside']} | {f['measured_on']} | `{f['command']}` |"
-            for f in part["figures"]
-        ]  # fmt: skip
+        for f in part["figures"]:
+            cells = (f["what"], f["shown"], f["beside"], f["measured_on"], f"`{f['command']}`")
+            lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -482,7 +485,7 @@ def write_pages(document: dict[str, Any]) -> None:
 
 
 def _quietly(command: Callable[[list[str]], int], *arguments: str) -> str:
-    """Output of one of the commands of this project; verdicts (exit codes 1 and 3) are no errors."""
+    """Output of a command of this project; verdicts (exit codes 1 and 3) are no errors."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         code = command(list(arguments))
@@ -492,7 +495,7 @@ def _quietly(command: Callable[[list[str]], int], *arguments: str) -> str:
 
 
 def _make(files: Sequence[str]) -> None:
-    """Make what is missing of build/; what cannot be made is the error of the part that reads it."""
+    """Make what is missing of build/; what cannot be made fails the part that reads it."""
     if files:
         environment = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "MAKELEVEL")}
         command = ["make", "--no-print-directory", "--keep-going", "--jobs", "2"]
