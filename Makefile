@@ -296,24 +296,17 @@ $(PLANS)/plans.html: $(PLAN_RUNS)
 
 # --- FMUs for other machines ----------------------------------------------------------------------
 
-FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi)_source.fmu)))
-
-fmu-all: $(FMU_ALL) ssp
+fmu-all: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu ssp
+	@for unit in twin observer predictor; do for dof in 1 2; do for fmi in 2 3; do \
+	  build="$(BIN)/python -m fmu build build/bundle_$${dof}dof --plant build/plant.json --unit $$unit --fmi $$fmi"; \
+	  out=build/fmu_all/$${unit}_$${dof}dof_fmi$$fmi; \
+	  $$build --platforms all --out $$out.fmu && $$build --platforms c-code --out $${out}_source.fmu || exit 2; \
+	done; done; done
 
 ssp: build/link_1dof.ssp build/link_2dof.ssp
 
 build/link_%dof.ssp: build/bundle_%dof/observer.fmu
 	$(call run,python -m fmu ssp $(<D) --plant build/plant.json --out $@)
-
-build_for_all = $(call run,python -m fmu build build/bundle_$(2)dof --plant build/plant.json --unit $(1) --fmi $(3) --platforms $(4) --out $@)
-
-define fmu_for_all
-build/fmu_all/$(1)_$(2)dof_fmi$(3).fmu: build/bundle_$(2)dof/observer.fmu
-	$$(call build_for_all,$(1),$(2),$(3),all)
-build/fmu_all/$(1)_$(2)dof_fmi$(3)_source.fmu: build/bundle_$(2)dof/observer.fmu
-	$$(call build_for_all,$(1),$(2),$(3),c-code)
-endef
-$(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,$(eval $(call fmu_for_all,$(kind),$(dof),$(fmi))))))
 
 # --- a robot PC without network -----------------------------------------------------------------
 
