@@ -283,6 +283,8 @@ def gap(out: Path) -> list[Figure]:
             ("false", f"nothing hidden, and a gap is reported all the same, {words}"),
         ):
             own = found[link]["class_right" if rate == "class" else "false_alarms"]
+            if not own["of"]:
+                continue
             percent = 100 * own["fraction"]
             low, high = (100 * x for x in own["interval"])
             rows.append(Figure(

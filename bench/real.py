@@ -148,8 +148,8 @@ def error_left_out(
     values = sorted({system.value_of(t) for t in trials}, key=str)
     errors, counts = [], []
     for value in values:
-        rest = trials.where(lambda t, v=value: system.value_of(t) != v)
-        own = trials.where(lambda t, v=value: system.value_of(t) == v)
+        rest = TrialSet(tuple(t for t in trials if system.value_of(t) != value))
+        own = TrialSet(tuple(t for t in trials if system.value_of(t) == value))
         errors.append(mean_error(identify(plant, rest).plant, own, system))
         counts.append(len(own))
         step(f"{system.name}, {system.left_out} {value}")

@@ -54,14 +54,20 @@ def plants_of_rigs(robots: Collection[Robot], directory: Path) -> dict[Robot, Pa
     directory : Path
         Of the plant files.
     """
-    missing = [own for own in robots if not plant_path(directory, *own).exists()]
+    missing = [robot for robot in robots if not plant_path(directory, *robot).exists()]
     if len(missing) > 1:
         progress = Progress("plants of the rigs", len(missing))
         with worker_pool(2) as pool:
-            begun = [pool.submit(plant_of_rig, rig, directory, *own) for rig, *own in missing]
+            begun = [
+                pool.submit(plant_of_rig, rig, directory, joints, motion)
+                for rig, joints, motion in missing
+            ]
             for done in as_completed(begun):
                 progress.step(done.result().stem)
-    return {(rig, *own): plant_of_rig(rig, directory, *own) for rig, *own in robots}
+    return {
+        (rig, joints, motion): plant_of_rig(rig, directory, joints, motion)
+        for rig, joints, motion in robots
+    }
 
 
 def plant_path(directory: Path, rig: str, joints: int, motion: str) -> Path:

@@ -67,7 +67,7 @@ def mean_cost(decisions: Decisions) -> float:
         From `whole_decisions`.
     """
     of = Counter(test.kind for test, _ in decisions)
-    cost: Counter[Kind] = Counter()
+    cost: dict[Kind, float] = defaultdict(float)
     for test, outcome in decisions:
         if outcome != WANTED[test.kind]:
             cost[test.kind] += WRONG_NAME_COST if outcome == "wrong name" else 1.0
