@@ -197,7 +197,7 @@ def _models(*arguments: str, negative: bool = False) -> None:
     """One of the commands of this project; its table goes to standard error."""
     print("$ python -m models", *arguments, file=sys.stderr)
     with redirect_stdout(sys.stderr):
-        code = models([*arguments, "--quiet"])
+        code = models(list(arguments))
     if code != DONE and not (negative and code == NEGATIVE):
         raise RuntimeError(f"{arguments[0]} ended with exit code {code}")
 
