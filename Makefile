@@ -421,12 +421,10 @@ fuzz-fmu: $(READY)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
 
 # Diagnose, design, run, diagnose again: one payload more or less does not tell these effects apart.
-# The trial of an earlier version goes first: --repeat replaces only what it knows as its own.
 experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),encoder_offset=0.02)
 experiment-demo: build/plant.json
 	$(call run,python -m models simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 	$(call judge,python -m models gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
-	rm -rf build/experiment/motion
 	$(call run,python -m models experiment --gap build/experiment/gap/gap.json --limits robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:

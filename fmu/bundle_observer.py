@@ -30,7 +30,6 @@ from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
 from fmu.packaging.platforms import HOST
 from models.plant.step_model import StepModel, names
-from models.study.bundle_plant import sha256_in_manifest
 from models.tip.latency import measure_latency
 from models.tip.predictors_document import Latency, read_predictors, write_predictors
 
@@ -121,9 +120,8 @@ def add_observer(
         If the bundle holds no golden ticks, or the FMU does not reproduce them; if
         `parts` has no plant, or one whose observer lacks what the predictor wants.
     """
-    given = parts.required_plant()
-    plant = given.for_robot()
-    if manifest.plant_sha256 != sha256_in_manifest(given, manifest):
+    plant = parts.required_plant().for_robot()
+    if manifest.plant_sha256 != plant.sha256():
         print(
             f"{bundle}: the predictor was trained with the observer of another plant; train it "
             "again with this plant for the best accuracy",

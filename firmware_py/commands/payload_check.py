@@ -158,11 +158,9 @@ def _first_ticks(
 def _estimate(
     bundle: ModelBundle, ticks: Mapping[str, NDArray[Any]], period_s: float
 ) -> PayloadEstimate | None:
-    """Payload by the samples of a run; None where no sample counts, or the observer is older."""
+    """Payload by the samples of a run; None where no sample counts."""
     samples = _samples(ticks, bundle.manifest.dof, period_s)
     with FmuInstance(_observer_of(bundle)) as fmu:
-        if not {_VARIANCE, _PRIOR_DEVIATION} <= fmu.variables.keys():
-            return None
         observer, payload_kg = ObserverEstimator(fmu, bundle.manifest.dof), float("nan")
         for angle_rad, current_a, step_s in zip(*samples, strict=True):
             payload_kg = observer.update(angle_rad, current_a, float(step_s)).payload_kg

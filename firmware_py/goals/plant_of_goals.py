@@ -2,52 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from typing import Final
 
 from firmware_py.errors import InputError
+from firmware_py.goals.outside.goal_map import GoalMap
+from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
+from firmware_py.link.link_facts import facts_of_bundle, other_link
 
-__all__ = ["MadeWithPlant", "note_on_plant"]
+__all__ = ["note_on_plant"]
 
 GOALS_NOTE: Final = "goals_note"
 """Key of the sentence among the facts of a log."""
 
 
-class MadeWithPlant(Protocol):
-    """A plan or a map of goals.
-
-    Attributes
-    ----------
-    plant_sha256 : str
-        Hash of the plant.
-    link : LinkFacts or None
-        Facts of its link; None in files of earlier versions.
-    """
-
-    @property
-    def plant_sha256(self) -> str:
-        """Hash of the plant."""
-        ...
-
-    @property
-    def link(self) -> LinkFacts | None:
-        """Facts of its link."""
-        ...
-
-
-def note_on_plant(where: str, made: MadeWithPlant, bundle: ModelBundle) -> str:
+def note_on_plant(where: str, made: GoalMap | TipPlan, bundle: ModelBundle) -> str:
     """Return a sentence where goals were made with another plant of the same link, or "".
 
-    Files of earlier versions do not tell their link, and their hash is that of the plant with its
-    noise floor, which the manifest's is not: they are taken as before. A bundle without the
-    observer holds no plant, so that its link is not known; then the sentence is all.
+    A bundle without the observer holds no plant, so that its link is not known; then the sentence
+    is all.
 
     Parameters
     ----------
     where : str
         Plan or map, for the message.
-    made : MadeWithPlant
+    made : GoalMap or TipPlan
         The plan or the map.
     bundle : ModelBundle
         The robot's bundle.
@@ -58,7 +37,7 @@ def note_on_plant(where: str, made: MadeWithPlant, bundle: ModelBundle) -> str:
         If the plant is of another link.
     """
     theirs = bundle.manifest.plant_sha256
-    if made.link is None or not theirs or made.plant_sha256 == theirs:
+    if not theirs or made.plant_sha256 == theirs:
         return ""
     own = facts_of_bundle(bundle.directory)
     if own is not None and (fact := other_link(made.link, own)):

@@ -88,9 +88,9 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         Fraction of the full correction that was applied.
     stiffness, damping : float
         Those of the link over those of the plant, as the recording tells.
-    expected_rms_m : float or None
+    expected_rms_m : float
         The prediction together with the scatter between runs, and with the error of the plant where
-        the observer measured the tip; None in plans of earlier versions.
+        the observer measured the tip.
     """
 
     sha256: str
@@ -100,9 +100,9 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     predicted_rms_m: float
     goal_delay_s: float
     gain: float
-    stiffness: float = 1.0
-    damping: float = 1.0
-    expected_rms_m: float | None = None
+    stiffness: float
+    damping: float
+    expected_rms_m: float
 
 
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -168,8 +168,8 @@ class TipPlan(Document, frozen=True):
         Feedback of the estimated tip.
     probe : ProbeDesign or None
         Motion before the first run that tells stiffness and payload; it needs feedback.
-    link : LinkFacts or None
-        Facts of the plant's link; None in plans of earlier versions.
+    link : LinkFacts
+        Facts of the plant's link.
     """
 
     VERSION: ClassVar[int] = 1
@@ -189,13 +189,13 @@ class TipPlan(Document, frozen=True):
     plant_error_rms_m: float | None
     plant_sha256: str
     bundle_sha256: str
+    link: LinkFacts
     goal_lead_s: float = 0.0
     learned: tuple[LearnedRun, ...] = ()
     best: tuple[BestRun, ...] = ()
     moves: tuple[tuple[int, int, int], ...] = ()
     feedback: FeedbackDesign | None = None
     probe: ProbeDesign | None = None
-    link: LinkFacts | None = None
 
     @property
     def name(self) -> str:

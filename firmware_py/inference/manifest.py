@@ -30,6 +30,7 @@ FILES: Final = frozenset(
 )  # fmt: skip
 """Files that a manifest may name; whatever else lies in the directory is never read."""
 _OWN_HASH: Final = "content_sha256"
+_MAKE: Final = "make the bundle anew with 'dropstitch train'"
 _MOST_DOF: Final = 2
 _PERIOD_S: Final = (1e-3, 1.0)
 """Range of the period in robot.toml, too."""
@@ -96,7 +97,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         Gains of the servos with which the plant was identified, by joint; empty where nobody said.
         A robot whose servos have others is refused.
     content_sha256 : str
-        Hash of all other fields; empty in bundles of earlier versions, which are not compared.
+        Hash of all other fields; empty until the manifest is written.
     """
 
     schema: int = SCHEMA
@@ -181,14 +182,10 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
     directory = Path(directory)
     path = directory / MANIFEST
     raw = content_of(
-        path, "copy the whole bundle here; 'python -m models train' makes one, in a checkout"
+        path, "copy the whole bundle here; 'dropstitch train' makes one, in a checkout"
     )
     signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
     manifest = _decoded(raw.data, path)
-    if manifest.schema != SCHEMA:
-        raise InputError(
-            path, f"schema is {manifest.schema}", f"this version reads schema {SCHEMA}"
-        )
     for wrong in _out_of_bounds(manifest):
         raise InputError(path, wrong, "copy or train the bundle again")
     contents = {}
@@ -206,29 +203,32 @@ def _decoded(data: bytes, path: Path) -> Manifest:
     """Manifest in a file; refuses one that was damaged, and one of another version."""
     try:
         document = msgspec.json.decode(data)
-        damaged = _hash_differs(document)
+        own = content_sha256(document) if isinstance(document, dict) else ""
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise InputError(path, f"is damaged ({error})", "copy the bundle again") from None
-    if damaged:
-        raise InputError(
-            path, f"does not match the hash of its own content ({_OWN_HASH})",
-            "copy the bundle again",
-        )  # fmt: skip
+    if isinstance(document, dict):
+        _check_version(document, path)
+        if document[_OWN_HASH] != own:
+            raise InputError(
+                path, f"does not match the hash of its own content ({_OWN_HASH})",
+                "copy the bundle again",
+            )  # fmt: skip
     try:
         return msgspec.convert(document, Manifest)
     except (msgspec.ValidationError, RecursionError) as error:
-        raise InputError(
-            path, str(error), "copy the bundle again, or train it again with this version"
-        ) from None
+        raise InputError(path, str(error), "copy the bundle again, or " + _MAKE) from None
 
 
-def _hash_differs(document: Any) -> bool:
-    """Whether a manifest has a hash of its own content that is not that of its content."""
-    own = document.get(_OWN_HASH, "") if isinstance(document, dict) else ""
-    return own != "" and own != _content_sha256(document)
+def _check_version(document: dict[str, Any], path: Path) -> None:
+    version = document.get("schema")
+    if version != SCHEMA:
+        found = "has no schema version" if version is None else f"has schema version {version}"
+        raise InputError(path, f"{found}, this release reads version {SCHEMA}", _MAKE)
+    if _OWN_HASH not in document:
+        raise InputError(path, f"has no {_OWN_HASH}, as every bundle of this release", _MAKE)
 
 
-def _content_sha256(document: dict[str, Any]) -> str:
+def content_sha256(document: dict[str, Any]) -> str:
     """Hash of the fields of a manifest, in whatever order and layout they are written."""
     content = {name: value for name, value in document.items() if name != _OWN_HASH}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
@@ -285,9 +285,13 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
         for name in sorted(FILES)
         if (directory / name).is_file()
     }
-    manifest = msgspec.structs.replace(manifest, files=files)
-    own = _content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
-    manifest = msgspec.structs.replace(manifest, content_sha256=own)
     with replacing(directory / MANIFEST) as scratch:
-        scratch.write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1))
+        scratch.write_bytes(manifest_bytes(msgspec.structs.replace(manifest, files=files)))
         (directory / SIGNATURE).unlink(missing_ok=True)
+
+
+def manifest_bytes(manifest: Manifest) -> bytes:
+    """Content of `manifest.json`, with the hash of the other fields."""
+    own = content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
+    manifest = msgspec.structs.replace(manifest, content_sha256=own)
+    return msgspec.json.format(msgspec.json.encode(manifest), indent=1)

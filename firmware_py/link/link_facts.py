@@ -14,7 +14,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.files.input_files import read_json
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from firmware_py.link.link_description import STANDARD_GRAVITY_M_S2, STUDY_LINK, LinkDescription
 
 __all__ = ["LinkFacts", "facts_of_bundle", "facts_of_plant", "other_link"]
 
@@ -47,6 +47,13 @@ class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     section: str
     gravity_m_s2: tuple[float, float, float]
     servo: str
+
+
+STUDY_FACTS: Final = LinkFacts(
+    joints=STUDY_LINK.joints, length_m=STUDY_LINK.length_m, width_m=STUDY_LINK.width_m,
+    base_offset_m=STUDY_LINK.base_offset_m, section=STUDY_LINK.section,
+    gravity_m_s2=(0.0, 0.0, -STANDARD_GRAVITY_M_S2), servo=STUDY_LINK.servo.model,
+)  # fmt: skip
 
 
 def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:

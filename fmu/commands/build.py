@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     from fmu.fmu_models import read_parts
     from fmu.packaging.fmu_contents import fmu_contents
     from fmu.packaging.platforms import platform_names
-    from models.study.bundle_plant import plant_for_bundle
+    from models.study.bundle_plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     manifest = files.manifest
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if args.plant and parts.plant:
-        plant_for_bundle(parts.plant, args.plant, files, "this FMU")
+        compare_with_bundle(parts.plant, args.plant, files, "this FMU")
     if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
         if args.fmi != 3:
             raise InputError(

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from fmu.ssp.ssp_builder import build_ssp
     from fmu.stimulus import usual_payload_kg
     from models.plant.physical_limits import check_payload
-    from models.study.bundle_plant import plant_for_bundle
+    from models.study.bundle_plant import compare_with_bundle
 
     if args.out.suffix != ".ssp":
         raise InputError(
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         read_parts(kind, dof, args.bundle, args.plant) for kind in ("twin", "observer")
     )
     if args.plant:
-        plant_for_bundle(twin.required_plant(), args.plant, files, "this package")
+        compare_with_bundle(twin.required_plant(), args.plant, files, "this package")
     payload_kg = usual_payload_kg(twin) if args.payload is None else args.payload
     check_payload(payload_kg, link=twin.required_plant().link)
     build_ssp(twin, observer, args.out, payload_kg=payload_kg, platforms=platforms)

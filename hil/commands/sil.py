@@ -255,7 +255,7 @@ def _error_lines(error: PredictionError) -> list[str]:
             f"  {name.replace('_', ' '):12} "
             f"{LENGTH.number(part.mean_euclidean_distance_m or 0):>5} mm, "
             f"{LENGTH.number(part.max_m or 0):>5} mm at most, interval covers "
-            f"{coverage_text(part.interval_coverage or 0, part.interval_coverage_least)} %"
+            f"{coverage_text(part.interval_coverage or 0, part.interval_coverage_least or 0)} %"
             for name, part in error.parts.items()
         ),
     ]

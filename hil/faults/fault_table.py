@@ -9,6 +9,7 @@ robot was refused, its torque was never on.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from signal import (
     SIGHUP,
     SIGKILL,
@@ -150,9 +151,9 @@ LINE: Final = (
     FaultRow("babbling line", "4 kB before each reply", _flooded(_STALE, 1),
         (Injection("babble", FOREVER, 4e-3),), BOTH),
     FaultRow("flood of bytes", "at the rate of the fastest line, 4 Mbaud",
-        _flooded(_STALE, 2), (Injection("flood", FOREVER, 0.4e6),)),
+        _flooded(_STALE, 1), (Injection("flood", FOREVER, 0.4e6),)),
     FaultRow("flood of bytes", "without a pause, as from another process",
-        _flooded(_STALE, 2), (Injection("flood", FOREVER, 1e9),)),
+        _flooded(_STALE, 1), (Injection("flood", FOREVER, 1e9),)),
     FaultRow("latency timer 16", "from the start", _refused("latency timer"),
         lines=BOTH, setup=Setup(latency_s=16e-3)),
     FaultRow("wrong baud", "from the start", _refused("baud rate is the servo's"),
@@ -283,7 +284,7 @@ def _while_stopping(
 
     The emulated line is sound where no servo is driven: with one servo it confirms the second try.
     """
-    later = (injection._replace(after=5) for injection in injections)
+    later = (replace(injection, after=5) for injection in injections)
     must = _tripped(f"a request; then {reason}", 1)
     return FaultRow(fault, how, must, (Injection("request"), *later), joints=joints)
 

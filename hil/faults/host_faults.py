@@ -17,34 +17,9 @@ from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
 from firmware_py.realtime.clock import SimClock
-from hil.faults.injection import FaultSchedule, Injection
+from hil.faults.injection import FAULT_KINDS, FaultSchedule, Injection, OnHost
 
 Array = NDArray[np.float64]
-HOST_FAULTS: Final = (
-    "predictor",
-    "estimator",
-    "slow predictor",
-    "range",
-    "innovation",
-    "stall",
-    "garbage",
-    "clock",
-    "port",
-    "request",
-    "flood",
-    "program silent",
-    "program stuck",
-    "program malformed",
-    "program too fast",
-    "program out of reach",
-    "program flooding",
-    "program gone",
-)
-"""Kinds of injections and what their value is: "predictor" and "estimator" return it, "innovation"
-reads it in A, "range" (without one) predicts out of range; "slow predictor" and "stall" delay by it
-in s, "clock" steps by it, "port" is removed for it; "garbage" leaves reference cycles, "request"
-requests a controlled stop; "flood" puts that many bytes per second in place of what the port
-receives. "program …" is done by a program that sends goals (`hil.faults.cases.goal_program`)."""
 _GARBAGE_CYCLES: Final = 300
 _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
 """Header of a long status packet: the costliest bytes to search."""
@@ -58,7 +33,7 @@ class HostFaults:
     script : FaultSchedule
         Schedule, for its times.
     injections : sequence of Injection
-        Those of `HOST_FAULTS` are used.
+        Those that act on the host are used.
     now_ns : callable
         Clock.
     take : callable
@@ -82,8 +57,11 @@ class HostFaults:
         take: Callable[[float], None],
     ) -> None:
         self._script, self._now_ns, self.take = script, now_ns, take
-        own = [i for i in injections if i.kind in HOST_FAULTS]
-        self._injections = {kind: [i for i in own if i.kind == kind] for kind in HOST_FAULTS}
+        self._injections = {
+            name: [i for i in injections if i.kind == name]
+            for name, kind in FAULT_KINDS.items()
+            if isinstance(kind, OnHost)
+        }
         self.tick = 0
         self.began_ns: int | None = None
         self.request_stop: Callable[[str], None] = _request_nothing

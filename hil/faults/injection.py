@@ -8,6 +8,7 @@ from __future__ import annotations
 import random
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from hil.emulator import packets
@@ -23,31 +24,6 @@ _LENGTH_BYTES, _BODY_START, _CRC_BYTES = (5, 7), 7, 2
 
 Arrivals = list[tuple[int, bytes]]
 """What arrives in place of a packet: extra delay in ns, bytes."""
-
-
-class Injection(NamedTuple):
-    """One fault of a plan.
-
-    Attributes
-    ----------
-    kind : str
-        Key of `LINE_FAULTS` or `SERVO_FAULTS`, `UNHEARD`, or a fault of the host
-        (`hil.faults.host_faults`).
-    times : int
-        Exchanges in a row; of `UNHEARD`, writes to each servo that it does not hear.
-    value : float
-        Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind.
-    joint : int or None
-        Joint with the fault, from 0; None for all.
-    after : int
-        Exchanges between the first of the plan and the first of this one.
-    """
-
-    kind: str
-    times: int = 1
-    value: float = 0.0
-    joint: int | None = None
-    after: int = 0
 
 
 def _flip(frame: bytes, chance: random.Random, first: int, end: int) -> bytes:
@@ -85,31 +61,99 @@ def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     return [(0, renamed + packets.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
 
 
-LINE_FAULTS: Final[dict[str, Callable[[bytes, float, random.Random], Arrivals]]] = {
-    "lost": lambda frame, value, chance: [],
-    "late": _late,
-    "duplicated": lambda frame, value, chance: [(0, frame + frame)],
-    "flip in header": _flipped(0, 3),
-    "flip in length": _flipped(*_LENGTH_BYTES),
-    "flip in payload": _flipped(_BODY_START, -_CRC_BYTES),
-    "flip in CRC": _flipped(-_CRC_BYTES, 0),
-    "truncated": _truncated,
-    "noise": _noise,
-    "babble": _babble,
-    "other id": _foreign,
-}
-"""Faults of the line: functions from (frame, value, chance) to what arrives in its place."""
+class OnReply(NamedTuple):
+    """A reply is changed on the line, by a function from (frame, value, chance) to what arrives."""
 
-SERVO_FAULTS: Final[dict[str, Callable[[LoggedServo, float, bool], None]]] = {
-    "silent": lambda servo, value, on: servo.hush(on),
-    "hardware error": lambda servo, value, on: servo.fail(int(value)) if on else None,
-    "reboot": lambda servo, value, on: servo.reboot() if on else None,
-    "torque": lambda servo, value, on: servo.lose_torque() if on else None,
-    "watchdog": lambda servo, value, on: servo.trip_watchdog() if on else None,
-    "encoder": lambda servo, value, on: setattr(servo, "angle_error_rad", value * on),
-    "current": lambda servo, value, on: setattr(servo, "current_error_a", value * on),
+    change: Callable[[bytes, float, random.Random], Arrivals]
+
+
+class OnServo(NamedTuple):
+    """A servo is disturbed: called with True as the fault begins, with False as it ends."""
+
+    change: Callable[[LoggedServo, float, bool], None]
+
+
+class OnWrites(NamedTuple):
+    """The first writes to each servo are not heard."""
+
+
+class OnHost(NamedTuple):
+    """A part of the robot does wrong: it asks `hil.faults.host_faults.HostFaults` in each tick."""
+
+    what: str
+
+
+FaultKind = OnReply | OnServo | OnWrites | OnHost
+
+FAULT_KINDS: Final[dict[str, FaultKind]] = {
+    "lost": OnReply(lambda frame, value, chance: []),
+    "late": OnReply(_late),
+    "duplicated": OnReply(lambda frame, value, chance: [(0, frame + frame)]),
+    "flip in header": OnReply(_flipped(0, 3)),
+    "flip in length": OnReply(_flipped(*_LENGTH_BYTES)),
+    "flip in payload": OnReply(_flipped(_BODY_START, -_CRC_BYTES)),
+    "flip in CRC": OnReply(_flipped(-_CRC_BYTES, 0)),
+    "truncated": OnReply(_truncated),
+    "noise": OnReply(_noise),
+    "babble": OnReply(_babble),
+    "other id": OnReply(_foreign),
+    UNHEARD: OnWrites(),
+    "silent": OnServo(lambda servo, value, on: servo.hush(on)),
+    "hardware error": OnServo(lambda servo, value, on: servo.fail(int(value)) if on else None),
+    "reboot": OnServo(lambda servo, value, on: servo.reboot() if on else None),
+    "torque": OnServo(lambda servo, value, on: servo.lose_torque() if on else None),
+    "watchdog": OnServo(lambda servo, value, on: servo.trip_watchdog() if on else None),
+    "encoder": OnServo(lambda servo, value, on: setattr(servo, "angle_error_rad", value * on)),
+    "current": OnServo(lambda servo, value, on: setattr(servo, "current_error_a", value * on)),
+    "predictor": OnHost("the predictor returns the value"),
+    "estimator": OnHost("the estimator returns the value"),
+    "slow predictor": OnHost("the predictor takes longer by the value in s"),
+    "range": OnHost("the predictor says that it is out of range"),
+    "innovation": OnHost("the feedback reads the value in A"),
+    "stall": OnHost("the estimator takes longer by the value in s"),
+    "garbage": OnHost("the estimator leaves reference cycles"),
+    "clock": OnHost("the clock is ahead by the value in s"),
+    "port": OnHost("the port is gone for the value in s"),
+    "request": OnHost("a controlled stop is requested"),
+    "flood": OnHost("bytes per second that arrive in place of replies"),
+    "program silent": OnHost("the program that sends goals sends none"),
+    "program stuck": OnHost("it repeats an old answer"),
+    "program malformed": OnHost("it sends a message that cannot be read"),
+    "program too fast": OnHost("it sends a step"),
+    "program out of reach": OnHost("it sends a place that the tip cannot reach"),
+    "program flooding": OnHost("it sends many messages"),
+    "program gone": OnHost("it is gone"),
 }
-"""Faults of a servo: functions called with True as the fault begins, with False as it ends."""
+"""Every fault that can be injected, and what applies it."""
+
+
+@dataclass(frozen=True)
+class Injection:
+    """One fault of a plan.
+
+    Attributes
+    ----------
+    kind : str
+        Key of `FAULT_KINDS`.
+    times : int
+        Exchanges in a row; of a fault of the host, ticks; of `UNHEARD`, writes to each servo.
+    value : float
+        Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind.
+    joint : int or None
+        Joint with the fault, from 0; None for all.
+    after : int
+        Exchanges between the first of the plan and the first of this one.
+    """
+
+    kind: str
+    times: int = 1
+    value: float = 0.0
+    joint: int | None = None
+    after: int = 0
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            raise ValueError(f"no fault {self.kind!r}: choose from {', '.join(FAULT_KINDS)}")
 
 
 class FaultSchedule(FaultPlan):
@@ -129,7 +173,7 @@ class FaultSchedule(FaultPlan):
     exchange : int
         Number of the exchange that runs, 0 before the first.
     began_ns : int or None
-        When the first fault began.
+        When the first fault of the line or of a servo acted.
     """
 
     def __init__(self, injections: Sequence[Injection], seed: int) -> None:
@@ -138,10 +182,12 @@ class FaultSchedule(FaultPlan):
         self.start = self._chance.randrange(*FIRST_EXCHANGE)
         self.exchange = 0
         self.began_ns: int | None = None
-        self._injections = tuple(injections)
-        self._line = [i for i in injections if i.kind in LINE_FAULTS]
-        self._unheard_writes = [i for i in injections if i.kind == UNHEARD]
+        kinds = [(i, FAULT_KINDS[i.kind]) for i in injections]
+        self._replies = [(i, k.change) for i, k in kinds if isinstance(k, OnReply)]
+        self._servos = [(i, k.change) for i, k in kinds if isinstance(k, OnServo)]
+        self._unheard_writes = [i for i, k in kinds if isinstance(k, OnWrites)]
         self._writes: Counter[int] = Counter()
+        self._now_ns = 0
 
     def first(self, injection: Injection) -> int:
         """Exchange in which an injection begins."""
@@ -171,16 +217,15 @@ class FaultSchedule(FaultPlan):
             Time of the exchange.
         """
         self.exchange += 1
-        if self.began_ns is None and any(self.active(i, self.exchange) for i in self._injections):
-            self.began_ns = now_ns
-        for injection in self._injections:
-            change = SERVO_FAULTS.get(injection.kind)
+        self._now_ns = now_ns
+        for injection, change in self._servos:
             first = self.first(injection)
-            if change is None or self.exchange not in (first, first + injection.times):
+            if self.exchange not in (first, first + injection.times):
                 continue
             for joint, servo in enumerate(servos):
                 if injection.joint in (None, joint):
                     change(servo, injection.value, self.exchange == first)
+                    self._note_begin()
 
     def loses(self, packet: packets.Packet) -> bool:
         """Return whether no servo receives an instruction; only writes to one servo are lost."""
@@ -188,17 +233,24 @@ class FaultSchedule(FaultPlan):
         if not due or packet.instruction != packets.Instruction.WRITE:
             return False
         self._writes[packet.id] += 1
-        return self._writes[packet.id] <= max(i.times for i in due)
+        lost = self._writes[packet.id] <= max(i.times for i in due)
+        if lost:
+            self._note_begin()
+        return lost
 
     def apply(self, frame: bytes) -> Arrivals:
         """Return what arrives in place of a status packet."""
         arrivals: Arrivals = [(0, frame)]
-        for injection in self._line:
+        for injection, change in self._replies:
             if self.active(injection, self.exchange):
-                fault = LINE_FAULTS[injection.kind]
+                self._note_begin()
                 arrivals = [
                     (delay_ns + more_ns, damaged)
                     for delay_ns, piece in arrivals
-                    for more_ns, damaged in fault(piece, injection.value, self._chance)
+                    for more_ns, damaged in change(piece, injection.value, self._chance)
                 ]
         return arrivals
+
+    def _note_begin(self) -> None:
+        if self.began_ns is None:
+            self.began_ns = self._now_ns

@@ -162,7 +162,7 @@ def observe_case(
     if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
         facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
     return CaseObservation(
-        injected=began_ns is not None or stepped_in_tick is not None,
+        injected=began_ns is not None,
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
         misses=outcome.misses, told=_told(outcome, servo_log),
         unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,

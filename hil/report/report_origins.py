@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hil.report.build_inputs import BuildInputs, LoopRun
-from models.plant.provenance import Evaluation
 from models.shared.page_parts import Cell, Notice, Table
-from models.study.study_document import StudyDocument, TrialsSummary
+from models.study.study_document import StudyDocument
 from models.trials.origin_notice import KIND_WORDS, origin_notice
 from models.trials.trial_origin import TrialOrigin, kind_of_origins, merged_origins
 
@@ -24,7 +23,7 @@ def report_notices(inputs: BuildInputs) -> list[Notice]:
     """Notices at the head of a report: of its trials, and of its runs of the loop."""
     of_trials = _trial_origins(inputs)
     origins = merged_origins(o for origins in of_trials.values() for o in origins)
-    notices = [origin_notice(origins)] if of_trials else []
+    notices = [origin_notice(origins)] if origins else []
     return [*notices, EMULATED] if inputs.loops or inputs.faults else notices
 
 
@@ -56,12 +55,7 @@ def study_badges(studies: Mapping[str, StudyDocument]) -> dict[str, str]:
 def study_origins(study: StudyDocument) -> Origins:
     """Origins of the trials that a study was trained and tested on."""
     parts = (study.training, *study.tests.values())
-    return merged_origins(o for part in parts for o in _of_summary(part))
-
-
-def evaluation_origins(evaluation: Evaluation) -> Origins:
-    """Origins of the trials that a plant was compared with."""
-    return evaluation.origins or (TrialOrigin("", trials=evaluation.trials),)
+    return merged_origins(o for part in parts for o in part.origins)
 
 
 def _trial_origins(inputs: BuildInputs) -> dict[str, Origins]:
@@ -70,12 +64,8 @@ def _trial_origins(inputs: BuildInputs) -> dict[str, Origins]:
     if inputs.plant and inputs.plant.provenance.fitted_trials:
         found["Plant, fitted to"] = inputs.plant.provenance.origins
     for title, evaluation in inputs.evaluations.items():
-        found[f"Plant, compared with {title}"] = evaluation_origins(evaluation)
+        found[f"Plant, compared with {title}"] = evaluation.origins
     return found
-
-
-def _of_summary(part: TrialsSummary) -> Origins:
-    return part.origins or (TrialOrigin("", trials=len(part.trials)),)
 
 
 def _behind(loop: LoopRun) -> str:

@@ -321,7 +321,7 @@ def prediction_table(loop: LoopRun) -> Table | None:
         [
             _PARTS.get(name, name), str(part.n),
             *(LENGTH.number(distance_m) for distance_m in distances_m),
-            coverage_text(part.interval_coverage or 0.0, part.interval_coverage_least),
+            coverage_text(part.interval_coverage or 0.0, part.interval_coverage_least or 0.0),
             FRACTION.text(part.in_range_fraction or 0.0, 1),
         ]
         for name, part in {"all": error, **error.parts}.items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -15,6 +16,12 @@ from hil.timing.timing_document import PredictionError, TipErrors
 from models.learning.axis_coverage import axis_coverage
 
 Array = NDArray[np.float64]
+
+
+NO_ERRORS: Final = TipErrors(
+    n=0, mean_euclidean_distance_m=None, rms_m=None, p95_m=None, max_m=None,
+    interval_coverage=None, interval_coverage_least=None, in_range_fraction=None,
+)  # fmt: skip
 
 
 def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
@@ -96,7 +103,7 @@ def prediction_error(
 
 def _errors(records: NDArray[np.void], error_m: Array, rows: NDArray[np.bool_]) -> TipErrors:
     if not rows.any():
-        return TipErrors(n=0)
+        return NO_ERRORS
     distance_m = np.linalg.norm(error_m[rows], axis=1)
     half_width_m = np.column_stack([records[f"half_width_{axis}_m"] for axis in "xyz"])
     dof = 2 if "angle_2_rad" in (records.dtype.names or ()) else 1

@@ -109,8 +109,8 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     faults_injected: dict[str, int]
     telemetry_drops: int
     programme_s: dict[str, float]
-    feedback: FeedbackUse = FeedbackUse()
-    payload_note: str = ""
+    feedback: FeedbackUse
+    payload_note: str
 
 
 class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -125,19 +125,19 @@ class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     interval_coverage : float or None
         Fraction of ticks inside the predictor's 95 % interval, mean over the axes that move.
     interval_coverage_least : float or None
-        The same on the worst of these axes; None in a run of an earlier release.
+        The same on the worst of these axes.
     in_range_fraction : float or None
         Fraction of ticks inside the predictor's training range.
     """
 
     n: int
-    mean_euclidean_distance_m: float | None = None
-    rms_m: float | None = None
-    p95_m: float | None = None
-    max_m: float | None = None
-    interval_coverage: float | None = None
-    interval_coverage_least: float | None = None
-    in_range_fraction: float | None = None
+    mean_euclidean_distance_m: float | None
+    rms_m: float | None
+    p95_m: float | None
+    max_m: float | None
+    interval_coverage: float | None
+    interval_coverage_least: float | None
+    in_range_fraction: float | None
 
 
 class PredictionError(TipErrors, frozen=True, kw_only=True):

@@ -17,7 +17,7 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
-from models.study.bundle_plant import plant_for_bundle
+from models.study.bundle_plant import compare_with_bundle
 
 EXAMPLE = (
     "python -m models goalmap --plant build/plant.json --bundle build/bundle_2dof "
@@ -50,9 +50,8 @@ def run(args: argparse.Namespace) -> int:
 
     payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
     check_request(PlanRequest(plant, manifest.dof, manifest.period_s, Limits(), payloads))
-    named = plant_for_bundle(plant, args.plant, files, "this map")
+    compare_with_bundle(plant, args.plant, files, "this map")
     found = map_rest(plant, manifest.dof, manifest.period_s, payloads, args.reach)
-    found = named.in_document(found)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_document(args.out, found)
     reached = [sum(v is not None for v in own.goals_rad[0]) for own in found.payloads]

@@ -29,7 +29,7 @@ from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.commands.output_paths import check_output_directory
-from models.trials.earlier_import import check_earlier_import, check_same_samples, recording_hash
+from models.trials.earlier_import import check_earlier_import, recording_hash
 from models.trials.importers import KINDS
 from models.trials.importers.mapping import RecordingMap, read_mapping
 from models.trials.importers.robot_log import motion_rows, with_log_conditions
@@ -160,7 +160,7 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     """Facts about the trial and the page that are written to `out`."""
     mapping, servo = take.mapping, args.servo or take.servo
     recording_sha256 = recording_hash(take.file)
-    earlier = check_earlier_import(args.out, name, recording_sha256)
+    check_earlier_import(args.out, name, recording_sha256)
     cut_off, verdict = [], ImportVerdict(name)
     for path in (take.file, servo):
         if path is not None and path.suffix.lower() == ".mcap":
@@ -184,8 +184,6 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
         raise InputError(
             take.file if written else error.where, error.what, f"{error.remedy} (see {page})"
         ) from None
-    if earlier is not None:
-        check_same_samples(earlier, path)
     write_verdict(verdict, out)
     result: dict[str, Any] = verdict.as_json() | {
         "trial": str(args.out / path.name),

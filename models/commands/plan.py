@@ -33,7 +33,7 @@ from models.commands.output_paths import check_output_file
 from models.plan.path_file import read_path
 from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
 from models.plant.plant import Plant, read_plant
-from models.study.bundle_plant import plant_for_bundle
+from models.study.bundle_plant import compare_with_bundle
 
 if TYPE_CHECKING:
     from models.plan.planning import Method
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     feedback = not (args.open_loop or path.moves)
     if args.probe and (not feedback or method != "inverse"):
         raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
-    named = plant_for_bundle(plant, args.plant, files, "this plan")
+    compare_with_bundle(plant, args.plant, files, "this plan")
     steps = 1 + feedback + args.probe + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
     request = PlanRequest(
@@ -117,7 +117,7 @@ def run(args: argparse.Namespace) -> int:
             lambda s: _path(args, manifest.dof, manifest.period_s, s), request
         )
         path = _path(args, manifest.dof, manifest.period_s, seconds)
-    plan = named.in_document(plan_path(path, request, progress.step))
+    plan = plan_path(path, request, progress.step)
     picture = _write(plan, args.out)
     emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
     return DONE
@@ -145,14 +145,14 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
     if beyond := recording_beyond_plan(plan, run.payload_kg):
         print(f"warning: {args.improve}: {beyond}", file=sys.stderr)
     plant = read_plant(args.plant)
-    plant_for_bundle(plant, args.plant, files, "this plan")
+    compare_with_bundle(plant, args.plant, files, "this plan")
     found = improve_plan(plan, run, plant, _limits(args.limits, plant))
     picture = _write(found.plan, args.out)
     own = found.run
     text = (
         f"{args.improve}: tip by {own.source}, {own.payload_kg:.2f} kg, off its path by "
         f"{LENGTH.number(own.rms_m, 2)} mm RMS; "
-        f"{LENGTH.number(own.expected_rms_m or own.predicted_rms_m, 2)} mm expected for the next "
+        f"{LENGTH.number(own.expected_rms_m, 2)} mm expected for the next "
         f"run, {LENGTH.number(own.predicted_rms_m, 2)} mm where all errors repeat\n"
     )
     if found.went_back:

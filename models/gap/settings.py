@@ -17,7 +17,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`,
     `equation_error.json`, `answers.json`) were measured with the default values. Whoever changes
     those of the residuals, the noise floor or the estimation measures them again
-    (docs/gap/calibration.md). A fraction is of the quantity named. Residuals and d′ are in standard
+    (`models/gap/training`). A fraction is of the quantity named. Residuals and d′ are in standard
     deviations of the noise floor, costs in their squares.
 
     Examples

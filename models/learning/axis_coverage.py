@@ -54,20 +54,19 @@ def axis_coverage(inside: NDArray[np.bool_], dof: int) -> AxisCoverage:
     return AxisCoverage(float(by_axis.mean()), float(by_axis.min()))
 
 
-def coverage_text(mean: float, least: float | None) -> str:
+def coverage_text(mean: float, least: float) -> str:
     """Return both in %, as the tables show them.
 
     Parameters
     ----------
     mean : float
         Over the axes that move.
-    least : float or None
-        On the worst of them; None in a file of an earlier release.
+    least : float
+        On the worst of them.
 
     Examples
     --------
-    >>> coverage_text(0.895, 0.77), coverage_text(0.895, None)
-    ('89.5 / 77.0', '89.5')
+    >>> coverage_text(0.895, 0.77)
+    '89.5 / 77.0'
     """
-    figures = [mean] if least is None else [mean, least]
-    return " / ".join(FRACTION.number(figure, 1) for figure in figures)
+    return f"{FRACTION.number(mean, 1)} / {FRACTION.number(least, 1)}"

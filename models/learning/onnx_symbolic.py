@@ -40,15 +40,13 @@ def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
     return named_inputs(metadata, path) or feature_names(dof)
 
 
-def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function:
+def predictor_function(path: Path | str) -> ca.Function:
     """Import a graph as a symbolic function for differentiation and code generation.
 
     Parameters
     ----------
     path : Path or str
         `predictor.onnx` or `lagged.onnx` of a bundle.
-    name : str
-        Name of the function, a C identifier.
 
     Returns
     -------
@@ -79,4 +77,4 @@ def predictor_function(path: Path | str, name: str = "predictor") -> ca.Function
     outputs = [output.name for output in graph.output]
     x = ca.MX.sym(source, imported.size2_in(0))
     values = imported.call([x.T])
-    return ca.Function(name, [x], [value.T for value in values], [source], outputs)
+    return ca.Function("predictor", [x], [value.T for value in values], [source], outputs)

@@ -173,6 +173,7 @@ def _document(
         plant_error_rms_m=own_error,
         plant_sha256=request.plant.for_robot().sha256(),
         bundle_sha256=request.bundle_sha256,
+        link=request.plant.link_facts(),
         moves=_moves(
             line, None if request.method == "inverse" else [f.goals_rad for f, _ in found]
         ),

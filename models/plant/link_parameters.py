@@ -1,22 +1,21 @@
 """Values, bounds and priors of a plant's parameters for a described link.
 
-Each is that of the study's link (`nominal.toml`) times the ratio of the property that it stands for
+Each is that of the study's link (`read_plant()`) times the ratio of the property that it stands for
 (`models.shared.link_scale`): a bound stays as far from the value as it was.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from typing import Final
 
 import msgspec
 
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from firmware_py.link.link_description import STUDY_LINK
 from models.plant.parameter import Parameter
 from models.shared.link_scale import LinkScale
 
-__all__ = ["parameter_of_link", "with_payload_bound"]
+__all__ = ["parameter_of_link"]
 
 _JOINT = re.compile(r"_[12](?=_|$)")
 _KNOWN_PAYLOAD: Final = "payload_known_kg"
@@ -59,26 +58,6 @@ def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
         prior_deviation=q.prior_deviation and q.prior_deviation * ratio,
         source=f"{q.source}; scaled by {ratio:.3g} for this link",
     )  # fmt: skip
-
-
-def with_payload_bound(
-    parameters: Mapping[str, Parameter], link: LinkDescription | None
-) -> Mapping[str, Parameter]:
-    """Parameters with the known payload bounded by the largest of a described link.
-
-    Up to version 0.1 the file of such a plant gave the study's bound.
-
-    Parameters
-    ----------
-    parameters : mapping of str to Parameter
-        By name.
-    link : LinkDescription or None
-        The plant's link; None for the study's, whose file is taken as it is.
-    """
-    if link is None or _KNOWN_PAYLOAD not in parameters:
-        return parameters
-    known = msgspec.structs.replace(parameters[_KNOWN_PAYLOAD], high=link.most_payload_kg)
-    return {**parameters, _KNOWN_PAYLOAD: known}
 
 
 def _ratio(name: str, scale: LinkScale) -> float:

@@ -18,6 +18,7 @@ import msgspec
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import LinkDescription, describes_link, read_link
+from firmware_py.link.link_facts import LinkFacts, facts_of_plant
 from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition.plant_composition import (
     LOADS,
@@ -28,7 +29,7 @@ from models.plant.composition.plant_composition import (
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects
 from models.plant.effects.order import in_order
-from models.plant.link_parameters import parameter_of_link, with_payload_bound
+from models.plant.link_parameters import parameter_of_link
 from models.plant.parameter import Parameter, check_values
 from models.plant.plant_document import (
     EffectEntry,
@@ -127,10 +128,9 @@ class Plant:
                 "use the twin",
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        parameters = with_payload_bound(self.parameters, self.link)
-        known, columns = without_values(parameters), tuple(self.signals)
+        known, columns = without_values(self.parameters), tuple(self.signals)
         model = compose_plant(self.load, self.drive, effects, known, dof, kind, columns, self.link)
-        return replace(model, parameters=variables_of(parameters, model.parameters))
+        return replace(model, parameters=variables_of(self.parameters, model.parameters))
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -194,6 +194,13 @@ class Plant:
             Joints, 1 or 2.
         """
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
+
+    def link_facts(self) -> LinkFacts:
+        """Facts that tell the plant's link from another."""
+        facts = facts_of_plant(plain_plant(self.document()))
+        if facts is None:
+            raise InputError(f"plant {self.name!r}", "is no link", "use a plant of a link")
+        return facts
 
     def document(self) -> PlantDocument:
         """Content of the plant's file."""
@@ -290,45 +297,39 @@ def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
     others = [EFFECTS[name]() for name in nominal.applicable()]
     possible = declared_parameters(scope, nominal.drive, nominal.load, others, observer=True)
     known = {q.name: q for q in possible} | nominal.expected | nominal.parameters
-    entries = {
-        q.name: ParameterEntry(
-            q.value, q.unit, (q.low, q.high), q.role, q.source, None, q.prior_deviation
-        )
-        for q in (parameter_of_link(q, scale) for q in known.values())
-    }
-    plant = replace(nominal, name=f"{link.name}, nominal", link=link)
-    return _complete(plant, where, entries)
+    scaled = {name: parameter_of_link(q, scale) for name, q in known.items()}
+    plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled)
+    return _complete(plant, where, {})
 
 
 def _complete(
     plant: Plant, where: Path | str, entries: Mapping[str, float | ParameterEntry]
 ) -> Plant:
-    """Plant with every parameter that its parts declare, replaced by the entries of a document.
+    """Plant with every parameter that its parts declare, and what the entries of a file change.
 
     The entries may also be parameters of effects that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
     parts = plant.drive, plant.load
     scope = scope_of(*parts, LOADS[plant.load].max_dof, link=plant.link)
-    own = {q.name: q for q in declared_parameters(scope, *parts, plant._effects(), observer=True)}
-    others = [EFFECTS[name]() for name in plant.applicable()]
-    possible = {q.name: q for q in declared_parameters(scope, *parts, others, observer=True)}
+    own = [q.name for q in declared_parameters(scope, *parts, plant._effects(), observer=True)]
+    every = [EFFECTS[name]() for name in plant.applicable()]
+    declared = {q.name: q for q in declared_parameters(scope, *parts, every, observer=True)}
     known = plant.expected | plant.parameters
-    parameters = {
+    full = {
         name: msgspec.structs.replace(known.get(name, q), description=q.description)
-        for name, q in own.items()
+        for name, q in declared.items()
     }
-    expected = {name: q for name, q in known.items() if name not in own and name in possible}
     for name, given in entries.items():
-        if name in possible and name not in parameters:
-            expected[name] = merged_parameter(where, possible[name], given)
-            continue
-        if name not in parameters:
+        if name not in declared:
             raise InputError(
                 where, f"parameter {name!r} belongs to no part of this plant",
                 "correct the name, or add the effect that it belongs to",
             )  # fmt: skip
-        parameters[name] = merged_parameter(where, parameters[name], given)
+        full[name] = merged_parameter(where, full[name], given)
+    parameters = {name: full[name] for name in own}
+    given_too = known.keys() | entries.keys()
+    expected = {n: q for n, q in full.items() if n in given_too and n not in parameters}
     check_values(str(where), (*parameters.values(), *expected.values()))
     check_condition_units(Path(where), plant.signals, parameters)
     return replace(plant, parameters=parameters, expected=expected)

@@ -10,11 +10,9 @@ People write TOML; `identify` and `gap` write JSON of the same form::
     [signals.angle_1_rad]               # only for a plant that is not the link
     unit = "rad"
     role = "measured"
-    [parameters.link_mass_kg]           # or just  link_mass_kg = 0.9  under [parameters]
-    value = 0.9
-    unit = "kg"
-    bounds = [0.3, 3.0]
-    source = "weighed"
+    [parameters]                        # what differs from the parts; identify writes all of them
+    base_mass_kg = 0.3
+    link_mass_kg = { value = 0.9, unit = "kg", bounds = [0.3, 3.0], source = "weighed" }
 """
 
 from __future__ import annotations
@@ -152,15 +150,17 @@ def read_plant_document(path: Path) -> PlantDocument:
     remedy = "name a plant, e.g. models/plant/nominal.toml"
     raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
-    document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
-    if document.schema != PlantDocument.VERSION:
+    version = raw.get("schema") if isinstance(raw, dict) else None
+    if version != PlantDocument.VERSION:
+        found = "has no schema version" if version is None else f"has schema version {version}"
         raise InputError(
-            path, f"schema is {document.schema}", f"this version reads {PlantDocument.VERSION}"
-        )
+            path, f"{found}, this release reads version {PlantDocument.VERSION}",
+            f"write it anew with {PlantDocument.MADE_BY}",
+        )  # fmt: skip
+    document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     _check_effects_single(path, document.effects)
     for name, given in document.parameters.items():
-        if isinstance(given, ParameterEntry):
-            _check_entry(path, name, given)
+        _check_entry(path, name, given)
     check_signal_units(path, document.signals)
     if document.link is not None:
         check_link(document.link, path)
@@ -174,8 +174,11 @@ def _check_effects_single(path: Path, effects: list[EffectEntry]) -> None:
             raise InputError(path, f"effect {name} stands twice", "remove one")
 
 
-def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
-    """Refuse bounds and deviations that cannot be; the value is checked against the part's own."""
+def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
+    """Refuse numbers that cannot be; the value is checked against its bounds when all are known."""
+    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
+    if not math.isfinite(entry.value):
+        raise InputError(path, f"parameter {name} is not a finite number", "correct it")
     low, high = entry.bounds or (0.0, 0.0)
     if not (math.isfinite(low) and math.isfinite(high)):
         what = f"bounds of parameter {name} are {low:g} and {high:g}, not finite numbers"
@@ -191,33 +194,22 @@ def _check_entry(path: Path, name: str, entry: ParameterEntry) -> None:
 
 
 def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
-    """Parameter of a part with what a plant file says of it.
-
-    Parameters
-    ----------
-    where : Path or str
-        The file, for the message.
-    q : Parameter
-        As its part declares it.
-    given : float or ParameterEntry
-        Its entry in the file.
+    """Parameter as its part declares it, with what a plant file gives in place of that.
 
     Raises
     ------
     InputError
-        If the entry has another unit, or a number is not finite.
+        If the entry has another unit.
     """
-    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=float(given))
-    if entry.unit is not None and entry.unit != q.unit:
+    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
+    if entry.unit not in (None, q.unit):
         raise InputError(
             where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
         )
-    (low, high), spread = entry.bounds or (q.low, q.high), entry.prior_deviation or 0.0
-    if not (math.isfinite(entry.value) and -math.inf < low <= high < math.inf > spread >= 0.0):
-        raise InputError(where, f"parameter {q.name} is not a finite number", "correct it")
+    low, high = entry.bounds or (q.low, q.high)
     return msgspec.structs.replace(
-        q, value=float(entry.value), low=float(low), high=float(high), error=entry.error,
-        role=entry.role or q.role, source=q.source if entry.source is None else entry.source,
+        q, value=entry.value, low=low, high=high, error=entry.error, role=entry.role or q.role,
+        source=q.source if entry.source is None else entry.source,
         prior_deviation=entry.prior_deviation or q.prior_deviation,
     )  # fmt: skip
 

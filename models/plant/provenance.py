@@ -11,7 +11,6 @@ from pathlib import Path
 import msgspec
 
 from firmware_py.bus.servo_settings import ServoGains
-from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert
 from models.trials.trial import Trial
 from models.trials.trial_origin import TrialOrigin, merged_origins, recorded_rig
@@ -27,7 +26,7 @@ __all__ = [
     "read_provenance",
 ]
 
-_WRITE_AGAIN = "write the plant again with 'python -m models identify' or 'python -m models gap'"
+_WRITE_AGAIN = "write the plant again with 'dropstitch identify' or 'dropstitch gap'"
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -91,13 +90,13 @@ class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True
     dof : dict of str to DofEvaluation
         The same by number of joints.
     origins : tuple of TrialOrigin
-        Whether the trials were simulated or measured; empty in files of earlier versions.
+        Whether the trials were simulated or measured.
     """
 
     signals: dict[str, SignalError]
     trials: int
     dof: dict[str, DofEvaluation] = {}
-    origins: tuple[TrialOrigin, ...] = ()
+    origins: tuple[TrialOrigin, ...]
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -126,10 +125,10 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     noise: dict[str, str]
     model: dict[str, str]
     curves: dict[str, dict[str, dict[str, str]]]
-    rest_s: dict[str, float] = {}
-    payload_ratio_hz: str = "0"
-    noise_ratio: dict[str, dict[str, str]] = {}
-    model_ratio: dict[str, dict[str, str]] = {}
+    rest_s: dict[str, float]
+    payload_ratio_hz: str
+    noise_ratio: dict[str, dict[str, str]]
+    model_ratio: dict[str, dict[str, str]]
 
 
 class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -142,14 +141,14 @@ class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
     sha256 : str
         Hash of conditions and samples (`models.trials.trial.Trial.sha256`).
     source, rig : str
-        Its origin (`models.trials.trial_origin`); empty in files of earlier versions.
+        Its origin (`models.trials.trial_origin`); no rig where it was measured.
     pressure_pa : float
-        Pressure of the link; 0 of other plants, and in files of earlier versions.
+        Pressure of the link; 0 of other plants.
     """
 
     name: str
     sha256: str
-    source: str = ""
+    source: str
     rig: str = ""
     pressure_pa: float = 0.0
 
@@ -219,9 +218,6 @@ class Provenance(
 def read_provenance(where: Path | str, table: object) -> Provenance:
     """Provenance from the decoded table of a plant document.
 
-    Up to version 0.1 `identify` wrote `fitted_trials` as a table of hashes by name, which is read,
-    and `gap` as a list of names without hashes, which is refused.
-
     Parameters
     ----------
     where : Path or str
@@ -234,10 +230,4 @@ def read_provenance(where: Path | str, table: object) -> Provenance:
     InputError
         If the table does not have this form.
     """
-    trials = table.get("fitted_trials") if isinstance(table, dict) else None
-    if isinstance(table, dict) and isinstance(trials, dict):
-        rows = [{"name": name, "sha256": digest} for name, digest in trials.items()]
-        table = table | {"fitted_trials": rows}
-    if isinstance(trials, list) and any(isinstance(row, str) for row in trials):
-        raise InputError(where, "provenance.fitted_trials lists names without hashes", _WRITE_AGAIN)
     return convert(table, Provenance, where, "provenance does not fit its form", _WRITE_AGAIN)

@@ -15,12 +15,10 @@ import msgspec
 
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.errors import InputError
-from models.rig.rig_structure import DEFAULT_STRUCTURE, RigStructure
+from models.rig.rig_structure import RigStructure
 from models.rig.trial_case import TrialCase
 
 CONDITIONS_FILE: Final = "rig_conditions.json"
-OLD_FILE: Final = "laboratory.json"
-"""Record of versions up to 0.1, which is refused."""
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -43,8 +41,8 @@ class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     seed: int
     hidden: dict[str, float]
     rig_sha256: str
-    rig: str = "default"
-    structure: RigStructure = DEFAULT_STRUCTURE
+    rig: str
+    structure: RigStructure
 
 
 class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -107,12 +105,4 @@ def record_conditions(
 
 def _read_trials(directory: Path) -> dict[str, RigConditions]:
     path = directory / CONDITIONS_FILE
-    if path.exists():
-        return read_document(path, ConditionsRecord).trials
-    if (directory / OLD_FILE).exists():
-        raise InputError(
-            directory / OLD_FILE,
-            "is the record of an earlier version",
-            "choose another --out, or remove it and its trials",
-        )
-    return {}
+    return read_document(path, ConditionsRecord).trials if path.exists() else {}

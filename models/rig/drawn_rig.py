@@ -8,10 +8,9 @@ drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -41,7 +40,18 @@ SEED: Final = 9000
 FIRST_TEST_NUMBER: Final = 900
 """Drawn rigs from this number on are for testing."""
 
-FORMS: Final[dict[str, tuple[str | int, ...]]] = {
+
+class Range(NamedTuple):
+    """Range in which a value is drawn evenly."""
+
+    low: float
+    high: float
+
+
+DRAWN: Final[dict[str, Range | tuple[str | int, ...]]] = {
+    "sensor.current_phase": Range(0.2, 1.0),
+    "stiffness.directional_share": Range(0.0, 0.3),
+    "stiffness.prebend_rad": Range(-0.02, 0.02),
     "hinges": (6, 8, 10, 13),
     "limit": ("tanh", "wrinkling"),
     "hysteresis": ("bouc_wen", "maxwell_slip"),
@@ -53,11 +63,12 @@ FORMS: Final[dict[str, tuple[str | int, ...]]] = {
     "mocap_filter": ("none", "zero_phase"),
     "rate_sensor": ("motor", "encoder"),
     "position_loop": ("proportional", "proportional", "feedforward"),
+    "servo.velocity_feedforward": Range(0.1, 0.9),
+    "servo.position_integral_per_s2": Range(0.0, 5.0),
+    "stribeck": ("gaussian", "rational"),
 }
-"""Forms that are drawn, by choice of `RigStructure`."""
-
-LATER_FORMS: Final[dict[str, tuple[str, ...]]] = {"stribeck": ("gaussian", "rational")}
-"""Forms that are drawn after all values: a rig keeps what it had before these were added."""
+"""Values and forms, by choice of `RigStructure`, that are drawn evenly, in this order: in another
+one every drawn rig would be another rig."""
 
 LOG_DEVIATION: Final = {
     "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
@@ -102,14 +113,13 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
     values = {
         n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
     }
-    values["sensor.current_phase"] = float(rng.uniform(0.2, 1.0))
-    values["stiffness.directional_share"] = float(rng.uniform(0.0, 0.3))
-    values["stiffness.prebend_rad"] = float(rng.uniform(-0.02, 0.02))
-    forms = _drawn_forms(rng, FORMS)
-    values["servo.velocity_feedforward"] = float(rng.uniform(0.1, 0.9))
-    values["servo.position_integral_per_s2"] = float(rng.uniform(0.0, 5.0))
-    structure = msgspec.convert(forms | _drawn_forms(rng, LATER_FORMS), RigStructure)
-    return replace(rig.changed(**values), structure=structure)
+    forms: dict[str, str | int] = {}
+    for name, among in DRAWN.items():
+        if isinstance(among, Range):
+            values[name] = float(rng.uniform(among.low, among.high))
+        else:
+            forms[name] = among[int(rng.integers(len(among)))]
+    return replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:
@@ -201,9 +211,3 @@ def _drawn_number(name: str) -> int:
     if not number.isdecimal():
         raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
     return int(number)
-
-
-def _drawn_forms(
-    rng: np.random.Generator, choices: Mapping[str, Sequence[str | int]]
-) -> dict[str, str | int]:
-    return {name: forms[int(rng.integers(len(forms)))] for name, forms in choices.items()}

@@ -19,6 +19,8 @@ __all__ = [
     "BEYOND_THE_RIG",
     "CATALOGUE",
     "EVERY_EFFECT",
+    "LEAK_TIME_S",
+    "REFERENCE_BEND_RAD",
     "EffectRow",
     "Port",
     "effect_and_joint",
@@ -29,6 +31,13 @@ __all__ = [
 Port = Literal[
     "command", "servo_torque", "joint_torque", "bend_torque", "stiffness", "mass", "sensor"
 ]
+
+
+REFERENCE_BEND_RAD: Final = 0.1
+"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
+
+LEAK_TIME_S: Final = 10.0
+"""Time over which the leaking fraction is given."""
 
 
 class EffectRow(NamedTuple):

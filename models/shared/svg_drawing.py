@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 matplotlib.use("svg")
-from cycler import cycler
 from matplotlib import pyplot as plt
+from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogLocator, NullLocator
 
 from models.shared.page_parts import Panel

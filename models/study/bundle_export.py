@@ -143,8 +143,7 @@ def _with_tip(manifest: Manifest, tip: TipTraining) -> Manifest:
     for name, parts in chosen.tests.items():
         metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
         metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
-        if (least := parts["all"].coverage_least) is not None:
-            metrics[f"predictor_{name}_interval_coverage_least_axis"] = least
+        metrics[f"predictor_{name}_interval_coverage_least_axis"] = parts["all"].coverage_least
     return msgspec.structs.replace(
         manifest,
         features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper),

@@ -10,7 +10,6 @@ from firmware_py.signals import PERIOD_S
 from models.learning.axis_coverage import COVERS, MOVING_AXES, coverage_text
 from models.study.study_document import DeployedScores, StudyDocument, TrialsSummary
 from models.tip.guarded_tip import MARGIN, TRUSTED_M
-from models.tip.observed_trials import ASKEW_RAD
 from models.tip.predictors_document import CandidateEntry, Latency, PredictorsDocument
 
 
@@ -99,10 +98,9 @@ def _guard(predictors: PredictorsDocument | None) -> str:
 def _mounting(predictors: PredictorsDocument) -> str:
     if predictors.askew_rad == 0.0:
         return "The interval is that of a link mounted exactly, which no servo can check."
-    askew_rad = ASKEW_RAD if predictors.askew_rad is None else predictors.askew_rad
     return (
         f"The interval also covers 90 % of the rows where the link is mounted askew by "
-        f"{ANGLE.number(askew_rad, 2)}°, which no servo sees: with a link "
+        f"{ANGLE.number(predictors.askew_rad, 2)}°, which no servo sees: with a link "
         "that is mounted right it covers more than 95 %."
     )
 
@@ -146,16 +144,14 @@ def _cost(entry: CandidateEntry) -> tuple[str, str]:
     return latency_text(entry.latency), FILE_SIZE.number(entry.graph_bytes)
 
 
-def latency_text(latency: Latency | None) -> str:
-    """Return a latency as "warm / cold" in µs; empty where it was not measured.
+def latency_text(latency: Latency) -> str:
+    """Return a latency as "warm / cold" in µs.
 
     Parameters
     ----------
-    latency : Latency or None
+    latency : Latency
         Of a bundle.
     """
-    if latency is None:
-        return ""
     return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
 
 

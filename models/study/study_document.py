@@ -49,7 +49,7 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     step_s : float
         Time step of the first trial.
     origins : tuple of TrialOrigin
-        Whether they were simulated or measured; empty in files of earlier versions.
+        Whether they were simulated or measured.
     """
 
     trials: tuple[str, ...]
@@ -58,7 +58,7 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     amplitude_rad: tuple[float, ...]
     phase_2_rad: tuple[float, ...]
     step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
-    origins: tuple[TrialOrigin, ...] = ()
+    origins: tuple[TrialOrigin, ...]
 
 
 class FoldErrors(

@@ -24,8 +24,7 @@ __all__ = ["InnovationBound"]
 
 FACTOR: Final = 1.5
 """Bound as a multiple of the largest innovation in training rows that move. Chosen on nine rigs for
-tuning: 1.25 takes rows of the right plant, 2 lets errors of 40 mm pass (docs/predictor/choice.md).
-"""
+tuning: 1.25 takes rows of the right plant, 2 lets errors of 40 mm pass."""
 NONE_A: Final = float(np.sqrt(np.finfo(float).max))
 """Bound that nothing exceeds."""
 

@@ -28,16 +28,15 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mean_m, p95_m, max_m : float
         Euclidean distance: mean, 95 % quantile, largest.
     coverage : float
-        Fraction of rows inside the 95 % interval, mean over the axes that move. In a bundle of an
-        earlier release over all axes, y of one joint included, which cannot miss.
+        Fraction of rows inside the 95 % interval, mean over the axes that move.
     half_width_m : float
         Mean half width over rows and axes.
     in_range : float
         Fraction of rows in range.
     max_in_range_m : float
         Largest distance among these.
-    coverage_least : float or None
-        Coverage on the worst of these axes; None in a bundle of an earlier release.
+    coverage_least : float
+        Coverage on the worst of these axes.
     """
 
     rows: int
@@ -48,7 +47,7 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     half_width_m: float
     in_range: float
     max_in_range_m: float
-    coverage_least: float | None = None
+    coverage_least: float
 
 
 class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,8 +81,8 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         like are all of them with an observer whose plant is wrong.
     graph_bytes : int
         Size of its ONNX graph.
-    latency : Latency or None
-        Of its graph in onnxruntime; None in a bundle of an earlier release.
+    latency : Latency
+        Of its graph in onnxruntime.
     """
 
     summary: str
@@ -91,7 +90,7 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     nested: TipScore
     tests: dict[Test, dict[Part, TipScore]]
     graph_bytes: int
-    latency: Latency | None = None
+    latency: Latency
 
 
 class PredictorsDocument(Document, frozen=True, kw_only=True):
@@ -113,9 +112,8 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
         Their payloads.
     candidates : dict of str to CandidateEntry
         In the order in which they were compared, simplest first.
-    askew_rad : float or None
-        Angle by which the link may be mounted askew, which the interval covers; None in a bundle of
-        an earlier release, whose interval covers 0.005 rad.
+    askew_rad : float
+        Angle by which the link may be mounted askew, which the interval covers.
     runtimes : dict of str to Latency
         Observer and predictor together, by runtime; added with the observer.
     """
@@ -130,7 +128,7 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     motions: tuple[str, ...]
     payload_kg: tuple[float, ...]
     candidates: dict[str, CandidateEntry]
-    askew_rad: float | None = None
+    askew_rad: float
     runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
 
 

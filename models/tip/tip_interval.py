@@ -58,8 +58,7 @@ WRONG_TRIAL_LEVEL: Final = 0.9
 """Quantile of the errors with each kind of wrong plant on one trial, which has to be covered."""
 TRIALS: Final = 0.9
 """Fraction of the trials whose own quantile counts. Chosen on seven rigs for tuning and on the
-default rig with two joints, where the largest of 13 trials halves the range
-(docs/predictor/choice.md)."""
+default rig with two joints, where the largest of 13 trials halves the range."""
 FEWEST_ROWS: Final = 8
 """Rows of a class in a trial below which they have no quantile of their own."""
 HIGHEST_LEVEL: Final = 0.98

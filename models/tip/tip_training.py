@@ -117,8 +117,6 @@ def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
 
 def _covered(score: TipScore) -> str:
     mean = f"{FRACTION.number(score.coverage, 1)} %"
-    if score.coverage_least is None:
-        return mean
     return f"{mean} ({FRACTION.number(score.coverage_least, 1)} % on the worst axis)"
 
 

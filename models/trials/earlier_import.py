@@ -7,7 +7,6 @@ file that is no trial, is never replaced.
 
 from __future__ import annotations
 
-import filecmp
 import hashlib
 import os
 from itertools import islice
@@ -48,7 +47,7 @@ def recording_hash(path: Path) -> str:
     return digest.hexdigest()
 
 
-def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> Path | None:
+def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> None:
     """Refuse to replace a trial of another recording, or files that are no trial.
 
     Parameters
@@ -60,12 +59,6 @@ def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> P
     recording_sha256 : str
         Hash of its recording.
 
-    Returns
-    -------
-    Path or None
-        CSV file of a trial that does not say what it was imported from, as of earlier versions:
-        see `check_same_samples`.
-
     Raises
     ------
     InputError
@@ -74,35 +67,13 @@ def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> P
     samples, conditions = directory / f"{name}.csv", directory / f"{name}.toml"
     there = [path for path in (samples, conditions) if os.path.lexists(path)]
     if not there:
-        return None
+        return
     try:
         document = read_toml(conditions)
     except InputError:
         document = {}
     known = document.get("recording_sha256")
-    if known == recording_sha256:
-        return None
-    if known is not None:
+    if known is None:
+        raise InputError(there[0], "would be replaced, and is no imported trial", _REMEDY)
+    if known != recording_sha256:
         raise InputError(there[0], "is a trial of another recording", _REMEDY)
-    if len(there) < 2 or "rest_samples" not in document:
-        raise InputError(there[0], "would be replaced, and is no trial", _REMEDY)
-    return samples
-
-
-def check_same_samples(earlier: Path, written: Path) -> None:
-    """Refuse to replace a trial that does not say its recording, unless its samples are the same.
-
-    Parameters
-    ----------
-    earlier, written : Path
-        CSV files.
-
-    Raises
-    ------
-    InputError
-        If they differ.
-    """
-    if not filecmp.cmp(earlier, written, shallow=False):
-        raise InputError(
-            earlier, "is a trial with other samples, which names no recording", _REMEDY
-        )

@@ -24,20 +24,9 @@ _ADDED: Final[dict[OriginKind, str]] = {
 }  # fmt: skip
 
 
-def origin_notice(origins: Sequence[TrialOrigin], what: str = "This page shows") -> Notice:
-    """Notice for trials of these origins.
-
-    Parameters
-    ----------
-    origins : sequence of TrialOrigin
-        Of everything that the page shows.
-    what : str
-        Beginning of the sentence.
-    """
+def origin_notice(origins: Sequence[TrialOrigin]) -> Notice:
+    """Notice about the origins of everything that a page shows."""
     kind = kind_of_origins(origins)
-    if not origins:
-        text = "The files of this page do not say whether they come from simulated or measured "
-        return Notice(kind, KIND_WORDS[kind], text + "trials: an earlier version wrote them.")
     listed = [origin.words for origin in merged_origins(origins)]
     joined = " and ".join(filter(None, (", ".join(listed[:-1]), listed[-1])))
-    return Notice(kind, KIND_WORDS[kind], f"{what} {joined}.{_ADDED[kind]}")
+    return Notice(kind, KIND_WORDS[kind], f"This page shows {joined}.{_ADDED[kind]}")

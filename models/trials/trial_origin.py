@@ -40,7 +40,7 @@ MEASURED: Final = ("measured", "recording")
 class _Entry(msgspec.Struct, frozen=True):
     """What is read of the conditions of a trial."""
 
-    rig: str = "default"
+    rig: str
 
 
 class _Record(msgspec.Struct, frozen=True):

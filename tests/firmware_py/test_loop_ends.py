@@ -93,7 +93,8 @@ def test_a_port_that_goes_on_the_way_to_the_motion_lets_the_robot_go_on():
     loop, bus, *_ = leaning(0.35, slots=600, bus=PluggedBus, replug_s=2.0)
     bus.away, bus.script = 5, dict.fromkeys(range(20, 1000), BusStatus.PORT_GONE)
     summary = loop.run()
-    assert summary.reason.startswith(f"{GONE}; then the port was back; then the motion is over")
+    assert summary.reason.split("; then ")[:2] == [GONE, "the port was back"]
+    assert summary.ended is Ended.TRIPPED
     assert summary.replugs == 1
     goals = np.array([goal[0] for _, goal in bus.sent])
     assert np.abs(np.diff(goals)).max() < 0.02
@@ -204,14 +205,14 @@ def test_a_servo_that_does_not_confirm_torque_off_is_no_success():
     bus.torque = lambda on: torque(on) if on else BusStatus.TIMEOUT
     summary = loop.run()
     assert (summary.ended, summary.released) == (Ended.TRIPPED, False)
-    assert summary.reason == f"the motion is over; then {UNRELEASED}"
+    assert summary.reason.split("; then ")[1:] == [UNRELEASED]
 
 
 def test_a_port_that_goes_while_the_robot_stops_is_no_success_and_ends_the_hold():
     loop, bus = stopping_with(dict.fromkeys(range(2, 1000), BusStatus.PORT_GONE))
     summary = loop.run()
     assert summary.ended is Ended.TRIPPED
-    assert summary.reason == "the motion is over; then no fresh data for 3 ticks (PORT_GONE)"
+    assert "PORT_GONE" in summary.reason.split("; then ")[1]
     assert summary.ticks < STOP_SLOT + HELD_TICKS
     assert not bus.driven
 
@@ -220,7 +221,7 @@ def test_lost_data_while_the_robot_stops_is_no_success_but_holds_on():
     loop, _ = stopping_with(dict.fromkeys(range(2, 1000), BusStatus.TIMEOUT))
     summary = loop.run()
     assert summary.ended is Ended.TRIPPED
-    assert summary.reason == "the motion is over; then no fresh data for 3 ticks (TIMEOUT)"
+    assert "TIMEOUT" in summary.reason.split("; then ")[1]
     assert summary.ticks > STOP_SLOT + HELD_TICKS
 
 
@@ -230,8 +231,7 @@ def test_an_alert_while_the_robot_stops_is_no_success_and_ends_the_hold(at):
     bus.alert = 0b100000
     summary = loop.run()
     assert summary.ended is Ended.TRIPPED
-    assert summary.reason.endswith("; then a servo raises an alert (overload)") or at == 0
-    assert "overload" in summary.reason
+    assert "overload" in summary.reason.split("; then ")[-1]
     if 2 <= at <= 20:
         assert summary.ticks < STOP_SLOT + HELD_TICKS
 
@@ -247,7 +247,7 @@ def test_an_alert_in_the_answer_to_torque_off_is_no_success():
     bus.torque = alarmed
     summary = loop.run()
     assert (summary.ended, summary.released) == (Ended.TRIPPED, True)
-    assert summary.reason == "the motion is over; then a servo raises an alert (motor encoder)"
+    assert "motor encoder" in summary.reason.split("; then ")[1]
 
 
 def test_a_port_that_goes_while_the_robot_stops_does_not_start_it_again():

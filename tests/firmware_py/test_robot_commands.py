@@ -223,9 +223,10 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
 
 def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bundle, capsys):
     from firmware_py.documents import write_document
-    from tests.firmware_py.goals.small_plan import OTHER_PLANT, STUDY, small_plan
+    from firmware_py.link.link_facts import STUDY_FACTS
+    from tests.firmware_py.goals.small_plan import OTHER_PLANT, small_plan
 
-    other = {"plant_sha256": "0" * 64, "link": STUDY}
+    other = {"plant_sha256": "0" * 64, "link": STUDY_FACTS}
     write_document(tmp_path / "plan.json", msgspec.structs.replace(small_plan(toy_bundle), **other))
     plan = ["--plan", tmp_path / "plan.json"]
     code, output = call(capsys, "run", "--config", config, *plan)

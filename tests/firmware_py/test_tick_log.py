@@ -147,9 +147,7 @@ def test_ticks_in_which_feedback_was_due_and_did_not_act_are_counted():
     loop, *_ = make(slots=100, correction=Doubting(1, lost))
     used = loop.run().feedback
     assert used == FeedbackUse(ticks=100, lost_ticks=2, reason="it is out of range")
-    assert used.note == (
-        "feedback of the tip was lost in 2 of 100 ticks, last because it is out of range"
-    )
+    assert "2 of 100 ticks" in used.note and used.reason in used.note
 
 
 def test_feedback_that_always_acted_and_none_at_all_say_nothing():

@@ -51,8 +51,8 @@ def test_a_plant_of_another_link_than_the_bundles_is_refused(bundle, tmp_path, c
     words = [*words, bundle, "--plant", short, "--out", out]
     assert main([str(word) for word in words]) == 2
     said = capsys.readouterr().err
-    assert f"{short}: is a plant of another link than {bundle / 'plant.json'}: " in said
-    assert "length_m 0.6 in place of 0.95" in said
+    assert str(short) in said and str(bundle / "plant.json") in said
+    assert "length_m 0.6" in said and "0.95" in said
     assert not out.exists()
 
 

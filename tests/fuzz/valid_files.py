@@ -207,6 +207,7 @@ def link():
 def goal_map():
     """Map of a rigid link of 1 m at three places, for two payloads."""
     from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
+    from firmware_py.link.link_facts import STUDY_FACTS
 
     places_m = (-0.5, 0.0, 0.5)
     payloads = tuple(
@@ -216,7 +217,7 @@ def goal_map():
         for kg in (0.0, 1.0)
     )
     own = GoalMap(schema=1, dof=1, period_s=0.017, places_m=places_m, payloads=payloads,
-                  plant_sha256="")  # fmt: skip
+                  plant_sha256="", link=STUDY_FACTS)  # fmt: skip
     return msgspec.json.encode(own)
 
 

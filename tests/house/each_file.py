@@ -16,11 +16,6 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def place(path: Path) -> str:
-    """Path from the root of the repository."""
-    return str(path.relative_to(ROOT))
-
-
 @functools.cache
 def tree_of(path: Path) -> ast.Module:
     """Syntax tree of a source; each file is parsed once in a session."""
@@ -42,7 +37,7 @@ def each_file(paths: Iterable[Path]) -> Callable[[Callable[[Path], None]], Calla
                 try:
                     test(path)
                 except AssertionError as error:
-                    failures.append(f"{place(path)}: {error}")
+                    failures.append(f"{path.relative_to(ROOT)}: {error}")
             assert not failures, "\n".join(failures)
 
         test_room.__name__, test_room.__doc__ = test.__name__, test.__doc__

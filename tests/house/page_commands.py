@@ -96,28 +96,14 @@ def extras() -> frozenset[str]:
 class PageCommands:
     """Check of the commands of one page, in their order.
 
-    Parameters
-    ----------
-    placeholders : sequence of str
-        Names of files that stand for the reader's own, beside those in capitals.
+    `placeholders` are files that stand for the reader's own, beside those in capitals.
     """
 
     def __init__(self, placeholders: Sequence[str] = ()) -> None:
         self._known = {*placeholders}
 
     def check(self, words: Sequence[str]) -> None:
-        """Check one command.
-
-        Parameters
-        ----------
-        words : sequence of str
-            The command.
-
-        Raises
-        ------
-        AssertionError
-            With what a reader would run into.
-        """
+        """Check one command; an AssertionError says what a reader would run into."""
         words = list(words)
         while words and (words[0] == "sudo" or re.fullmatch(r"[A-Z_]+=.*", words[0])):
             words.pop(0)

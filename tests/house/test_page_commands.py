@@ -11,7 +11,6 @@ PAGES = sorted(
     if blocks(path.read_text(encoding="utf-8"))
 )
 OWN_FILES = {
-    "README.md": ("log.toml",),
     "docs/gap.md": ("build/gap_trials",),
     "docs/gap/experiment.md": ("build/gap", "build/gap_trials", "build/new_trials"),
     "docs/gap/real-data.md": ("DATA/bam_xl330",),

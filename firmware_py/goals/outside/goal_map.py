@@ -61,8 +61,8 @@ class GoalMap(Document, frozen=True):
         In rising order of payload.
     plant_sha256 : str
         Hash of the plant, as the manifest of a bundle has it.
-    link : LinkFacts or None
-        Facts of its link; None in maps of earlier versions.
+    link : LinkFacts
+        Facts of its link.
     """
 
     VERSION: ClassVar[int] = 1
@@ -73,7 +73,7 @@ class GoalMap(Document, frozen=True):
     places_m: tuple[float, ...]
     payloads: tuple[PayloadMap, ...]
     plant_sha256: str
-    link: LinkFacts | None = None
+    link: LinkFacts
 
 
 def read_goal_map(path: Path) -> GoalMap:

@@ -23,6 +23,7 @@ from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_feedback import Correction
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.motion_config import MotionConfig
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters
@@ -280,6 +281,7 @@ def case_source(
         payloads=(PayloadPlan(payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=still,
                               residual_rms_m=0.0, rigid_rms_m=0.0, expected_rms_m=0.0),),
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         feedback=FeedbackDesign(filters=((own,) * robot.dof,), margins=(), size_rad=0.03,
                                 rate_rad_s=0.16, innovation_a=0.8),
     )  # fmt: skip

@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from firmware_py.inference.bundle import PREDICTOR, read_manifest
 from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.golden import GOLDEN, Golden, read_golden, write_golden
-from firmware_py.inference.manifest import MANIFEST, write_manifest
+from firmware_py.inference.manifest import MANIFEST, manifest_bytes, write_manifest
 from models.commands.sign import sign_bundle
 
 _OFF: Final = 1e-6
@@ -31,11 +31,11 @@ def _changed_file(bundle: Path) -> tuple[str, ...]:
 
 
 def _unnamed_file(bundle: Path) -> tuple[str, ...]:
-    """Take the predictor and its own hash out of the manifest, then change it: no hash tells."""
+    """Take the predictor out of the manifest, then change it: no hash tells."""
     manifest = read_manifest(bundle)
     files = {name: sha256 for name, sha256 in manifest.files.items() if name != PREDICTOR}
-    manifest = msgspec.structs.replace(manifest, files=files, content_sha256="")
-    (bundle / MANIFEST).write_bytes(msgspec.json.encode(manifest))
+    manifest = msgspec.structs.replace(manifest, files=files)
+    (bundle / MANIFEST).write_bytes(manifest_bytes(manifest))
     _change_a_byte(bundle / PREDICTOR)
     return ()
 
@@ -43,8 +43,8 @@ def _unnamed_file(bundle: Path) -> tuple[str, ...]:
 def _file_outside(bundle: Path) -> tuple[str, ...]:
     manifest = read_manifest(bundle)
     files = manifest.files | {"../ticks.mcap": "0" * 64}
-    manifest = msgspec.structs.replace(manifest, files=files, content_sha256="")
-    (bundle / MANIFEST).write_bytes(msgspec.json.encode(manifest))
+    manifest = msgspec.structs.replace(manifest, files=files)
+    (bundle / MANIFEST).write_bytes(manifest_bytes(manifest))
     return ()
 
 

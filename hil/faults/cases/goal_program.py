@@ -12,6 +12,7 @@ from firmware_py.config import RobotConfig
 from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
 from firmware_py.goals.outside.goal_message import GoalMessage, StatusMessage, encode_goal
 from firmware_py.goals.outside.outside_goals import OutsideGoals
+from firmware_py.link.link_facts import STUDY_FACTS
 from hil.faults.host_faults import HostFaults
 
 Array = NDArray[np.float64]
@@ -99,5 +100,5 @@ def _rigid_map(dof: int, period_s: float) -> GoalMap:
     )  # fmt: skip
     return GoalMap(
         schema=GoalMap.VERSION, dof=dof, period_s=period_s, places_m=tuple(places.tolist()),
-        payloads=(own,), plant_sha256="",
+        payloads=(own,), plant_sha256="", link=STUDY_FACTS,
     )  # fmt: skip

@@ -135,7 +135,7 @@ def read_runs(path: Path) -> list[RunTape]:
     Raises
     ------
     InputError
-        If the file is missing or damaged, or of an older form.
+        If the file is missing or damaged, or of another form.
     """
     try:
         with np.load(io.BytesIO(lzma.decompress(path.read_bytes())), allow_pickle=False) as file:

@@ -287,7 +287,11 @@ def learned_patterns(
     measured = own_errors_of(files)
     if not measured:
         with np.load(files[0]) as first:
-            reason = str(first.get(REASON, "a file of an older version tells none"))
+            reason = str(first.get(REASON, ""))
+        if not reason:
+            raise InputError(
+                files[0], "holds no error of a plant", "delete it, and calibrate again"
+            )
         raise InputError(
             str(files[0].parent),
             f"holds no error of any plant: no drawn rig can run these trials ({reason})",

@@ -144,21 +144,17 @@ def frequency_response(system: control.StateSpace, rates_rad_s: Array) -> NDArra
     return np.asarray(system.C @ inner + system.D)
 
 
-def modes(system: control.StateSpace, slowest_rad_s: float = 0.05) -> list[LinearMode]:
-    """Return the modes of a sampled system below its Nyquist frequency, slowest first.
+SLOWEST_RAD_S: Final = 0.05
+"""Slower poles are states that do not move."""
 
-    Parameters
-    ----------
-    system : StateSpace
-        Discrete.
-    slowest_rad_s : float
-        Slower poles are states that do not move.
-    """
+
+def modes(system: control.StateSpace) -> list[LinearMode]:
+    """Modes of a sampled system below its Nyquist frequency, slowest first."""
     poles = np.linalg.eigvals(system.A)
     rates = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / system.dt
     found = [
         LinearMode(float(abs(s)), float(-s.real / abs(s)))
         for s in rates
-        if s.imag >= 0 and slowest_rad_s <= abs(s) < np.pi / system.dt
+        if s.imag >= 0 and SLOWEST_RAD_S <= abs(s) < np.pi / system.dt
     ]
     return sorted(found, key=lambda mode: mode.frequency_rad_s)

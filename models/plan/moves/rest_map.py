@@ -81,6 +81,7 @@ def map_rest(
     return GoalMap(
         schema=GoalMap.VERSION, dof=dof, period_s=period_s, places_m=tuple(places.tolist()),
         payloads=tuple(payloads), plant_sha256=plant.for_robot().sha256(),
+        link=plant.link_facts(),
     )  # fmt: skip
 
 

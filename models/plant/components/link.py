@@ -25,6 +25,7 @@ from typing import ClassVar, Final
 
 import casadi as ca
 
+from firmware_py.link.link_description import STUDY_LINK
 from models.plant.components.lagrange import (
     add_rod,
     lagrange_equations,
@@ -55,18 +56,18 @@ class Link:
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
         """Geometry, masses, and stiffness and damping of each plane."""
         shared = (
-            Parameter(name="base_offset_m", unit="m", value=0.06, low=0.0, high=1.0,
-                      description="base plate above the joint axes",
+            Parameter(name="base_offset_m", unit="m", value=STUDY_LINK.base_offset_m, low=0.0,
+                      high=1.0, description="base plate above the joint axes",
                       source='docs/sources.md, "The link": assumed'),
-            Parameter(name="base_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
+            Parameter(name="base_mass_kg", unit="kg", value=0.5, low=0.0, high=10.0,
                       description="mass at the base plate, where the link begins",
-                      source="assumed none: weigh the plate"),
-            Parameter(name="link_length_m", unit="m", value=0.95, low=0.05, high=10.0,
-                      description="length of the link", source="paper, fig. 2"),
-            Parameter(name="link_width_m", unit="m", value=0.15, low=0.01, high=2.0,
+                      source='docs/sources.md, "The link": assumed'),
+            Parameter(name="link_length_m", unit="m", value=STUDY_LINK.length_m, low=0.05,
+                      high=10.0, description="length of the link", source="paper, fig. 2"),
+            Parameter(name="link_width_m", unit="m", value=STUDY_LINK.width_m, low=0.01, high=2.0,
                       description="width of the link", source="paper, fig. 2"),
-            Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
-                      description=f"gravity, along {_direction(scope.gravity)}",
+            Parameter(name="gravity_m_s2", unit="m/s2", value=STUDY_LINK.gravity.size_m_s2,
+                      low=0.0, high=30.0, description=f"gravity, along {_direction(scope.gravity)}",
                       source="standard gravity"),
             Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
                       role="nuisance", description="mass of the link",

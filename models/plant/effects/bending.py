@@ -10,16 +10,10 @@ from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
-
-REFERENCE_RAD: Final = 0.1
-"""Bend of a hinge at which softening and hardening are given."""
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 
 EASE_RAD: Final = 2e-3
 """Bend within which softening sets in smoothly."""
-
-LEAK_TIME_S: Final = 10.0
-"""Time in which the leaking fraction is lost."""
-
 
 FASTEST_SLIP_PER_S: Final = 300.0
 """Largest bend rate of the hysteresis, in yield bends per second."""
@@ -68,7 +62,7 @@ class DirectionalStiffness(Effect):
     per_joint = (
         Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
                   role="effect", description="relative gain for positive bend, loss for negative",
-                  source='docs/sources.md, "The link": 0.2, negative angles deform more'),
+                  source='docs/sources.md, "The link": 0.2 in the rig; assumed none here'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -96,7 +90,7 @@ class StiffnessSoftening(Effect):
         loss = scope.p("softening_share")
         for hinge, j in scope.stiffness:
             size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
-            scope.stiffness[hinge, j] /= 1 + loss / (1 - loss) * size / REFERENCE_RAD
+            scope.stiffness[hinge, j] /= 1 + loss / (1 - loss) * size / REFERENCE_BEND_RAD
 
 
 class StiffnessHardening(Effect):
@@ -113,7 +107,7 @@ class StiffnessHardening(Effect):
         """Multiply each hinge's stiffness."""
         gain = scope.p("hardening_share")
         for hinge, j in scope.stiffness:
-            scope.stiffness[hinge, j] *= 1 + gain * _square(scope, hinge) / REFERENCE_RAD**2
+            scope.stiffness[hinge, j] *= 1 + gain * _square(scope, hinge) / REFERENCE_BEND_RAD**2
 
 
 class PressureLeak(Effect):
@@ -195,7 +189,8 @@ class Creep(Effect):
     per_joint = (
         Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=2.0, role="effect",
                   description="relaxing fraction of the stiffness",
-                  source='docs/sources.md, "The link": 6 to 10 %', prior_deviation=0.25),
+                  source='docs/sources.md, "The link": three branches of 6 to 10 %',
+                  prior_deviation=0.25),
     )  # fmt: skip
     shared = (
         Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",

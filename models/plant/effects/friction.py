@@ -43,7 +43,7 @@ class CoulombFriction(Effect):
     per_joint = (
         Parameter(name="coulomb_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
                   role="effect", description="dry friction at the output",
-                  source='docs/sources.md, "The servo": 4.5 N·m, no-load current'),
+                  source='docs/sources.md, "The servo": no-load current'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -61,7 +61,7 @@ class ViscousFriction(Effect):
     per_joint = (
         Parameter(name="viscous_friction_{j}_{torque}_s_{angle}", unit="N.m.s/rad", value=0.0,
                   low=0.0, high=20.0, role="effect", description="friction per rate at the output",
-                  source='docs/sources.md, "The servo": 2.0 N·m·s/rad, no-load current'),
+                  source='docs/sources.md, "The servo": no-load current'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -221,7 +221,7 @@ class LoadDependentFriction(Effect):
     per_joint = (
         Parameter(name="load_dependent_friction_{j}", unit="1", value=0.0, low=0.0, high=0.5,
                   role="effect", description="friction per transmitted torque",
-                  source='docs/sources.md, "The servo": 0.14'),
+                  source='docs/sources.md, "The servo"'),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

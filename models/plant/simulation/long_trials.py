@@ -38,33 +38,15 @@ REST_FRACTION: Final = 0.25
 """Fraction of a cut trial that may be at rest before the motion [assumed]."""
 
 
-def shortened(
-    trials: Sequence[Trial],
-    model: StepModel,
-    substep_s: float,
-    most_of_trial: float = MOST_OF_TRIAL,
-    most_of_all: float = MOST_OF_ALL,
-) -> tuple[Trial, ...]:
-    """Trials cut so that their simulation needs no more than some state updates.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        To fit to.
-    model : StepModel
-        That is simulated.
-    substep_s : float
-        Longest internal step in s.
-    most_of_trial, most_of_all : float
-        State updates of one trial, and of all.
-    """
+def shortened(trials: Sequence[Trial], model: StepModel, substep_s: float) -> tuple[Trial, ...]:
+    """Trials cut to what a model with internal steps of at most `substep_s` simulates in time."""
     cost = np.array(
         [len(model.states) * max(1, math.ceil(t.step_s / substep_s - 1e-9)) for t in trials]
     )
-    updates = np.minimum(cost * np.array([len(t) for t in trials]), most_of_trial)
-    each = _level(updates, most_of_all)
+    updates = np.minimum(cost * np.array([len(t) for t in trials]), MOST_OF_TRIAL)
+    each = _level(updates, MOST_OF_ALL)
     return tuple(
-        _first_rows(t, max(LEAST_ROWS, int(min(each, most_of_trial) / c)))
+        _first_rows(t, max(LEAST_ROWS, int(min(each, MOST_OF_TRIAL) / c)))
         for t, c in zip(trials, cost, strict=True)
     )
 

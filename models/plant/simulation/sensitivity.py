@@ -167,10 +167,7 @@ class SensitiveModel:
 
 
 def run_sensitive_trial(
-    sensitive: SensitiveModel,
-    trial: Trial,
-    p: Array | None = None,
-    wanted: NDArray[np.bool_] | None = None,
+    sensitive: SensitiveModel, trial: Trial, p: Array | None = None
 ) -> tuple[Array, Array]:
     """Outputs of a model at every row of a trial, and their derivatives.
 
@@ -180,8 +177,6 @@ def run_sensitive_trial(
         Of a plant.
     trial, p
         As for `models.plant.simulation.compiled_model.run_trial`.
-    wanted : ndarray of bool, optional
-        As for `SensitiveModel.simulate`.
 
     Returns
     -------
@@ -197,7 +192,7 @@ def run_sensitive_trial(
     """
     first, u = trial_inputs(sensitive.model, trial)
     p = trial_parameters(sensitive.model, trial) if p is None else p
-    return sensitive.simulate(u, trial.step_s, p, first, wanted)
+    return sensitive.simulate(u, trial.step_s, p, first)
 
 
 _SYMBOLIC_WORK: Final = threading.Lock()

@@ -24,6 +24,7 @@ from typing import Final
 import numpy as np
 
 from models.rig.rig_parameters import RigParameters
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
 WALL_FRACTION: Final = 0.3
@@ -42,12 +43,6 @@ CREEP_REACH: Final = 3.0
 
 SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 """Yield bends of the sliders over the yield bend; their mean is one."""
-
-REFERENCE_BEND_RAD: Final = 0.1
-"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
-
-LEAK_TIME_S: Final = 10.0
-"""Time over which the leaking fraction is given."""
 
 
 def stiffness_factor(parameters: RigParameters) -> float:

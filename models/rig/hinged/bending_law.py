@@ -21,7 +21,7 @@ numbers each, which NumPy spends its time on calling. Both planes of n pairs are
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,13 +30,8 @@ from models.rig.forms.creep_forms import relaxation_spectrum
 from models.rig.forms.hysteresis_forms import both_planes, hysteresis_form
 from models.rig.hinged.in_place_function import InPlaceFunction
 from models.rig.rig_parameters import RigParameters
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
-
-REFERENCE_BEND_RAD: Final = 0.1
-"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
-
-LEAK_TIME_S: Final = 10.0
-"""Time over which the leaking fraction is given."""
 
 
 class BendLaw:

@@ -27,7 +27,7 @@ GAIN_DEVIATION: Final = 0.01
 """Standard deviation of g: the origin of the frame within 3 mm at a row 0.3 m away [assumed]."""
 LAG_DEVIATION: Final = 0.06
 """Standard deviation of the correction, as a fraction of it: seen on the rig's structures default,
-test_a and test_b at 0 to 2 kg (docs/decisions.md)."""
+test_a and test_b at 0 to 2 kg."""
 UNCORRECTED_DEVIATION_S: Final = 0.004
 """The same where the bend is not measured: 1 to 9 ms on the rig at 0 to 2 kg."""
 FLOOR_S: Final = 1e-4

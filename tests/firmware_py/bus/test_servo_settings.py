@@ -38,20 +38,20 @@ def refusal(number, settings=None, **changed):
 @NEW
 @pytest.mark.parametrize("mode", [1, 4, 5, 8])
 def test_a_drive_mode_that_is_not_declared_is_refused(number, mode):
-    assert f"servo 1 has Drive Mode {mode}" in refusal(number, DRIVE_MODE=mode)
+    assert f"Drive Mode {mode}" in refusal(number, DRIVE_MODE=mode)
 
 
 @NEW
 def test_a_reverse_servo_is_accepted_where_it_is_declared_and_only_there(number):
     reverse = AssumedSettings(reverse=True)
     servo(number, settings=reverse, DRIVE_MODE=1)[0].connect()
-    assert "has Drive Mode 0 (not reverse)" in refusal(number, reverse)
+    assert "Drive Mode 0" in refusal(number, reverse)
 
 
 @ALL
 @pytest.mark.parametrize("raw", [-2, 2, 1000])
 def test_a_homing_offset_that_is_not_declared_is_refused(number, raw):
-    assert "servo 1 has a Homing Offset of" in refusal(number, HOMING_OFFSET=raw)
+    assert "Homing Offset" in refusal(number, HOMING_OFFSET=raw)
 
 
 @ALL
@@ -69,7 +69,7 @@ def test_gains_other_than_those_of_the_plant_are_refused(number, gain):
     settings = AssumedSettings(gains={Register[gain]: 640})
     servo(number, settings=settings, **{gain: 640})[0].connect()
     words = refusal(number, settings, **{gain: 641})
-    assert f"servo 1 has {Register[gain].value} 641, the plant was identified with 640" in words
+    assert all(word in words for word in (Register[gain].value, "641", "640"))
 
 
 @ALL
@@ -85,7 +85,7 @@ def test_a_profile_that_is_left_behind_is_removed(number):
 @ALL
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_servo_that_confirms_nothing_is_told_by_its_status_return_level(number, level):
-    assert f"servo 1 has Status Return Level {level}" in refusal(number, STATUS_RETURN_LEVEL=level)
+    assert f"Status Return Level {level}" in refusal(number, STATUS_RETURN_LEVEL=level)
 
 
 @ALL

@@ -53,10 +53,8 @@ def test_exchanged_ids_are_told_with_the_sign_of_the_turn():
     hand = Hand(servo_of_joint=(1, 0), turn_rad=-0.2)
     turns = turn_joints(hand, hand.clock, 0.008, hand.ask)
     assert [(t.joint, t.found) for t in turns] == [(1, 2), (2, 1)]
-    assert "joint 1 was turned, and the angle of joint 2 (servo 7) changed by -5." in turns[0].told(
-        (4, 7)
-    )
-    assert "order of [[servos]]" in turns[0].told((4, 7))
+    told = turns[0].told((4, 7))
+    assert all(word in told for word in ("joint 1", "joint 2 (servo 7)", "-5.", "[[servos]]"))
 
 
 def test_a_hand_that_turns_too_little_and_servos_that_say_nothing_are_refused():

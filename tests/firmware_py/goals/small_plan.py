@@ -5,15 +5,10 @@ import numpy as np
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import MANIFEST
-from firmware_py.link.link_facts import LinkFacts
+from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.signals import PERIOD_S
 
 ROWS = 40
-STUDY = LinkFacts(
-    joints=2, length_m=0.95, width_m=0.15, base_offset_m=0.06, section="square",
-    gravity_m_s2=(0.0, 0.0, -9.81), servo="H54-200-S500-R",
-)  # fmt: skip
-"""Facts of the study's link: docs/sources.md, "The link"."""
 OTHER_PLANT = "was made with another plant than the bundle"
 
 
@@ -33,6 +28,6 @@ def small_plan(bundle):
     return TipPlan(
         schema=1, path="circle", method="inverse", dof=1, period_s=PERIOD_S, rest_s=PERIOD_S,
         start_row=5, end_row=30, drawn=((5, 30),), desired_m=(column(0.02),), payloads=payloads,
-        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="",
+        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", link=STUDY_FACTS,
         bundle_sha256=content_of(bundle / MANIFEST).sha256,
     )  # fmt: skip

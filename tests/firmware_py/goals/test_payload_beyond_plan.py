@@ -29,12 +29,8 @@ def said(toy_bundle):
 
 
 def test_an_estimate_that_stays_beyond_the_plan_is_told(said):
-    assert said(1.4).startswith(
-        "the payload is estimated at 1.40 kg, the plan holds 0 to 1 kg: its goals were those for "
-        "1 kg, and"
-    )
-    assert "plan again with --payloads" in said(1.4)
-    assert "at -0.20 kg" in said(-0.2) and "those for 0 kg" in said(-0.2)
+    assert all(word in said(1.4) for word in ("1.40 kg", "0 to 1 kg", "for 1 kg", "--payloads"))
+    assert "-0.20 kg" in said(-0.2) and "for 0 kg" in said(-0.2)
 
 
 @pytest.mark.parametrize("payload_kg", [0.0, 0.5, 1.0, 1.04, np.nan])
@@ -57,11 +53,8 @@ def test_only_what_the_estimate_settles_to_counts(said):
 
 def test_a_recording_of_a_payload_beyond_the_plan_is_told(toy_bundle):
     plan = small_plan(toy_bundle)
-    assert recording_beyond_plan(plan, 3.0) == (
-        "the payload of the recording is 3 kg, the plan holds 0 to 1 kg: what it learns is for "
-        "1 kg, and it stays without goals for 3 kg; plan again with --payloads that enclose it, "
-        "and run that"
-    )
+    said = recording_beyond_plan(plan, 3.0)
+    assert all(word in said for word in ("3 kg", "0 to 1 kg", "for 1 kg", "--payloads"))
     assert recording_beyond_plan(plan, 0.4) == "" == recording_beyond_plan(plan, 1.04)
     alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:])
-    assert "the plan holds 1 kg alone" in recording_beyond_plan(alone, 0.4)
+    assert "1 kg alone" in recording_beyond_plan(alone, 0.4)

@@ -16,6 +16,7 @@ from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, read_tip_plan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
+from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.estimate_trust import TrustOptions, TrustState
 from firmware_py.signals import PERIOD_S
 
@@ -63,6 +64,7 @@ def plan_with(probe):
         schema=1, path="hold", method="inverse", dof=1, period_s=PERIOD_S, rest_s=PERIOD_S,
         start_row=0, end_row=ROWS, drawn=(), desired_m=still, payloads=payloads,
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         feedback=design, probe=probe,
     )  # fmt: skip
 

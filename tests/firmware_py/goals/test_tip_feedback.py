@@ -19,6 +19,7 @@ from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
+from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.estimate_trust import TrustOptions, TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
@@ -41,6 +42,7 @@ def plan_with(design=BOUNDED, stiffness=None):
         schema=1, path="hold", method="inverse", dof=1, period_s=PERIOD_S, rest_s=PERIOD_S,
         start_row=0, end_row=ROWS, drawn=(), desired_m=still, payloads=(own,),
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         feedback=design,
     )  # fmt: skip
 
@@ -128,9 +130,7 @@ def test_the_robot_stops_where_it_is_told_to():
     feedback = feedback_of(plan_with(), when_lost="stop")
     for _ in range(2):
         tick(feedback, 0.0, innovation=2.0)
-    assert feedback.stop_reason == (
-        "the estimated tip is no longer trusted: its innovation is 2.00 A"
-    )
+    assert "innovation is 2.00 A" in feedback.stop_reason
 
 
 def test_nothing_is_corrected_during_the_approach():

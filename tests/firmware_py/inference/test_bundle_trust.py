@@ -19,7 +19,7 @@ from firmware_py.inference import file_content
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.file_content import content_of
-from firmware_py.inference.manifest import write_manifest
+from firmware_py.inference.manifest import content_sha256, write_manifest
 from models.__main__ import main as models
 from models.plant.plant import read_plant
 from models.study.study_document import StudyDocument
@@ -47,10 +47,10 @@ def key(tmp_path):
 
 
 def changed(bundle, **changes):
-    """The manifest of a bundle with other values, by someone who leaves its own hash out."""
+    """The manifest of a bundle with other values, by someone who fits its own hash to them."""
     path = bundle / "manifest.json"
     document = json.loads(path.read_text(encoding="utf-8")) | changes
-    document["content_sha256"] = ""
+    document["content_sha256"] = content_sha256(document)
     path.write_text(json.dumps(document), encoding="utf-8")
 
 

@@ -5,9 +5,8 @@ import json
 import msgspec
 import pytest
 
-from firmware_py.link.link_facts import facts_of_bundle, facts_of_plant, other_link
+from firmware_py.link.link_facts import STUDY_FACTS, facts_of_bundle, facts_of_plant, other_link
 from models.plant.plant import read_plant
-from tests.firmware_py.goals.small_plan import STUDY
 
 
 def plain(path):
@@ -21,8 +20,8 @@ def plant(tmp_path):
 
 
 def test_the_nominal_plant_is_of_the_studys_link(plant, tmp_path):
-    assert facts_of_plant(plant) == STUDY
-    assert facts_of_bundle(tmp_path) == STUDY
+    assert facts_of_plant(plant) == STUDY_FACTS
+    assert facts_of_bundle(tmp_path) == STUDY_FACTS
     assert facts_of_bundle(tmp_path / "elsewhere") is None
 
 
@@ -40,7 +39,7 @@ def test_a_described_link_tells_its_mounting_and_its_servo(tmp_path):
 def test_an_identified_value_makes_no_other_link(plant):
     plant["parameters"]["link_mass_kg"]["value"] = 1.2
     plant["parameters"]["span_stiffness_1_nm_rad"]["value"] = 100.0
-    assert other_link(facts_of_plant(plant), STUDY) == ""
+    assert other_link(facts_of_plant(plant), STUDY_FACTS) == ""
 
 
 @pytest.mark.parametrize(
@@ -54,7 +53,7 @@ def test_an_identified_value_makes_no_other_link(plant):
     ],
 )
 def test_the_first_fact_that_differs_is_named(change, said):
-    assert other_link(msgspec.structs.replace(STUDY, **change), STUDY) == said
+    assert other_link(msgspec.structs.replace(STUDY_FACTS, **change), STUDY_FACTS) == said
 
 
 @pytest.mark.parametrize("damage", [{}, {"parameters": 3}, {"link": 3}, {"link": {"joints": 9}}])

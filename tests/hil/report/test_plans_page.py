@@ -8,6 +8,7 @@ import pytest
 from firmware_py.errors import InputError
 from firmware_py.goals.feedback_design import FeedbackDesign, LoopMargins, RateFilter
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
+from firmware_py.link.link_facts import STUDY_FACTS
 from hil.__main__ import main
 from hil.report.plans.planned_runs import PlannedRun, plan_figures, read_planned_runs
 from hil.report.plans.plans_page import write_plans_page
@@ -27,6 +28,7 @@ def plan_of(dof, feedback=None):
         schema=1, path="circle", method="inverse", dof=dof, period_s=0.017, rest_s=0.017,
         start_row=5, end_row=50, drawn=((5, 50),), desired_m=columns, payloads=(own,),
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         feedback=feedback,
     )  # fmt: skip
 

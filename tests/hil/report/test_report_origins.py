@@ -10,6 +10,7 @@ from hil.report.report_origins import origin_table, report_notices, study_badges
 from models.trials.trial_origin import TrialOrigin
 
 RIG, MEASURED = TrialOrigin("rig", "default", 4), TrialOrigin("measured", trials=2)
+UNSTATED = TrialOrigin("")
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,8 @@ def of_origins(inputs, of_study, of_evaluation):
         ((RIG,), (RIG,), "Simulated"),
         ((MEASURED,), (MEASURED,), "Measured"),
         ((RIG,), (MEASURED,), "Simulated and measured"),
-        ((), (), "Origin not stated"),
-        ((RIG,), (), "Origin not stated"),
+        ((UNSTATED,), (UNSTATED,), "Origin not stated"),
+        ((RIG,), (UNSTATED,), "Origin not stated"),
     ],
 )
 def test_the_head_says_where_the_trials_come_from(inputs, of_study, of_evaluation, label):
@@ -47,7 +48,8 @@ def test_the_head_says_where_the_trials_come_from(inputs, of_study, of_evaluatio
     assert loops.label == "Emulated"  # the loop never ran on a robot, whatever the trials are
     rows = {row[0].text: row[1].text for row in origin_table(changed).cells}
     assert rows["Control loop, sil_1dof"] == "Simulated"
-    study = {(RIG,): "simulated", (MEASURED,): "measured", (): "origin not stated"}[of_study]
+    kinds = {RIG: "simulated", MEASURED: "measured", UNSTATED: "origin not stated"}
+    study = kinds[of_study[0]]
     assert study_badges(changed.every_study) == {"1DOF": f"1DOF, {study}"}
     assert rows["Study, 1DOF"].lower() == study
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.link.link_facts import STUDY_FACTS
 from hil.sil.move_figures import CLOSE_M, move_figures
 
 PERIOD_S = 0.01
@@ -15,6 +16,7 @@ def plan_of(desired, moves):
         schema=1, path="point_to_point", method="inverse", dof=1, period_s=PERIOD_S, rest_s=0.0,
         start_row=0, end_row=len(desired), drawn=(), desired_m=(tuple(desired),), payloads=(),
         payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS,
         moves=moves,
     )  # fmt: skip
 

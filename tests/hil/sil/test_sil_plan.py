@@ -174,11 +174,12 @@ def test_a_payload_beyond_the_plan_and_lost_feedback_are_told(options, bundle, p
     chosen = options(bundle=heavy, payload_known=False, open_loop=False)
     timing = write_results(run_sil(chosen), chosen)
     told = describe_sil(timing, tmp_path).splitlines()
-    assert "at 2.00 kg, the plan holds 0.5 to 1.5 kg" in timing.run.payload_note
+    note = timing.run.payload_note
+    assert "2.00 kg" in note and "0.5 to 1.5 kg" in note
     used = timing.run.feedback
     assert (used.ticks, used.lost_ticks) == (plan.rows, plan.rows - 1), "two bad ticks end trust"
     assert {timing.run.payload_note, used.note} <= set(told)
-    assert used.note.endswith("last because its innovation is 9.00 A")
+    assert "innovation is 9.00 A" in used.note
 
 
 def test_an_estimate_that_jumps_trips_no_limit(options, bundle, plan):

@@ -250,7 +250,7 @@ def test_a_run_that_a_signal_ended_early_has_not_passed():
     why = "SIGINT ended the run after 900 of 2000 slots"
     timing = judge(records, interrupted=why)
     assert (timing.verdict, timing.verdict.exit_code) == ("inconclusive", 3)
-    assert timing.reason == f"{why}: run it to its end"
+    assert why in timing.reason
     assert timing.interrupted == why
     slow_down(records, 500, 40 * MS)
     assert judge(records, interrupted=why).verdict == "fail", "what was missed was missed"

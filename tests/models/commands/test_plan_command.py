@@ -56,7 +56,7 @@ def test_a_recording_of_a_payload_beyond_the_plan_is_told(
 
     monkeypatch.setattr("models.plan.recorded_plan_run.read_plan_run", recorded)
     monkeypatch.setattr("models.plan.plan_learning.improve_plan", stop)
-    monkeypatch.setattr("models.commands.plan.plant_for_bundle", lambda *_: None)
+    monkeypatch.setattr("models.commands.plan.compare_with_bundle", lambda *_: None)
     plan = tmp_path / "plan.json"
     write_document(plan, small_plan(bare_bundle))
     words = ["plan", plan, "--improve", tmp_path / "run.csv", "--plant", NOMINAL,

@@ -17,7 +17,7 @@ from models.trials.trial_files import write_trial
 
 
 def fitted(name, trial):
-    return Provenance(fitted_trials=(FittedTrial(name, trial.sha256()),))
+    return Provenance(fitted_trials=(FittedTrial(name, trial.sha256(), "rig"),))
 
 
 def test_tests_are_named_by_what_they_are(toy_trials):

@@ -102,6 +102,7 @@ def learned_from(run):
     return LearnedRun(
         sha256=run.sha256, source="mocap", payload_kg=run.payload_kg, rms_m=2e-3,
         predicted_rms_m=1e-3, goal_delay_s=0.0, gain=1.0,
+        stiffness=1.0, damping=1.0, expected_rms_m=1e-3,
     )  # fmt: skip
 
 

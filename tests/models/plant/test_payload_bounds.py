@@ -1,6 +1,5 @@
 """The largest payload of a plant follows from its link: 3 kg of the study's, more of a heavier."""
 
-import json
 from argparse import Namespace
 from dataclasses import replace
 
@@ -58,16 +57,6 @@ def test_the_observer_of_a_heavy_link_estimates_what_the_link_carries(plant_of):
     measured = twin.simulate(np.column_stack([goal_rad, np.full(COUNT, 5.0)]), STEP_S)[:, :2]
     found = observer.simulate(measured, STEP_S)[-1, names(observer.outputs).index("payload_kg")]
     assert found == pytest.approx(5.0, abs=0.2)
-
-
-def test_the_file_of_an_earlier_version_follows_its_link_too(plant_of, tmp_path):
-    plant_of(HEAVY).write(tmp_path / "plant.json")
-    document = json.loads((tmp_path / "plant.json").read_text())
-    document["parameters"]["payload_known_kg"]["bounds"] = [-1.0, 3.0]
-    (tmp_path / "earlier.json").write_text(json.dumps(document))
-    plant = read_plant(tmp_path / "earlier.json")
-    assert bounds(plant, "observer")["payload_known_kg"] == (-1.0, 7.5)
-    assert plant.parameters["payload_known_kg"].high == 3.0, "its hash must stay"
 
 
 def test_payloads_beyond_the_link_are_refused_and_those_within_are_not(plant_of):

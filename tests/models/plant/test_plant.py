@@ -1,6 +1,7 @@
 """The plant document: round trip, completion, refusals in one sentence."""
 
 import json
+import tomllib
 from dataclasses import replace
 
 import msgspec
@@ -39,12 +40,29 @@ def test_a_parameter_that_an_older_file_lacks_has_its_default(tmp_path):
     assert read_plant(path).parameters["dead_time_phase_1"].value == 0.0
 
 
-def test_the_nominal_plant_names_value_unit_bounds_and_source_of_everything():
-    plant, text = read_plant(), NOMINAL.read_text()
-    for name, q in plant.parameters.items():
-        assert f"\n{name} = {{ value" in text, name
-        assert q.source and q.low <= q.value <= q.high
-        assert unit_of(name) in (q.unit, None), name
+def test_a_written_plant_gives_value_unit_bounds_and_source_of_everything(tmp_path):
+    """Without a look at the parts that declare them."""
+    plant, path = read_plant(), tmp_path / "plant.toml"
+    plant.write(path)
+    written = tomllib.loads(path.read_text())["parameters"]
+    assert written.keys() == plant.parameters.keys()
+    for name, entry in written.items():
+        q = plant.parameters[name]
+        assert unit_of(name) in (entry["unit"], None), name
+        assert entry["bounds"][0] <= entry["value"] <= entry["bounds"][1], name
+        assert entry["source"] == q.source != "" and entry["role"] == q.role, name
+
+
+def test_a_file_gives_what_differs_from_the_parts(tmp_path):
+    path = tmp_path / "plant.toml"
+    lines = "base_mass_kg = 0.3\nlink_mass_kg = { value = 1.0, source = 'x' }\n"
+    path.write_text(NOMINAL.read_text() + lines)
+    usual, own = read_plant().parameters, read_plant(path).parameters
+    changed = {name for name, q in own.items() if q != usual[name]}
+    assert changed == {"base_mass_kg", "link_mass_kg"}
+    assert own["base_mass_kg"] == msgspec.structs.replace(usual["base_mass_kg"], value=0.3)
+    heavy = msgspec.structs.replace(usual["link_mass_kg"], value=1.0, source="x")
+    assert own["link_mass_kg"] == heavy
 
 
 OF_THE_ESTIMATE = [

@@ -130,12 +130,6 @@ def test_trials_of_other_conditions_are_not_overwritten(written, options, capsys
     assert {p.name: p.read_bytes() for p in written.glob("*.csv")} == before
 
 
-def test_a_record_of_an_earlier_version_is_refused(tmp_path, capsys):
-    (tmp_path / "laboratory.json").write_text('{"dof1": {"seed": 0}}')
-    assert run(tmp_path) == BAD_INPUT
-    assert "laboratory.json: is the record of an earlier version" in capsys.readouterr().err
-
-
 def test_what_is_hidden_is_not_told_by_the_trial(tmp_path):
     assert run(tmp_path, "--hide", "backlash=0.01") == DONE
     for path in tmp_path.glob("dof*"):

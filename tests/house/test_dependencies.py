@@ -1,0 +1,63 @@
+"""Every package that a room imports is declared where the room is installed from."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = {
+    "firmware_py": ("record", "live", "trust"),
+    "dropstitch": ("library",),
+    "models": ("workshop", "library"),
+    "fmu": ("workshop",),
+    "hil": ("workshop", "dask", "submitit"),
+}
+"""Extras of the rooms, beside the dependencies of the robot."""
+DISTRIBUTIONS = packages_distributions()
+
+
+def normalised(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def declared(requirements: list[str]) -> set[str]:
+    """Names of requirements; extras of our own stand for what they hold."""
+    names: set[str] = set()
+    for text in requirements:
+        name, extras = re.match(r"([\w.-]+)(?:\[([\w,]+)\])?", text).groups()
+        if normalised(name) == PROJECT["name"]:
+            for extra in extras.split(","):
+                names |= declared(PROJECT["optional-dependencies"][extra])
+        else:
+            names.add(normalised(name))
+    return names
+
+
+def imported(path: Path) -> set[str]:
+    """Top packages that a file imports, wherever in it."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    names = [a.name for n in nodes if isinstance(n, ast.Import) for a in n.names]
+    names += [n.module for n in nodes if isinstance(n, ast.ImportFrom) and not n.level]
+    return {name.partition(".")[0] for name in names} - EXTRAS.keys() - sys.stdlib_module_names
+
+
+@pytest.mark.parametrize("room", EXTRAS)
+def test_what_a_room_imports_is_declared(room):
+    known = declared(PROJECT["dependencies"])
+    for extra in EXTRAS[room]:
+        known |= declared(PROJECT["optional-dependencies"][extra])
+    missing = {
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in (ROOT / room).rglob("*.py")
+        for name in imported(path)
+        if known.isdisjoint(normalised(d) for d in DISTRIBUTIONS.get(name, [name]))
+    }
+    assert not missing, f"declare in pyproject.toml: {sorted(missing)}"
