@@ -33,14 +33,8 @@ def bill_of_materials(
 ) -> dict[str, Any]:
     """CycloneDX document of the robot image.
 
-    Parameters
-    ----------
-    name, version, licence : str
-        Of this project; the licence as SPDX expression.
-    direct, optional : list of str
-        Requirements of the project, and those of the extras that the lock also holds.
-    lock : str
-        Text of the lock file.
+    `direct`, `optional`: requirements of the project, and those of the extras that the lock also
+    holds.
     """
     root = f"pkg:pypi/{name}@{version}"
     scopes = {normalised(r): "required" for r in direct}

@@ -55,33 +55,19 @@ def block_of(trial: Trial) -> str:
 
 @dataclass(frozen=True)
 class MeasuredSystem:
-    """Recordings of one machine.
+    """Recordings of one machine."""
 
-    Attributes
-    ----------
-    name : str
-        Of its plant and map in models/plant/examples.
-    folder, pattern : str
-        Where the recordings are.
-    signal, measure : str
-        Signal that is compared, and its error: "mae" or "rms".
-    reference : tuple of str
-        Effects beside viscous friction of the plant that the found one is compared with.
-    left_out, value_of : str, callable
-        What is left out in turn, and its value in a trial.
-    identified_first : bool
-        Whether the plant is identified before the gap is looked for. A joint that nothing holds
-        and whose friction is missing is not: the fit makes up for it by values at their bounds.
-    """
-
-    name: str
+    name: str  # Of its plant and map in models/plant/examples
     folder: str
     pattern: str
-    signal: str
+    signal: str  # Signal that is compared, and its error: "mae" or "rms"
     measure: str
+    # Effects beside viscous friction of the plant that the found one is compared with
     reference: tuple[str, ...]
-    left_out: str
+    left_out: str  # What is left out in turn, and its value in a trial
     value_of: Callable[[Trial], float | str]
+    # Whether the plant is identified before the gap is looked for. A joint that nothing holds and
+    # whose friction is missing is not: the fit makes up for it by values at their bounds.
     identified_first: bool = True
 
 

@@ -45,53 +45,27 @@ _MAX_DOF: Final = 2
 
 
 class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[bus]`: port and timing of the servos' bus.
+    """Table `[bus]`: port and timing of the servos' bus."""
 
-    Attributes
-    ----------
-    port : str
-        Serial device, or `unix:PATH` for an emulator's socket; with wildcards the first that opens.
-    baud : int
-        Bits per second.
-    reply_timeout_s : float
-        Longest wait for the servos in a tick, a second read included.
-    return_delay_s : float or None
-        Return delay to write to the servos; None leaves theirs.
-    replug_s : float
-        Longest wait for a port that has gone. When it is back, every start-up check is repeated and
-        the goals blend from the measured position. 0 leaves the robot stopped.
-    """
-
+    # Serial device, or `unix:PATH` for an emulator's socket; with wildcards the first that opens
     port: str
     baud: int = 1_000_000
-    reply_timeout_s: float = 0.008
-    return_delay_s: float | None = None
+    reply_timeout_s: float = 0.008  # Longest wait for the servos in a tick, a second read included
+    return_delay_s: float | None = None  # Return delay to write to the servos; None leaves theirs
+    # Longest wait for a port that has gone. When it is back, every start-up check is repeated and
+    # the goals blend from the measured position. 0 leaves the robot stopped.
     replug_s: float = 0.0
 
 
 class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Entry of `[[servos]]`; the entries are in joint order.
-
-    Attributes
-    ----------
-    id : int
-        Id on the bus, 0 to 252.
-    model : str
-        Name of the model, see `firmware_py.bus.servo_models.MODELS`.
-    reverse : bool
-        Whether the servo counts the other way (register Drive Mode).
-    homing_offset_rad : float
-        Its Homing Offset: the angle that it adds so that zero is where the link is upright.
-    gains : ServoGains or None
-        Gains with which the plant was identified; None does not compare them.
-
-    A servo with another direction, offset or gain is refused.
-    """
+    """Entry of `[[servos]]`; the entries are in joint order."""
 
     id: int
-    model: str
-    reverse: bool = False
+    model: str  # Name of the model, see `firmware_py.bus.servo_models.MODELS`
+    reverse: bool = False  # Whether the servo counts the other way (register Drive Mode)
+    # Its Homing Offset: the angle that it adds so that zero is where the link is upright
     homing_offset_rad: float = 0.0
+    # Gains with which the plant was identified; None does not compare them
     gains: ServoGains | None = None
 
     def assumed(self) -> AssumedSettings:
@@ -101,44 +75,22 @@ class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Contents of `robot.toml`; the commented example is at the root of the repository.
-
-    Attributes
-    ----------
-    bundle : str
-        Directory of the bundle, relative to the file.
-    bus : BusConfig
-        Table `[bus]`.
-    servos : tuple of ServoConfig
-        One per joint, in joint order.
-    link : str
-        Description of the link, relative to the file: see `firmware_py.link.link_limits`; "" for
-        none.
-    period_s : float
-        Control period.
-    payload_kg : float or None
-        Mass at the tip; None where it is unknown and the observer estimates it.
-    runtime : {"onnx", "compiled"} or None
-        What evaluates the predictor; None takes the compiled one where the bundle has it.
-    record : bool
-        Whether the recorder process writes the ticks to a file.
-    logs : str
-        Directory of these files, relative to the file.
-    motion, limits, feedback, live, trust, real_time
-        Tables of these names.
-    """
+    """Contents of `robot.toml`; the commented example is at the root of the repository."""
 
     schema: int = SCHEMA
-    bundle: str
+    bundle: str  # Directory of the bundle, relative to the file
     bus: BusConfig
-    servos: tuple[ServoConfig, ...]
+    servos: tuple[ServoConfig, ...]  # One per joint, in joint order
+    # Description of the link, relative to the file: see `firmware_py.link.link_limits`; "" for none
     link: str = ""
     period_s: float = PERIOD_S
+    # Mass at the tip; None where it is unknown and the observer estimates it
     payload_kg: float | None = None
+    # What evaluates the predictor; None takes the compiled one where the bundle has it
     runtime: Runtime | None = None
-    record: bool = True
-    logs: str = "logs"
-    motion: MotionConfig = MotionConfig()
+    record: bool = True  # Whether the recorder process writes the ticks to a file
+    logs: str = "logs"  # Directory of these files, relative to the file
+    motion: MotionConfig = MotionConfig()  # Tables of these names
     limits: Limits = Limits()
     feedback: TrustOptions = TrustOptions()
     live: LiveConfig = LiveConfig()
@@ -183,20 +135,8 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def goals_rad(self, *, repeated: bool = False) -> Array:
         """Return the goals of the motion, one row per period, rest in front.
 
-        Parameters
-        ----------
-        repeated : bool
-            Whether the table will be repeated, so that it must return to zero at its end.
-
-        Returns
-        -------
-        ndarray, shape (n, dof)
-            Goal angles in rad.
-
-        Raises
-        ------
-        InputError
-            If a parameter of the motion is out of range, or a goal breaks a limit.
+        `repeated`: whether the table will be repeated, so that it must return to zero at its end.
+        Returns shape (n, dof), goal angles in rad.
         """
         motion = self.motion.motion(self.dof)
         rest = round(self.motion.rest_s / self.period_s)
@@ -209,30 +149,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def read_config(path: Path | str) -> RobotConfig:
-    r"""Read and check `robot.toml`.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is not TOML, a key is unknown or missing, or a value is of the
-        wrong type or out of range; the message names file, key and remedy.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> text = 'bundle = "b"\n[bus]\nport = "p"\n[[servos]]\nid = 1\nmodel = "XM430-W350"\n'
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "robot.toml"
-    ...     size = path.write_text(text)
-    ...     config = read_config(path)
-    >>> config.dof, config.period_s, config.bus.baud
-    (1, 0.017, 1000000)
-    """
+    r"""Read and check `robot.toml`."""
     path = Path(path)
     document = read_toml(path, "copy the commented robot.toml and adapt it")
     config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")
@@ -253,34 +170,7 @@ def read_config(path: Path | str) -> RobotConfig:
 def check_config(config: RobotConfig, path: Path | str) -> None:
     """Refuse values that are out of range or do not fit together.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        Configuration to check.
-    path : Path or str
-        Subject of the message: the file, or what else the configuration comes from.
-
-    Raises
-    ------
-    InputError
-        Naming the key and the remedy.
-
-    Examples
-    --------
-    >>> config = RobotConfig(
-    ...     bundle="build/bundle_1dof",
-    ...     bus=BusConfig(port="/dev/ttyUSB0"),
-    ...     servos=(ServoConfig(id=1, model="H54-200-S500-R"),),
-    ... )
-    >>> check_config(config, "example")
-    >>> config.limits_in_force.rate_rad_s  # lower than configured: it has no bus watchdog
-    1.0
-    >>> slow = msgspec.structs.replace(config.bus, reply_timeout_s=1.0)
-    >>> try:
-    ...     check_config(msgspec.structs.replace(config, bus=slow), "example")
-    ... except InputError as error:
-    ...     print(error)
-    example: bus.reply_timeout_s is 1 s; give 0.0001 to 0.017 s.
+    `path`: subject of the message: the file, or what else the configuration comes from.
     """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")

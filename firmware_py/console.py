@@ -61,20 +61,9 @@ def dispatch(
 ) -> int:
     """Run the sub-command that `argv` names.
 
-    Parameters
-    ----------
-    prog, description : str
-        Name of the command line and its help text.
-    commands : sequence of Command
-        The sub-commands.
-    argv : sequence of str or None
-        Arguments without the name of the program; None takes those of the process.
-
-    Returns
-    -------
-    int
-        0 done, 1 ran and the verdict is negative, 2 bad input, 3 inconclusive; 130 and 143 after
-        Ctrl-C and SIGTERM. A reader of stdout or stderr that goes away does not change it.
+    `argv`: arguments without the name of the program; None takes those of the process.
+    Returns 0 done, 1 ran and the verdict is negative, 2 bad input, 3 inconclusive; 130 and 143
+    after Ctrl-C and SIGTERM. A reader of stdout or stderr that goes away does not change it.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     parser = argparse.ArgumentParser(prog=prog, description=description)
@@ -230,31 +219,14 @@ def _declared(
 
 
 def emit(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
-    """Print the result of a command on stdout.
-
-    Parameters
-    ----------
-    args : Namespace
-        The command's arguments.
-    data : dict
-        Result for machines, printed as JSON under --json.
-    text : str
-        Result for people, printed otherwise.
-    """
+    """Print the result of a command on stdout."""
     print(json.dumps(data, indent=1, sort_keys=True) if args.json else text)
 
 
 class Progress:
     """Progress display of a long job, one line on stderr.
 
-    Parameters
-    ----------
-    label : str
-        Name of the job.
-    total : int
-        Number of steps.
-    is_estimate : bool
-        Whether the total is estimated; shown as such until the last step.
+    `is_estimate`: whether the total is estimated; shown as such until the last step.
     """
 
     def __init__(self, label: str, total: int, is_estimate: bool = False) -> None:
@@ -264,24 +236,13 @@ class Progress:
         self._shown_s = 0.0
 
     def begin(self, detail: str) -> None:
-        """Show that no step has finished yet: the first may take minutes.
-
-        Parameters
-        ----------
-        detail : str
-            What is being done.
-        """
+        """Show that no step has finished yet: the first may take minutes."""
         self._show(detail)
 
     def step(self, detail: str = "", further: int | None = None) -> None:
         """Count one finished step; show it every 0.1 s on a terminal, every 5 s in a file.
 
-        Parameters
-        ----------
-        detail : str
-            Text at the end of the line.
-        further : int, optional
-            Steps that follow, where only the job itself finds out; sets the total.
+        `further`: steps that follow, where only the job itself finds out; sets the total.
         """
         self.done += 1
         if further is not None:

@@ -16,31 +16,13 @@ from firmware_py.signals import unit_of
 
 
 class DisplayUnit(NamedTuple):
-    r"""A unit in which a value is shown: shown = factor * value.
+    r"""A unit in which a value is shown: shown = factor * value."""
 
-    Attributes
-    ----------
-    name : str
-        As it is printed after the number; "" for none.
-    factor : float
-        From the SI unit (or from nanoseconds or bytes, where a constant says so).
-    decimals : int
-        Decimals in tables and sentences.
-
-    Examples
-    --------
-    >>> LENGTH.label("tip x"), LENGTH.number(0.0123)
-    ('tip x in mm', '12.3')
-    >>> error_unit("rad").significant(0.004)
-    '4\xa0mrad'
-    """
-
-    name: str
-    factor: float
-    decimals: int
+    name: str  # As it is printed after the number; "" for none
+    factor: float  # From the SI unit (or from nanoseconds or bytes, where a constant says so)
+    decimals: int  # Decimals in tables and sentences
 
     def shown(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Values in this unit."""
         return np.asarray(values, dtype=np.float64) * self.factor
 
     def number(self, value: SupportsFloat, decimals: int | None = None) -> str:

@@ -40,20 +40,6 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def read_document(path: Path, kind: type[T]) -> T:
-    """Read a document.
-
-    Parameters
-    ----------
-    path : Path
-        JSON file.
-    kind : type
-        Struct that it must hold.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, of another version, or does not hold this document.
-    """
     remedy = f"write it anew with {kind.MADE_BY}"
     data = read_bytes(path, remedy, MOST_JSON_BYTES)
     check_json(path, data, remedy)
@@ -70,24 +56,10 @@ def read_document(path: Path, kind: type[T]) -> T:
 
 
 def write_document(path: Path, document: Document) -> None:
-    """Write a document as a whole, as indented JSON; NaN and infinities become null.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    document : Document
-        The document.
-    """
+    """Write a document as a whole, as indented JSON; NaN and infinities become null."""
     write_whole(path, msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 
 
 def schema_of(kind: type[Document]) -> dict[str, Any]:
-    """Return the JSON Schema of a document (draft 2020-12).
-
-    Parameters
-    ----------
-    kind : type
-        Struct of the document.
-    """
+    """Return the JSON Schema of a document (draft 2020-12)."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | msgspec.json.schema(kind)

@@ -53,14 +53,8 @@ class FmuRefusal(DropstitchError):
 
 
 class SafetyTrip(DropstitchError):
-    """A fault stopped the robot, was seen while it stopped, or left a servo's torque unconfirmed.
-
-    Parameters
-    ----------
-    reason : str
-        One sentence: limit, joint and value.
-    last_ticks : Any
-        The last ticks, a structured array of `firmware_py.signals.tick_dtype`.
+    """A fault stopped the robot, was seen while it stopped, or left a servo's torque
+    unconfirmed.
     """
 
     def __init__(self, reason: str, last_ticks: Any = None) -> None:

@@ -52,43 +52,10 @@ _REPLUG_POLL_NS: Final = 50_000_000
 class ControlLoop:
     """Control loop that drives the servos along the goals of a source.
 
-    Parameters
-    ----------
-    bus : ServoBus
-        The servos; the caller closes it.
-    estimator : DeformationEstimator
-        Deformation Index from angle and current.
-    predictor : Predictor
-        Tip from angle, current and DI.
-    supervisor : SafetySupervisor
-        A supervisor in the state STARTING.
-    goals : GoalSource
-        Goals of each slot, as a rule a table, see `firmware_py.goals.goal_source`.
-    clock : Clock
-        Real or simulated.
-    correction : Correction, optional
-        Correction of the goals by the estimated tip.
-    slots : int, optional
-        Slots to run before the controlled stop; the goals repeat. None runs them once.
-    period_s : float
-        Control period.
-    reply_timeout_s : float
-        Longest wait for the servos in a tick.
-    replug_s : float
-        Longest wait for a port that has gone, after the robot has stopped; 0 does not wait.
-    telemetry : Telemetry, optional
-        Receiver of the finished records.
-    counters : Counters, optional
-        The kernel's counters, created in the thread that calls `run`.
-    service : Service, optional
-        Watchdog that is notified in every tick.
-    keep : int
-        Number of records to keep for the summary.
-
-    Raises
-    ------
-    InputError
-        If the goals have another number of joints than the bus.
+    `goals`: goals of each slot, as a rule a table, see `firmware_py.goals.goal_source`.
+    `slots`: slots to run before the controlled stop; the goals repeat. None runs them once.
+    `replug_s`: longest wait for a port that has gone, after the robot has stopped; 0 does not wait.
+    `counters`: the kernel's counters, created in the thread that calls `run`.
     """
 
     def __init__(
@@ -136,25 +103,11 @@ class ControlLoop:
         self._away = AwayTicks()
 
     def stop(self, reason: str) -> None:
-        """Request a controlled stop, also from a signal handler or another thread.
-
-        Parameters
-        ----------
-        reason : str
-            Cause, for the summary.
-        """
+        """Request a controlled stop, also from a signal handler or another thread."""
         self._signal = reason
 
     def run(self) -> RunSummary:
-        """Connect, run until the motion is over or the robot is stopped, switch the torque off.
-
-        Raises
-        ------
-        InputError
-            If a servo is unfit, a joint is outside its limits, or the torque cannot be switched on.
-        SafetyTrip
-            If the torque cannot be switched on, and not every servo confirms that it is off.
-        """
+        """Connect, run until the motion is over or the robot is stopped, switch the torque off."""
         self._bus.connect()
         self._get_ready()
         with signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it

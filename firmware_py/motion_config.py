@@ -14,47 +14,19 @@ __all__ = ["MotionConfig"]
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[motion]`: the reference motion, see `firmware_py.motion`.
+    """Table `[motion]`: the reference motion, see `firmware_py.motion`."""
 
-    Attributes
-    ----------
-    kind : {"sinusoid", "multisine", "triangle", "steps", "decay"}
-        Kind of motion.
-    amplitude_rad : float
-        Largest goal of each joint.
-    period_s : float
-        Time of one cycle of the sinusoid.
-    phase_2_rad : float
-        Phase by which joint 2 leads joint 1.
-    rest_s : float
-        Rest before the motion, the reference of the Deformation Index.
-    file : str or None
-        Motion file, relative to robot.toml, in place of kind, amplitude, period and phase.
-    design : MotionDocument or None
-        Content of that file.
-    """
-
-    kind: Kind = "sinusoid"
-    amplitude_rad: float = STUDY_AMPLITUDE_RAD
-    period_s: float = STUDY_PERIOD_S
-    phase_2_rad: float = 0.0
-    rest_s: float = 1.0
+    kind: Kind = "sinusoid"  # {"sinusoid", "multisine", "triangle", "steps", "decay"}
+    amplitude_rad: float = STUDY_AMPLITUDE_RAD  # Largest goal of each joint
+    period_s: float = STUDY_PERIOD_S  # Time of one cycle of the sinusoid
+    phase_2_rad: float = 0.0  # Phase by which joint 2 leads joint 1
+    rest_s: float = 1.0  # Rest before the motion, the reference of the Deformation Index
+    # Motion file, relative to robot.toml, in place of kind, amplitude, period and phase
     file: str | None = None
-    design: MotionDocument | None = None
+    design: MotionDocument | None = None  # Content of that file
 
     def motion(self, dof: int) -> Motion:
-        """Return the motion for a number of joints.
-
-        Parameters
-        ----------
-        dof : int
-            Joints of the robot.
-
-        Raises
-        ------
-        InputError
-            If a parameter is out of range, or the file is for another number of joints.
-        """
+        """Return the motion for a number of joints."""
         if self.design is None:
             return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
         if len(self.design.joints) != dof:
@@ -68,15 +40,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     def with_motion(self, wanted: str) -> MotionConfig:
         """Return the table with another kind of motion, or the motion of a file.
 
-        Parameters
-        ----------
-        wanted : str
-            Name of a kind, or path of a motion file.
-
-        Raises
-        ------
-        InputError
-            If it is neither.
+        `wanted`: name of a kind, or path of a motion file.
         """
         if wanted in KINDS:
             kind = msgspec.convert(wanted, Kind)

@@ -46,28 +46,15 @@ class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class MotionDocument(Document, frozen=True):
-    """Content of a motion file; the module's text defines the series.
-
-    Attributes
-    ----------
-    duration_s : float
-        Duration T of the motion.
-    harmonics : tuple of int
-        Cycles in the duration.
-    joints : tuple of JointSeries
-        In joint order, one or two.
-    payload_kg : float or None
-        Payload that the motion was designed for; the operator attaches it.
-    notes : str
-        For people.
-    """
+    """Content of a motion file; the module's text defines the series."""
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "python -m models experiment"
 
     duration_s: float
-    harmonics: tuple[int, ...]
-    joints: tuple[JointSeries, ...]
+    harmonics: tuple[int, ...]  # Cycles in the duration
+    joints: tuple[JointSeries, ...]  # In joint order, one or two
+    # Payload that the motion was designed for; the operator attaches it
     payload_kg: float | None = None
     notes: str = ""
 
@@ -86,10 +73,7 @@ class MotionDocument(Document, frozen=True):
     def goal_rad(self, time_s: Array) -> Array:
         """Goals at given times, shape (..., joints); zero before the start and after the end.
 
-        Parameters
-        ----------
-        time_s : ndarray, shape (...)
-            Time since the start of the motion in s.
+        Shapes: `time_s` (...).
         """
         basis = fourier_basis(time_s, self.duration_s, self.harmonics)
         weights = np.array([[*j.sine_rad, *j.cosine_rad] for j in self.joints])
@@ -99,20 +83,7 @@ class MotionDocument(Document, frozen=True):
 def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) -> Array:
     """Windowed sines and cosines of a series, shape (..., 2 harmonics).
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (...)
-        Time since the start of the motion in s.
-    duration_s : float
-        Duration of the motion.
-    harmonics : tuple of int
-        Cycles in the duration.
-
-    Examples
-    --------
-    >>> time_s = np.array([0.0, 2.5, 10.0])
-    >>> np.abs(fourier_basis(time_s, 10.0, (1,))).round(6).tolist()
-    [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0]]
+    Shapes: `time_s` (...).
     """
     fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)
     ramp = np.minimum(fraction, 1.0 - fraction) / FADE_FRACTION
@@ -122,18 +93,7 @@ def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) 
 
 
 def read_motion_document(path: Path | str) -> MotionDocument:
-    """Read and check a motion file.
-
-    Parameters
-    ----------
-    path : Path or str
-        TOML file.
-
-    Raises
-    ------
-    InputError
-        If it is missing, is no motion, is of another version, or a value is out of range.
-    """
+    """Read and check a motion file."""
     path = Path(path)
     raw = read_toml(path, _MAKE, _MAKE)
     version = raw.get("schema")
@@ -146,20 +106,7 @@ def read_motion_document(path: Path | str) -> MotionDocument:
 
 
 def check_motion_document(document: MotionDocument, where: Path | str) -> None:
-    """Refuse a series that cannot be run.
-
-    Parameters
-    ----------
-    document : MotionDocument
-        To check.
-    where : Path or str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range; it names the first.
-    """
+    """Refuse a series that cannot be run."""
     count = len(document.harmonics)
     every = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
     payload_kg = 0.0 if document.payload_kg is None else document.payload_kg

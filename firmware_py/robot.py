@@ -59,15 +59,7 @@ __all__ = [
 
 
 class LoopModels(Protocol):
-    """Models that the loop evaluates in every tick; a `ModelBundle` is one.
-
-    Attributes
-    ----------
-    estimator : DeformationEstimator
-        Deformation Index from angle and current.
-    predictor : Predictor
-        Tip from angle, current and DI.
-    """
+    """Models that the loop evaluates in every tick; a `ModelBundle` is one."""
 
     @property
     def estimator(self) -> DeformationEstimator:
@@ -83,17 +75,7 @@ class LoopModels(Protocol):
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
     """Load the bundle that a configuration names and check that the two fit together.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        The configuration.
-    path : Path
-        Its file; the path of the bundle is relative to it.
-
-    Raises
-    ------
-    InputError
-        If the bundle cannot be used, or is for another number of joints or another period.
+    `path`: its file; the path of the bundle is relative to it.
     """
     bundle = ModelBundle.load(path.parent / config.bundle, config.trust.keys, config.runtime)
     manifest = bundle.manifest
@@ -114,19 +96,8 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
 def with_bundle_gains(config: RobotConfig, bundle: ModelBundle, path: Path) -> RobotConfig:
     """Return a configuration that asks the servos for the gains of the bundle's plant.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        The configuration; gains that it does not give are those of the bundle.
-    bundle : ModelBundle
-        Bundle of the robot; without gains in its manifest nothing is changed.
-    path : Path
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If the configuration gives another gain than the bundle.
+    `config`: the configuration; gains that it does not give are those of the bundle.
+    `bundle`: bundle of the robot; without gains in its manifest nothing is changed.
     """
     servos = list(config.servos)
     for j, identified in enumerate(bundle.manifest.servo_gains):
@@ -155,21 +126,7 @@ def build_bus(
 ) -> DynamixelBus:
     """Return the bus that a configuration describes, over an open transport.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        Servos, baud rate, timeouts and limits.
-    transport : Transport
-        Byte stream to the servos; the bus closes it.
-    clock : Clock
-        Real or simulated.
-    opener : callable, optional
-        Opens the transport again; without it a port that has gone stays gone.
-
-    Raises
-    ------
-    InputError
-        If the servos do not share one control table.
+    `opener`: opens the transport again; without it a port that has gone stays gone.
     """
     return DynamixelBus(
         transport, config.setups(), clock, period_s=config.period_s,
@@ -182,22 +139,7 @@ def build_bus(
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
     """Open the bus that a configuration describes; torque off and closed at the end.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        Port, servos, timeouts and limits.
-    clock : Clock
-        The machine's clock.
-
-    Yields
-    ------
-    DynamixelBus
-        The bus; `connect` has not been called yet.
-
-    Raises
-    ------
-    InputError
-        If the port cannot be opened.
+    Yields the bus; `connect` has not been called yet.
     """
 
     def opener() -> Transport:
@@ -226,29 +168,9 @@ def build_loop(
 ) -> ControlLoop:
     """Return the control loop that a configuration describes, ready to run.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        Period, timeouts, limits and motion.
-    bundle : LoopModels
-        Estimator and predictor.
-    bus : ServoBus
-        The servos; the caller closes it.
-    clock : Clock
-        The clock of the bus.
-    goals : GoalSource, optional
-        Goals of each slot; by default the configured motion, made to repeat where `slots` is given.
-    correction : Correction, optional
-        Correction of the goals by the estimated tip.
-    slots : int, optional
-        Slots to run before the controlled stop; the goals repeat. None runs them once.
-    telemetry, counters, service, keep
-        See `firmware_py.loop.ControlLoop`.
-
-    Raises
-    ------
-    InputError
-        If the motion breaks a limit or has another number of joints than the bus.
+    `goals`: goals of each slot; by default the configured motion, made to repeat where `slots` is
+    given.
+    `slots`: slots to run before the controlled stop; the goals repeat. None runs them once.
     """
     if goals is None:
         goals = GoalTable(config.goals_rad(repeated=slots is not None))
@@ -267,19 +189,7 @@ def log_metadata(
     started: datetime,
     settings: Sequence[Mapping[str, int]] = (),
 ) -> dict[str, str]:
-    """Return the facts about a run that its log holds.
-
-    Parameters
-    ----------
-    config : RobotConfig
-        Configuration of the run.
-    bundle : ModelBundle
-        Bundle of the run.
-    started : datetime
-        Start of the run, with time zone.
-    settings : sequence of mapping of str to int, optional
-        Settings of the servos, see `DynamixelBus.found_settings`.
-    """
+    """Return the facts about a run that its log holds."""
     shape = shape_of_bundle(bundle.directory)
     drawn = {SHAPE_KEY: msgspec.json.encode(shape).decode()} if shape else {}
     return drawn | {

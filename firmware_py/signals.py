@@ -31,53 +31,21 @@ _SUFFIX = re.compile("_(" + "|".join(sorted(UNIT_OF_SUFFIX, key=len, reverse=Tru
 
 
 class Signal(NamedTuple):
-    """Physical quantity.
+    """Physical quantity."""
 
-    Attributes
-    ----------
-    name : str
-        Name with the suffix of its unit.
-    unit : str
-        SI unit; "1" for none.
-    description : str
-        Meaning.
-    """
-
-    name: str
-    unit: str
+    name: str  # Name with the suffix of its unit
+    unit: str  # SI unit; "1" for none
     description: str
 
 
 def unit_of(name: str) -> str | None:
-    """Return the SI unit that the suffix of a name declares, or None.
-
-    Parameters
-    ----------
-    name : str
-        Name of a column or variable.
-
-    Examples
-    --------
-    >>> unit_of("angle_1_rad"), unit_of("damping_nm_s_rad"), unit_of("di")
-    ('rad', 'N.m.s/rad', None)
-    """
+    """Return the SI unit that the suffix of a name declares, or None."""
     match = _SUFFIX.search(name)
     return UNIT_OF_SUFFIX[match.group(1)] if match else None
 
 
 def without_unit(name: str) -> str:
-    """Name of a column or variable without the suffix of its unit, spaces between its words.
-
-    Parameters
-    ----------
-    name : str
-        Name of a column or variable.
-
-    Examples
-    --------
-    >>> without_unit("root_damping_1_nm_s_rad"), without_unit("di")
-    ('root damping 1', 'di')
-    """
+    """Name of a column or variable without the suffix of its unit, spaces between its words."""
     return _SUFFIX.sub("", name).replace("_", " ")
 
 
@@ -135,15 +103,7 @@ def marker_signals(markers: int) -> tuple[Signal, ...]:
 
 
 def trial_signals(dof: int, markers: int = STUDY_MARKERS) -> tuple[Signal, ...]:
-    """Return the columns of a trial of the link, in order (docs/architecture.md).
-
-    Parameters
-    ----------
-    dof : int
-        Joints.
-    markers : int
-        Number of markers.
-    """
+    """Return the columns of a trial of the link, in order (docs/architecture.md)."""
     return (TIME, *joint_signals(dof), *_TIP, *marker_signals(markers))
 
 

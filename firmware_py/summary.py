@@ -34,28 +34,12 @@ class Ended(Enum):
 
 
 class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Use of the feedback of the tip in the motion of a run, approach and stop left out.
+    """Use of the feedback of the tip in the motion of a run, approach and stop left out."""
 
-    Attributes
-    ----------
-    ticks : int
-        Ticks in which feedback was due; 0 where the run has none.
-    lost_ticks : int
-        Those in which it did not act, or faded out, because the estimated tip was not trusted.
-    reason : str
-        Why trust was lost last; empty where it never was.
-
-    Examples
-    --------
-    >>> FeedbackUse(ticks=550, lost_ticks=381, reason="it is out of range").note
-    'feedback of the tip was lost in 381 of 550 ticks, last because it is out of range'
-    >>> FeedbackUse(ticks=550).note
-    ''
-    """
-
-    ticks: int = 0
+    ticks: int = 0  # Ticks in which feedback was due; 0 where the run has none
+    # Those in which it did not act, or faded out, because the estimated tip was not trusted
     lost_ticks: int = 0
-    reason: str = ""
+    reason: str = ""  # Why trust was lost last; empty where it never was
 
     @property
     def note(self) -> str:
@@ -69,53 +53,22 @@ class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class InputBeyond(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Measured input that lay beyond its training range in ticks that were out of range.
-
-    Attributes
-    ----------
-    name : str
-        Name of the signal.
-    unit : str
-        SI unit of the values; "1" for none.
-    ticks : int
-        Ticks in which it did.
-    extreme : float
-        Value that was furthest beyond.
-    minimum, maximum : float
-        Range in the training data.
-    """
+    """Measured input that lay beyond its training range in ticks that were out of range."""
 
     name: str
-    unit: str
+    unit: str  # SI unit of the values; "1" for none
     ticks: int
-    extreme: float
-    minimum: float
+    extreme: float  # Value that was furthest beyond
+    minimum: float  # Range in the training data
     maximum: float
 
 
 class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Why ticks of a run were outside the predictor's training range.
+    """Why ticks of a run were outside the predictor's training range."""
 
-    Attributes
-    ----------
-    inputs : tuple of InputBeyond
-        Angles, currents and DI that were beyond their ranges, in the predictor's order.
-    other_ticks : int
-        Ticks out of range in which none of them was.
-
-    Examples
-    --------
-    >>> beyond = InputBeyond(
-    ...     name="angle_1_rad", unit="rad", ticks=7, extreme=0.72, minimum=-0.52, maximum=0.52
-    ... )
-    >>> RangeReasons(inputs=(beyond,)).note.replace("\u00a0", " ")
-    'angle 1 reached 41.3 deg in 7 of them (trained from -29.8 to 29.8 deg)'
-    >>> RangeReasons().note
-    ''
-    """
-
+    # Angles, currents and DI that were beyond their ranges, in the predictor's order
     inputs: tuple[InputBeyond, ...] = ()
-    other_ticks: int = 0
+    other_ticks: int = 0  # Ticks out of range in which none of them was
 
     @property
     def note(self) -> str:
@@ -139,50 +92,22 @@ class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Result of a run.
-
-    Attributes
-    ----------
-    ended : Ended
-        Kind of end.
-    reason : str
-        Cause of the end, one sentence.
-    ticks : int
-        Ticks that ran.
-    bus_faults : dict of str to int
-        Ticks by status of the bus, OK left out.
-    out_of_range : int
-        Ticks in which the predictor's inputs lay outside its training range.
-    timing : Timing
-        Histograms, misses and their causes.
-    records : ndarray of tick_dtype, shape (n,)
-        The last ticks, oldest first.
-    telemetry_drops : int
-        Ticks that the recorder did not receive.
-    replugs : int
-        Times that the robot continued after its port had gone.
-    released : bool
-        Whether every servo confirmed torque off at the end.
-    faults : frozenset of Fault
-        Kinds of fault that stopped the robot or were seen while it stopped.
-    held_up_ticks : int
-        Ticks without fresh data in which the host held up the loop's thread.
-    feedback : FeedbackUse
-        How often feedback of the tip acted.
-    """
+    """Result of a run."""
 
     ended: Ended
-    reason: str
+    reason: str  # Cause of the end, one sentence
     ticks: int
-    bus_faults: dict[str, int]
-    out_of_range: int
-    timing: Timing
-    records: NDArray[np.void]
-    telemetry_drops: int
-    replugs: int = 0
-    released: bool = True
+    bus_faults: dict[str, int]  # Ticks by status of the bus, OK left out
+    out_of_range: int  # Ticks in which the predictor's inputs lay outside its training range
+    timing: Timing  # Histograms, misses and their causes
+    records: NDArray[np.void]  # (n,), the last ticks, oldest first
+    telemetry_drops: int  # Ticks that the recorder did not receive
+    replugs: int = 0  # Times that the robot continued after its port had gone
+    released: bool = True  # Whether every servo confirmed torque off at the end
+    # Kinds of fault that stopped the robot or were seen while it stopped
     faults: frozenset[Fault] = frozenset()
-    held_up_ticks: int = 0
+    held_up_ticks: int = 0  # Ticks without fresh data in which the host held up the loop's thread
+    # How often feedback of the tip acted
     feedback: FeedbackUse = field(default_factory=FeedbackUse)
 
     def document(
@@ -195,14 +120,7 @@ class RunSummary:
     ) -> RunDocument:
         """Return everything but the records as a document.
 
-        Parameters
-        ----------
-        log : Path or None
-            Log of the run, where one was written.
-        bus_plan : str
-            Name of the plan by which the servos were read.
-        payload_note, logged_ticks, out_of_range_reasons
-            See `RunDocument`.
+        `bus_plan`: name of the plan by which the servos were read.
         """
         return RunDocument(
             schema=RunDocument.VERSION, ended=self.ended.value, reason=self.reason,
@@ -215,30 +133,7 @@ class RunSummary:
 
 
 class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Summary of a run as `dropstitch run` writes it beside the log, `NAME.timing.json`.
-
-    Attributes
-    ----------
-    ended : {"finished", "signalled", "tripped"}
-        Kind of end.
-    reason, ticks, bus_faults, out_of_range, telemetry_drops, replugs, released, held_up_ticks
-        See `RunSummary`.
-    feedback : FeedbackUse
-        See `RunSummary`.
-    timing : TimingSummary
-        Durations and misses.
-    log : str or None
-        Log of the run, where one was written.
-    bus_plan : str
-        Name of the plan by which the servos were read.
-    payload_note : str
-        Sentence where the currents of the run fit another payload than the told one, or where the
-        estimated payload is beyond those of the plan; else empty.
-    logged_ticks : int or None
-        Ticks that the log holds; None where there is no log, or the recorder did not say.
-    out_of_range_reasons : RangeReasons
-        Which inputs of the predictor were beyond their ranges in the ticks out of range.
-    """
+    """Summary of a run as `dropstitch run` writes it beside the log, `NAME.timing.json`."""
 
     MADE_BY: ClassVar[str] = "dropstitch run"
 
@@ -252,38 +147,21 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     released: bool
     timing: TimingSummary
     log: str | None
-    bus_plan: str
+    bus_plan: str  # Name of the plan by which the servos were read
     held_up_ticks: int = 0
+    # Sentence where the currents of the run fit another payload than the told one, or where the
+    # estimated payload is beyond those of the plan; else empty
     payload_note: str = ""
     feedback: FeedbackUse = FeedbackUse()
+    # Ticks that the log holds; None where there is no log, or the recorder did not say
     logged_ticks: int | None = None
+    # Which inputs of the predictor were beyond their ranges in the ticks out of range
     out_of_range_reasons: RangeReasons = RangeReasons()
 
 
 def read_run_summary(path: Path) -> RunDocument:
-    """Read the summary of a run.
-
-    Parameters
-    ----------
-    path : Path
-        The file `NAME.timing.json`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, of another version, or no summary of a run.
-    """
     return read_document(path, RunDocument)
 
 
 def write_run_summary(path: Path, document: RunDocument) -> None:
-    """Write the summary of a run.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    document : RunDocument
-        The summary.
-    """
     write_document(path, document)

@@ -29,80 +29,27 @@ _HELD_UP_NS: Final = 1_000_000
 
 
 class Tick(NamedTuple):
-    """Inputs, results and time marks of one tick.
-
-    Attributes
-    ----------
-    slot : int
-        Number of its slot.
-    missed : int
-        Slots missed since the previous tick.
-    goal_rad, angle_rad, current_a : ndarray, shape (dof,)
-        Goals sent, angles and currents measured.
-    estimate : Estimate
-        Deformation Index and payload.
-    prediction : Prediction
-        Tip and its prediction interval.
-    state : SafetyState
-        State of the supervisor after the tick.
-    trust : TrustState
-        Whether corrections by the estimated tip act.
-    status : BusStatus
-        The worse result of read and write.
-    stale_ticks : int
-        Age of the measured data in ticks.
-    alert : int
-        Alert bits of the servos.
-    bus_wait_ns : int
-        Time spent waiting for the servos.
-    sample_late_ns : int
-        Time from the deadline to the request for the measurement.
-    marks_ns : tuple of int
-        Deadline, then the ends of the stages from "wake" to "write".
-    """
+    """Inputs, results and time marks of one tick."""
 
     slot: int
-    missed: int
-    goal_rad: Array
+    missed: int  # Slots missed since the previous tick
+    goal_rad: Array  # (dof,), goals sent, angles and currents measured
     angle_rad: Array
     current_a: Array
-    estimate: Estimate
-    prediction: Prediction
-    state: SafetyState
-    trust: TrustState
-    status: BusStatus
-    stale_ticks: int
-    alert: int
-    bus_wait_ns: int
-    sample_late_ns: int
-    marks_ns: tuple[int, ...]
+    estimate: Estimate  # Deformation Index and payload
+    prediction: Prediction  # Tip and its prediction interval
+    state: SafetyState  # State of the supervisor after the tick
+    trust: TrustState  # Whether corrections by the estimated tip act
+    status: BusStatus  # The worse result of read and write
+    stale_ticks: int  # Age of the measured data in ticks
+    alert: int  # Alert bits of the servos
+    bus_wait_ns: int  # Time spent waiting for the servos
+    sample_late_ns: int  # Time from the deadline to the request for the measurement
+    marks_ns: tuple[int, ...]  # Deadline, then the ends of the stages from "wake" to "write"
 
 
 class TickLog:
-    """Log of the ticks of a run; a tick adds nothing to the memory in use.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    period_ns : int
-        Control period.
-    telemetry : Telemetry
-        Receiver of the finished records.
-    counters : Counters
-        The kernel's counters for the loop's thread.
-    keep : int
-        Number of records to keep.
-
-    Attributes
-    ----------
-    timing : Timing
-        Histograms, misses and their causes.
-    out_of_range : int
-        Ticks in which the predictor's inputs lay outside its training range.
-    held_up : int
-        Ticks without fresh data in which the host held up the loop's thread.
-    """
+    """Log of the ticks of a run; a tick adds nothing to the memory in use."""
 
     def __init__(
         self, dof: int, period_ns: int, telemetry: Telemetry, counters: Counters, keep: int
@@ -138,13 +85,7 @@ class TickLog:
         return {s.name.lower(): n for s, n in self._statuses.items()}
 
     def feedback(self, reason: str) -> FeedbackUse:
-        """Return in how many ticks of the motion feedback of the tip was due, and did not act.
-
-        Parameters
-        ----------
-        reason : str
-            Why trust in the tip was lost last.
-        """
+        """Return in how many ticks of the motion feedback of the tip was due, and did not act."""
         lost = self._lost_feedback
         return FeedbackUse(
             ticks=self._with_feedback, lost_ticks=lost, reason=reason if lost else ""
@@ -193,10 +134,7 @@ class TickLog:
     def close(self, end_ns: int) -> None:
         """Complete the latest record at the end of its tick.
 
-        Parameters
-        ----------
-        end_ns : int
-            End of the tick, on the clock of the loop.
+        `end_ns`: end of the tick, on the clock of the loop.
         """
         bus_wait_ns, marks_ns = self._tick.bus_wait_ns, self._tick.marks_ns
         lateness_ns, busy_ns = self._stages_ns[0], end_ns - marks_ns[1]

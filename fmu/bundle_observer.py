@@ -38,20 +38,7 @@ OBSERVER = "observer.fmu"
 
 
 class ModelEstimator:
-    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU.
-
-    Parameters
-    ----------
-    model : StepModel
-        Observer.
-    wanted : sequence of str
-        Its outputs that the predictor takes.
-
-    Raises
-    ------
-    InputError
-        If the model lacks one.
-    """
+    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU."""
 
     waits_for_fresh: ClassVar[bool] = True
 
@@ -74,12 +61,7 @@ class ModelEstimator:
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Take one sample; see `DeformationEstimator.update`.
 
-        Parameters
-        ----------
-        angle_rad, current_a : ndarray, shape (dof,)
-            Measured sample.
-        step_s : float
-            Time since the last sample.
+        Shapes: `angle_rad`, `current_a` (dof,).
         """
         model, p = self._model, self._parameters
         u = np.concatenate([angle_rad, current_a])
@@ -98,27 +80,8 @@ def add_observer(
     The golden ticks keep their motion. Their expected outputs are recomputed by the interpreted
     model, so the replay on the robot tests the binary. The manifest is replaced last, atomically.
 
-    Parameters
-    ----------
-    bundle : Path
-        Directory of the bundle.
-    manifest : Manifest
-        Manifest of that bundle.
-    parts : FmuParts
-        Parts of an observer FMU.
-    platforms : sequence of str
-        See `build_fmu`; this machine's has to be among them, since the golden ticks run on it.
-
-    Returns
-    -------
-    Path
-        The FMU.
-
-    Raises
-    ------
-    InputError
-        If the bundle holds no golden ticks, or the FMU does not reproduce them; if
-        `parts` has no plant, or one whose observer lacks what the predictor wants.
+    `platforms`: see `build_fmu`; this machine's has to be among them, since the golden ticks run on
+    it.
     """
     plant = parts.required_plant().for_robot()
     if manifest.plant_sha256 != plant.sha256():

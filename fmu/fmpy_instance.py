@@ -28,20 +28,7 @@ Array = NDArray[np.float64]
 
 
 class FmuArchive:
-    """An unpacked FMU; a context manager that removes the unpacked files.
-
-    Attributes
-    ----------
-    path, directory : Path
-        The .fmu file, and the directory of its unpacked content.
-    description : fmpy ModelDescription
-        Of FMI 2.0 or 3.0.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or not for Co-Simulation.
-    """
+    """An unpacked FMU; a context manager that removes the unpacked files."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -72,13 +59,7 @@ class FmuArchive:
         return int(self.description.fmiVersion[0])
 
     def binary(self) -> Path:
-        """Path of the library for this machine.
-
-        Raises
-        ------
-        InputError
-            If the FMU has none.
-        """
+        """Path of the library for this machine."""
         here = platform_here()
         name = self.description.coSimulation.modelIdentifier
         if (platform := PLATFORMS.get(here)) is not None:
@@ -93,15 +74,7 @@ class FmuArchive:
     def instance(self, interface_type: InterfaceType = "CoSimulation") -> FmpyInstance:
         """Instantiate; several instances may exist at once.
 
-        Parameters
-        ----------
-        interface_type : {"CoSimulation", "ModelExchange"}
-            What the instance is for; only the former can `step` and `run`.
-
-        Raises
-        ------
-        InputError
-            If the FMU has no library for this machine.
+        `interface_type`: what the instance is for; only the former can `step` and `run`.
         """
         self.binary()
         return FmpyInstance(self, interface_type)
@@ -118,24 +91,7 @@ class FmuArchive:
 
 
 class FmpyInstance:
-    """An instance of an FMU; variables by name, Booleans as 1 and 0.
-
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    interface_type : {"CoSimulation", "ModelExchange"}
-        What the instance is for.
-
-    Attributes
-    ----------
-    fmu : FMU2Slave, FMU3Slave, FMU2Model or FMU3Model
-        FMPy's object, for calls that this class does not wrap.
-    messages : list of str
-        Messages that the FMU has logged.
-    time_s : float
-        Current time of the instance.
-    """
+    """An instance of an FMU; variables by name, Booleans as 1 and 0."""
 
     def __init__(self, archive: FmuArchive, interface_type: InterfaceType = "CoSimulation") -> None:
         self.fmi = archive.fmi
@@ -156,15 +112,7 @@ class FmpyInstance:
     def initialize(
         self, start: Mapping[str, float] | None = None, stop_s: float | None = None
     ) -> None:
-        """Set values and go through initialization mode.
-
-        Parameters
-        ----------
-        start : mapping of str to float, optional
-            Inputs and parameters by name.
-        stop_s : float, optional
-            Stop time; by default the experiment has none.
-        """
+        """Set values and go through initialization mode."""
         self.set(start or {})
         if self.fmi == 2:
             self.fmu.setupExperiment(startTime=0.0, stopTime=stop_s)
@@ -177,15 +125,7 @@ class FmpyInstance:
     def set(self, values: Mapping[str, float]) -> None:
         """Set variables.
 
-        Parameters
-        ----------
-        values : mapping of str to float
-            Values by name, in the SI unit of each variable.
-
-        Raises
-        ------
-        fmpy.fmi1.FMICallException
-            If the FMU refuses a value.
+        `values`: values by name, in the SI unit of each variable.
         """
         references = [self.variables[name].valueReference for name in values]
         if references:
@@ -193,13 +133,7 @@ class FmpyInstance:
             put(references, list(values.values()))
 
     def get(self, names: Sequence[str]) -> Array:
-        """Return the values of variables, shape (n,).
-
-        Parameters
-        ----------
-        names : sequence of str
-            Names of n variables.
-        """
+        """Return the values of variables, shape (n,)."""
         fetch = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
         values = np.empty(len(names))
         booleans = np.array([self.variables[name].type == "Boolean" for name in names], dtype=bool)
@@ -211,32 +145,15 @@ class FmpyInstance:
         return values
 
     def step(self, step_s: float) -> None:
-        """Advance by one communication step.
-
-        Raises
-        ------
-        fmpy.fmi1.FMICallException
-            If the FMU refuses the step.
-        """
+        """Advance by one communication step."""
         self.fmu.doStep(self.time_s, step_s)
         self.time_s += step_s
 
     def run(self, inputs: Sequence[str], u: Array, steps_s: Array, outputs: Sequence[str]) -> Array:
         """Initialize with the first row of inputs and take every step.
 
-        Parameters
-        ----------
-        inputs, outputs : sequence of str
-            Names of variables.
-        u : ndarray, shape (n, len(inputs))
-            Row k drives step k.
-        steps_s : ndarray, shape (n,)
-            Lengths of the steps.
-
-        Returns
-        -------
-        ndarray, shape (n + 1, len(outputs))
-            At the start and after each step.
+        Shapes: `u` (n, len(inputs)), `steps_s` (n,).
+        Returns shape (n + 1, len(outputs)), at the start and after each step.
         """
         self.initialize(dict(zip(inputs, u[0], strict=True)))
         rows = [self.get(outputs)]

@@ -105,13 +105,7 @@ def _offered(derivatives: bool, fmi: FmiVersion) -> Derivatives:
 
 
 def core_sources(fmi: FmiVersion) -> list[Path]:
-    """Return the hand-written C files of an FMU: its functions of the standard and the core.
-
-    Parameters
-    ----------
-    fmi : {2, 3}
-        Version of the standard.
-    """
+    """Return the hand-written C files of an FMU: its functions of the standard and the core."""
     return [WRAPPER / f"fmi{fmi}.c", *sorted(WRAPPER.glob("fmu_*.c"))]
 
 

@@ -135,13 +135,7 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
 
 
 def exported_functions(fmi: int) -> list[str]:
-    """Return the names of all functions that the header of FMI 2.0 or 3.0 declares.
-
-    Parameters
-    ----------
-    fmi : {2, 3}
-        Version of the standard.
-    """
+    """Return the names of all functions that the header of FMI 2.0 or 3.0 declares."""
     text = (HEADERS / f"fmi{fmi}Functions.h").read_text(encoding="utf-8")
     return sorted(set(re.findall(rf"fmi{fmi}FullName\((fmi{fmi}\w+)\)", text)))
 

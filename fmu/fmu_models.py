@@ -53,41 +53,15 @@ DESCRIPTIONS: Final[dict[Kind, str]] = {
 
 
 class FmuParts(NamedTuple):
-    """Parts that an FMU is built from.
+    """Parts that an FMU is built from."""
 
-    Attributes
-    ----------
-    kind : str
-        "twin", "predictor" or "observer"; see the table of this module.
-    dof : int
-        Number of joints.
-    plant : Plant or None
-        None in a predictor.
-    predictor : Path or None
-        The ONNX file; an observer may be without.
-
-    Examples
-    --------
-    >>> from models.plant.plant import read_plant
-    >>> parts = FmuParts("observer", dof=1, plant=read_plant(), predictor=None)
-    >>> names(parts.model().inputs)
-    ['angle_1_rad', 'current_1_a']
-    """
-
-    kind: Kind
+    kind: Kind  # "twin", "predictor" or "observer"; see the table of this module
     dof: int
-    plant: Plant | None
-    predictor: Path | None
+    plant: Plant | None  # None in a predictor
+    predictor: Path | None  # The ONNX file; an observer may be without
 
     def model(self) -> StepModel:
-        """Compose the FMU's model.
-
-        Raises
-        ------
-        InputError
-            If a part that this kind needs is absent, or the plant lacks a feature of the
-            predictor.
-        """
+        """Compose the FMU's model."""
         if self.kind == "predictor":
             return _predictor(self.dof, self.required_predictor())
         model = self.required_plant().step_model(self.dof, self.kind)
@@ -96,44 +70,18 @@ class FmuParts(NamedTuple):
         return _with_predictor(model, self.dof, self.required_predictor())
 
     def required_plant(self) -> Plant:
-        """Return the plant.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
         if self.plant is None:
             raise InputError(f"{self.kind} FMU", "has no plant", "build it with --plant")
         return self.plant
 
     def required_predictor(self) -> Path:
-        """Return the path of the ONNX file.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """Return the path of the ONNX file."""
         if self.predictor is None:
             raise InputError(f"{self.kind} FMU", "has no predictor", "build it from a bundle")
         return self.predictor
 
     def replaced_by(self, plant: Path | None, bundle: Path | None) -> FmuParts:
-        """Return these parts with another plant, or with the predictor of another bundle.
-
-        Parameters
-        ----------
-        plant : Path or None
-            Plant document, used where this kind has a plant.
-        bundle : Path or None
-            Bundle, used where this kind has a predictor.
-
-        Raises
-        ------
-        InputError
-            If the plant cannot be read.
-        """
+        """Return these parts with another plant, or with the predictor of another bundle."""
         return self._replace(
             plant=read_plant(plant) if plant and self.plant else self.plant,
             predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
@@ -163,21 +111,7 @@ class FmuParts(NamedTuple):
 def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> FmuParts:
     """Read the parts of an FMU from a directory: a bundle, or the resources of an FMU.
 
-    Parameters
-    ----------
-    kind : str
-        "twin", "predictor" or "observer".
-    dof : int
-        Number of joints.
-    directory : Path
-        Directory of predictor.onnx and plant.json.
-    plant : Path, optional
-        Plant document to use in place of that directory's plant.json.
-
-    Raises
-    ------
-    InputError
-        If a file is missing or cannot be used.
+    `plant`: plant document to use in place of that directory's plant.json.
     """
     return FmuParts(
         kind,
@@ -188,18 +122,7 @@ def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None)
 
 
 def embedded_parts(resources: Path) -> FmuParts | None:
-    """Return the parts that an unpacked FMU carries; None where it is not one of ours.
-
-    Parameters
-    ----------
-    resources : Path
-        Folder resources/ of the FMU.
-
-    Raises
-    ------
-    InputError
-        If a part is damaged.
-    """
+    """Return the parts that an unpacked FMU carries; None where it is not one of ours."""
     try:
         card = read_json(resources / CARD, "build it again", _MOST_CARD_BYTES)
     except InputError:  # none, or that of another tool

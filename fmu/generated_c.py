@@ -21,20 +21,6 @@ def write_equations(model: StepModel, interface: Interface, directory: Path) -> 
     They use the project's own sine and so on, for the same bits on every platform. CasADi tests
     each access to an argument or result for NULL. The core gives them all, so the tests are taken
     out, a tenth of the code, unless a function inside leaves one out.
-
-    Parameters
-    ----------
-    model : StepModel
-        The model.
-    interface : Interface
-        Its interface.
-    directory : Path
-        Directory of the files.
-
-    Returns
-    -------
-    Path
-        `model.c`.
     """
     model_c = write_model_c(model, directory, interface.relations.functions)
     text = model_c.read_text(encoding="utf-8")
@@ -51,24 +37,7 @@ _LEFT_OUT: Final = re.compile(r"(arg|res)\d+\[\d+\]=0;")
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
-    """Write `variables.c` and `variables.h`.
-
-    Parameters
-    ----------
-    model : StepModel
-        Gives the number of states and the longest sub-step.
-    interface : Interface
-        Variable table of the same model.
-    token : str
-        Instantiation token that the FMU accepts.
-    directory : Path
-        Directory of the files.
-
-    Returns
-    -------
-    Path
-        `variables.c`.
-    """
+    """Write `variables.c` and `variables.h`."""
     (directory / "variables.h").write_text(
         _header(model, interface, token), encoding="utf-8", newline="\n"
     )

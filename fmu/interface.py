@@ -36,35 +36,21 @@ Dependencies = dict[int, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class FmiVariable:
-    """Scalar variable of an FMU.
+    """Scalar variable of an FMU."""
 
-    Attributes
-    ----------
-    reference : int
-        Value reference, the row of the table.
-    causality : str
-        "independent", "input", "parameter", "output" or "local".
-    type : str
-        "Float64" or "Boolean" (FMI 3.0 names).
-    name, unit, start, minimum, maximum, nominal, description
-        As in `models.plant.step_model.Variable`, from which it is made.
-    sampled : bool
-        Whether the value changes at events of Model Exchange only, not in continuous time.
-    derivative_of : int or None
-        Reference of the continuous state whose derivative the variable is.
-    """
-
-    reference: int
-    causality: Causality
-    type: Literal["Float64", "Boolean"]
-    name: str
+    reference: int  # Value reference, the row of the table
+    causality: Causality  # "independent", "input", "parameter", "output" or "local"
+    type: Literal["Float64", "Boolean"]  # "Float64" or "Boolean" (FMI 3.0 names)
+    name: str  # As in `models.plant.step_model.Variable`, from which it is made
     unit: str
     start: float
     minimum: float
     maximum: float
     nominal: float
     description: str
+    # Whether the value changes at events of Model Exchange only, not in continuous time
     sampled: bool = False
+    # Reference of the continuous state whose derivative the variable is
     derivative_of: int | None = None
 
     @property
@@ -82,31 +68,18 @@ class FmiVariable:
 
 @dataclass(frozen=True)
 class Interface:
-    """External interface of an FMU.
+    """External interface of an FMU."""
 
-    Attributes
-    ----------
-    name : str
-        Model identifier, a C identifier.
-    variables : tuple of FmiVariable
-        The index is the value reference.
-    relations : Relations
-        Continuous states, event indicators and derivatives of the model.
-    dependencies : dict of int to tuple of int
-        For each output, derivative and event indicator the references of the inputs, parameters and
-        continuous states on which it depends directly.
-    initial_dependencies : dict of int to tuple of int
-        For each output, state and derivative the references of the inputs and parameters on which
-        it depends in initialization mode.
-    example : tuple of float
-        For each input the amplitude of the example motion; empty where there is none.
-    """
-
-    name: str
-    variables: tuple[FmiVariable, ...]
-    relations: Relations
+    name: str  # Model identifier, a C identifier
+    variables: tuple[FmiVariable, ...]  # The index is the value reference
+    relations: Relations  # Continuous states, event indicators and derivatives of the model
+    # For each output, derivative and event indicator the references of the inputs, parameters and
+    # continuous states on which it depends directly
     dependencies: Dependencies
+    # For each output, state and derivative the references of the inputs and parameters on which it
+    # depends in initialization mode
     initial_dependencies: Dependencies
+    # For each input the amplitude of the example motion; empty where there is none
     example: tuple[float, ...] = ()
 
     def of(self, causality: Causality) -> tuple[FmiVariable, ...]:
@@ -139,14 +112,7 @@ def interface_of(
 ) -> Interface:
     """Derive the variable table and the dependencies of a model.
 
-    Parameters
-    ----------
-    model : StepModel
-        Its name becomes the model identifier.
-    derivatives : str
-        Derivatives that the FMU offers, see `models.plant.simulation.relations`.
-    example : sequence of float
-        For each input the amplitude of the example motion; empty for none.
+    `example`: for each input the amplitude of the example motion; empty for none.
     """
     relations = relations_of(model, derivatives)
     variables = tuple(_number(model, relations, with_example=bool(example)))
@@ -252,12 +218,6 @@ def _dependencies(
 
 
 def finite_bounds(variable: FmiVariable) -> dict[str, float]:
-    """Return the finite bounds of a variable by their FMI names, "min" and "max".
-
-    Parameters
-    ----------
-    variable : FmiVariable
-        Bounds that are infinite are left out.
-    """
+    """Return the finite bounds of a variable by their FMI names, "min" and "max"."""
     pair = {"min": variable.minimum, "max": variable.maximum}
     return {name: value for name, value in pair.items() if math.isfinite(value)}

@@ -29,25 +29,7 @@ def model_description_xml(
 ) -> bytes:
     """Write modelDescription.xml for FMI 2.0 or FMI 3.0.
 
-    Parameters
-    ----------
-    interface : Interface
-        Variables and dependencies.
-    fmi : {2, 3}
-        Version of the standard.
-    token : str
-        GUID (FMI 2.0) or instantiation token (FMI 3.0).
-    description : str
-        One sentence that describes the FMU.
-    generated : str
-        Date and time, like "2026-11-21T00:00:00Z".
-    sources : sequence of str
-        Names of the C files under sources/, which FMI 2.0 lists here.
-
-    Returns
-    -------
-    bytes
-        XML, UTF-8.
+    `sources`: names of the C files under sources/, which FMI 2.0 lists here.
     """
     root = _root(interface, fmi, token, description, generated)
     if fmi == 2:

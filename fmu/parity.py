@@ -32,13 +32,7 @@ class FmuCheck(NamedTuple):
 
 
 def varying_steps_s(count: int) -> Array:
-    """Return communication steps of 0.2 to 2 periods in a quasi-random order, shape (count,).
-
-    Parameters
-    ----------
-    count : int
-        Number of steps.
-    """
+    """Return communication steps of 0.2 to 2 periods in a quasi-random order, shape (count,)."""
     golden = 0.5 * (np.sqrt(5.0) - 1.0)
     return np.asarray(PERIOD_S * (0.2 + 1.8 * ((np.arange(count) * golden) % 1.0)))
 
@@ -59,16 +53,7 @@ def check_step_parity(
 ) -> Iterator[FmuCheck]:
     """Compare runs with fixed and varying steps with the interpreted model.
 
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    model : StepModel
-        Model that it was built from.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k.
-    found : dict of str to float
-        Receives the largest difference by output.
+    Shapes: `u` (n, inputs).
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     runs = {"fixed": np.full(len(u), PERIOD_S), "varying": varying_steps_s(len(u))}
@@ -97,15 +82,7 @@ def _allow_for_decisions(difference: Array, outputs: Sequence[str]) -> None:
 
 
 def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
-    """Replay the reference run that an FMU holds.
-
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    run : ReferenceRun
-        Its reference run.
-    """
+    """Replay the reference run that an FMU holds."""
     known = {v.name for v in archive.description.modelVariables}
     unknown = [name for name in (*run.inputs, *run.outputs) if name not in known]
     if unknown:
@@ -123,21 +100,7 @@ def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
 def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u: Array) -> FmuCheck:
     """Compare the FMU's prediction with onnxruntime's on the same features.
 
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    parts : FmuParts
-        Its parts, with a predictor.
-    model : StepModel
-        Model that it was built from.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k.
-
-    Raises
-    ------
-    InputError
-        If the parts have no predictor.
+    Shapes: `u` (n, inputs).
     """
     wanted = [*tip_names("predicted_"), IN_RANGE.name]
     shown = [*names(model.inputs), *names(model.outputs)]
@@ -155,17 +118,7 @@ def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u:
 
 
 def predict_named(predictor: OnnxPredictor, dof: int, known: Mapping[str, float]) -> Prediction:
-    """Return the prediction for inputs by name; what is absent counts as zero.
-
-    Parameters
-    ----------
-    predictor : OnnxPredictor
-        Of a bundle.
-    dof : int
-        Number of joints.
-    known : mapping of str to float
-        Values by the names of the graph's inputs.
-    """
+    """Return the prediction for inputs by name; what is absent counts as zero."""
     joints = range(1, dof + 1)
     angle_rad = np.array([known.get(f"angle_{j}_rad", 0.0) for j in joints])
     current_a = np.array([known.get(f"current_{j}_a", 0.0) for j in joints])
@@ -180,14 +133,7 @@ def check_saved_states(archive: FmuArchive, model: StepModel, u: Array) -> FmuCh
     The state is saved half way. The run continues from there, again after the state is restored,
     and in a second instance from the serialised state.
 
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    model : StepModel
-        Model that it was built from.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k.
+    Shapes: `u` (n, inputs).
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     half = len(u) // 2
@@ -223,19 +169,8 @@ def _continue(
 def step_times_us(archive: FmuArchive, model: StepModel, u: Array) -> dict[str, float]:
     """Measure the median time of a step in FMPy, in µs.
 
-    Parameters
-    ----------
-    archive : FmuArchive
-        The FMU.
-    model : StepModel
-        Model that it was built from.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k.
-
-    Returns
-    -------
-    dict of str to float
-        "bare", and "with_sets_and_gets" of all inputs and outputs.
+    Shapes: `u` (n, inputs).
+    Returns "bare", and "with_sets_and_gets" of all inputs and outputs.
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     bare, whole = [], []

@@ -15,15 +15,7 @@ from models.shared.svg_drawing import FILE_STYLE
 
 
 def write_fmu_run(result: FmuRun, path: Path) -> None:
-    """Write time, inputs and outputs as CSV in SI units, one row per step.
-
-    Parameters
-    ----------
-    result : FmuRun
-        The run.
-    path : Path
-        CSV file.
-    """
+    """Write time, inputs and outputs as CSV in SI units, one row per step."""
     columns = [result.time_s, *result.columns.values()]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -32,15 +24,7 @@ def write_fmu_run(result: FmuRun, path: Path) -> None:
 
 
 def draw_run(result: FmuRun, path: Path) -> None:
-    """Plot a run, one panel per quantity; values of a trial are dashed, predicted ones dotted.
-
-    Parameters
-    ----------
-    result : FmuRun
-        The run.
-    path : Path
-        SVG file.
-    """
+    """Plot a run, one panel per quantity; values of a trial are dashed, predicted ones dotted."""
     panels: dict[tuple[str, str], list[str]] = {}
     for name in result.columns:
         panels.setdefault((_quantity(name), result.units[name]), []).append(name)

@@ -26,13 +26,7 @@ Array = NDArray[np.float64]
 
 
 def usual_payload_kg(parts: FmuParts) -> float:
-    """Payload where none is named: half of the largest that the link of the plant carries.
-
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU.
-    """
+    """Payload where none is named: half of the largest that the link of the plant carries."""
     link = parts.plant.link if parts.plant else None
     return (link or STUDY_LINK).payload_kg / 2
 
@@ -40,19 +34,7 @@ def usual_payload_kg(parts: FmuParts) -> float:
 def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, float]) -> None:
     """Refuse a trial of another link than the FMU's.
 
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU; without a plant of a link there is nothing to compare.
-    trial : Trial
-        Source of the rows.
-    parameters : mapping of str to float
-        Variables of the FMU to set before the start.
-
-    Raises
-    ------
-    InputError
-        If size or gravity in the trial differ from those of the FMU.
+    `parts`: parts of the FMU; without a plant of a link there is nothing to compare.
     """
     plant, meta = parts.plant, trial.meta
     if plant is None or plant.load != "link" or not meta.link_length_m:
@@ -98,25 +80,8 @@ def inputs_from_motion(
     each sample of age zero. A predictor gets the goals as angles, and currents and a DI that sweep
     through typical values.
 
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU.
-    model : StepModel
-        Its model.
-    motion : Motion
-        Reference motion.
-    payload_kg : float
-        Mass at the tip.
-    step_s : float
-        Communication step.
-    rows : int, optional
-        Number of the first rows to make; by default the whole motion.
-
-    Returns
-    -------
-    ndarray, shape (n, inputs)
-        Row k drives step k.
+    `rows`: number of the first rows to make; by default the whole motion.
+    Returns shape (n, inputs), row k drives step k.
     """
     goal_rad = motion.table_rad(step_s)
     if parts.kind == "predictor":
@@ -137,24 +102,7 @@ def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
 
     They are the trial's columns, its payload and, for a predictor, its true DI.
 
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU.
-    model : StepModel
-        Its model.
-    trial : Trial
-        Source of the rows.
-
-    Returns
-    -------
-    ndarray, shape (n, inputs)
-        Row k drives step k.
-
-    Raises
-    ------
-    InputError
-        If the trial has another number of joints.
+    Returns shape (n, inputs), row k drives step k.
     """
     if trial.meta.dof != parts.dof:
         raise InputError(

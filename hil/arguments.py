@@ -37,12 +37,7 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
 def complete_from_link(args: argparse.Namespace, plant: Path | None) -> LinkDescription:
     """Set servo and payload, where the user does not, by the link of a plant; return the link.
 
-    Parameters
-    ----------
-    args : Namespace
-        Of `add_line_arguments`.
-    plant : Path or None
-        Plant document, or the file of a link; None for the study's link.
+    `plant`: plant document, or the file of a link; None for the study's link.
     """
     link = link_of_plant(plant) if plant is not None and plant.is_file() else STUDY_LINK
     if args.model is None:

@@ -28,46 +28,18 @@ _ELEMENTS = {Verdict.FAIL: "failure", Verdict.INCONCLUSIVE: "skipped"}
 
 
 class JUnitCase(NamedTuple):
-    """One test case of a JUnit suite.
-
-    Attributes
-    ----------
-    name : str
-        Name of the case.
-    verdict : Verdict
-        A failure where it is `FAIL`, skipped where it is `INCONCLUSIVE`.
-    message, text : str
-        Short and long explanation of a verdict other than `PASS`.
-    """
+    """One test case of a JUnit suite."""
 
     name: str
-    verdict: Verdict
-    message: str = ""
+    verdict: Verdict  # A failure where it is `FAIL`, skipped where it is `INCONCLUSIVE`
+    message: str = ""  # Short and long explanation of a verdict other than `PASS`
     text: str = ""
 
 
 def junit_xml(
     suite: str, cases: Sequence[JUnitCase], properties: Mapping[str, Any] | None = None
 ) -> bytes:
-    """Return a JUnit XML document.
-
-    Parameters
-    ----------
-    suite : str
-        Name of the suite, below "dropstitch.".
-    cases : sequence of JUnitCase
-        Its cases.
-    properties : mapping, optional
-        Facts about the run, written as text.
-
-    Examples
-    --------
-    >>> print(junit_xml("sil", [JUnitCase("no miss", Verdict.PASS)]).decode())
-    <?xml version='1.0' encoding='utf-8'?>
-    <testsuite name="dropstitch.sil" tests="1" failures="0" skipped="0">
-      <testcase classname="sil" name="no miss" />
-    </testsuite>
-    """
+    """Return a JUnit XML document."""
     verdicts = [case.verdict for case in cases]
     root = ET.Element(
         "testsuite", name=f"dropstitch.{suite}", tests=str(len(cases)),

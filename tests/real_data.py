@@ -11,11 +11,8 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 def real_recordings(folder):
     """Directory of one set of recordings; the test is skipped where it is not present.
 
-    Parameters
-    ----------
-    folder : str
-        "bam_xl330", "emps" or "quanser". They lie in the directory that the environment variable
-        DROPSTITCH_DATA names, by default in ../shared/data beside the checkout.
+    `folder`: "bam_xl330", "emps" or "quanser". They lie in the directory that the environment
+    variable DROPSTITCH_DATA names, by default in ../shared/data beside the checkout.
     """
     default = CHECKOUT.parent / "shared" / "data"
     path = Path(os.environ.get("DROPSTITCH_DATA", default)) / folder

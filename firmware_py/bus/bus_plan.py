@@ -70,30 +70,14 @@ _FAST_OVERHEAD, _FAST_BLOCK_OVERHEAD = 8, 4
 
 
 class Plan(NamedTuple):
-    """One way to read the servos and to send their goals.
+    """One way to read the servos and to send their goals."""
 
-    Attributes
-    ----------
-    fast : bool
-        Fast sync read instead of sync read.
-    indirect : bool
-        Block gathered by indirect addresses.
-    block : Block
-        Registers read from every servo.
-    servos : int
-        Number of servos.
-    baud : int
-        Bits per second.
-    return_delay_s : float
-        Delay of a servo before it answers.
-    """
-
-    fast: bool
-    indirect: bool
-    block: Block
+    fast: bool  # Fast sync read instead of sync read
+    indirect: bool  # Block gathered by indirect addresses
+    block: Block  # Registers read from every servo
     servos: int
     baud: int
-    return_delay_s: float
+    return_delay_s: float  # Delay of a servo before it answers
 
     @property
     def name(self) -> str:
@@ -140,25 +124,6 @@ def plans(
     """Return every plan for servos of one control table, fastest first.
 
     The plain sync read of the direct block, which every servo answers, is always among them.
-
-    Parameters
-    ----------
-    table : ControlTable
-        Control table of all servos.
-    servos : int
-        Number of servos.
-    baud : int
-        Bits per second.
-    return_delay_s : float
-        Delay of a servo before it answers.
-
-    Examples
-    --------
-    >>> from firmware_py.bus.servo_models import model_named
-    >>> table = model_named("H54-200-S500-R(A)").table
-    >>> fastest = plans(table, servos=2, baud=1_000_000)[0]
-    >>> fastest.name, round(fastest.total_s * 1e3, 2)  # 72 bytes and one return delay, in ms
-    ('fast sync read, indirect', 1.22)
     """
     blocks = {False: table.feedback}
     if table.indirect.address < table.ram_start:
@@ -177,56 +142,18 @@ def plain(candidates: list[Plan]) -> Plan:
 
 
 def available_s(period_s: float, reply_timeout_s: float) -> float:
-    """Return the time that a tick can spend on transmission.
-
-    Parameters
-    ----------
-    period_s : float
-        Control period.
-    reply_timeout_s : float
-        Longest wait for the servos in a tick.
-    """
+    """Return the time that a tick can spend on transmission."""
     return min(reply_timeout_s, period_s - RESERVE_NS * 1e-9)
 
 
 def require_any(candidates: list[Plan], budget_s: float, where: Path | str) -> None:
-    """Refuse candidates of which none fits into the budget.
-
-    Parameters
-    ----------
-    candidates : list of Plan
-        From `plans`.
-    budget_s : float
-        From `available_s`.
-    where : Path or str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        With the figures of the plain plan.
-    """
+    """Refuse candidates of which none fits into the budget."""
     if candidates[0].total_s > budget_s:
         require_time(plain(candidates), budget_s, where)
 
 
 def require_time(plan: Plan, budget_s: float, where: Path | str) -> None:
-    """Refuse a plan whose transmission takes longer than the budget.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan in question.
-    budget_s : float
-        From `available_s`.
-    where : Path or str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        With the time needed, the time available, and the lowest baud rate that suffices.
-    """
+    """Refuse a plan whose transmission takes longer than the budget."""
     if plan.total_s <= budget_s:
         return
     enough = (b for b in SERVO_BAUD_RATES if plan._replace(baud=b).total_s <= budget_s)

@@ -39,38 +39,13 @@ _WATCHDOG_PERIODS: Final = 3
 class DynamixelBus:
     """Servos of one control table on one bus; implements `firmware_py.bus.servo_bus.ServoBus`.
 
-    Parameters
-    ----------
-    transport : Transport
-        Byte stream to the servos, see `firmware_py.bus.transport.open_transport`.
-    servos : sequence of ServoSetup
-        One per joint, in joint order.
-    clock : Clock
-        Clock of the deadlines.
-    period_s : float
-        Control period; the servos' watchdog is set to at least three periods.
-    return_delay_s : float, optional
-        Return delay to write to every servo that has a different one; None writes nothing.
-    name : str
-        Name of the port in messages.
-    baud : int
-        Bits per second of the line.
-    reply_timeout_s : float, optional
-        Longest wait for the servos in a tick; `connect` refuses servos that are slower.
-    opener : callable, optional
-        Opens the transport anew, or raises InputError; without it a port that has gone stays gone.
-
-    Attributes
-    ----------
-    plan : Plan
-        Plan by which the servos are read, chosen by `connect`.
-    firmware_versions : tuple of int
-        Of the servos in joint order, read by `connect`.
-
-    Raises
-    ------
-    InputError
-        If the servos do not share one control table.
+    `period_s`: control period; the servos' watchdog is set to at least three periods.
+    `return_delay_s`: return delay to write to every servo that has a different one; None writes
+    nothing.
+    `reply_timeout_s`: longest wait for the servos in a tick; `connect` refuses servos that are
+    slower.
+    `opener`: opens the transport anew, or raises InputError; without it a port that has gone stays
+    gone.
     """
 
     def __init__(
@@ -127,10 +102,7 @@ class DynamixelBus:
     def read(self, deadline_ns: int) -> BusStatus:
         """Measure all servos with one sync read, or two; all are fresh or none is.
 
-        Parameters
-        ----------
-        deadline_ns : int
-            End of the wait for the answers, on the bus's clock.
+        `deadline_ns`: end of the wait for the answers, on the bus's clock.
         """
         feedback = self._feedback
         try:
@@ -164,18 +136,7 @@ class DynamixelBus:
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
         """Send all goals with one sync write, which no servo answers.
 
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goal angles.
-        deadline_ns : int
-            End of the slot, on the bus's clock.
-
-        Raises
-        ------
-        ValueError
-            If a goal is not finite or does not fit the register: an error of the caller, whose
-            supervisor admits only goals within limits.
+        Shapes: `goal_rad` (dof,).
         """
         self._port.deadline_ns = deadline_ns
         try:
@@ -187,15 +148,7 @@ class DynamixelBus:
     # Around the loop ---------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Check and prepare every servo, torque off; choose the plan.
-
-        Raises
-        ------
-        InputError
-            If a servo is silent, is a different model, reports a hardware error, is not in position
-            mode, has narrower limits than the configuration or settings that the plant does not
-            assume, or answers too slowly.
-        """
+        """Check and prepare every servo, torque off; choose the plan."""
         self.alert, self._driving = 0, False
         self.firmware_versions = tuple(map(self._preparation.prepare, self._servos))
         if (status := self._choose_plan()) > BusStatus.RETRIED:
@@ -210,13 +163,7 @@ class DynamixelBus:
             )
 
     def found_settings(self) -> tuple[dict[str, int], ...]:
-        """Return the settings of every servo on which the plant depends; nothing is written.
-
-        Raises
-        ------
-        InputError
-            If a servo is silent or is a different model.
-        """
+        """Return the settings of every servo on which the plant depends; nothing is written."""
         return tuple(map(self._preparation.found, self._servos))
 
     def _follow(self, plan: Plan) -> None:
@@ -264,15 +211,7 @@ class DynamixelBus:
         Every servo is tried, whatever the others answer. One counts as off where it has confirmed
         the instruction and then reports that its torque is off.
 
-        Parameters
-        ----------
-        on : bool
-            Whether to switch it on.
-
-        Returns
-        -------
-        BusStatus
-            OK where every servo confirmed it, else TIMEOUT.
+        Returns OK where every servo confirmed it, else TIMEOUT.
         """
         watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
@@ -321,11 +260,5 @@ class DynamixelBus:
 
 
 def watchdog_steps(period_s: float) -> int:
-    """Return the value of the watchdog register for a control period, in steps of 20 ms.
-
-    Examples
-    --------
-    >>> watchdog_steps(0.017)
-    3
-    """
+    """Return the value of the watchdog register for a control period, in steps of 20 ms."""
     return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)

@@ -53,37 +53,7 @@ _CODES: Final = {1: "b", 2: "h", 4: "i"}
 
 
 class FeedbackReader:
-    """Reader of servos of one control table by one plan; all are fresh or none is.
-
-    Parameters
-    ----------
-    port : DeadlinePort
-        Port to the servos.
-    packets : PacketHandler
-        The SDK's Protocol 2.0.
-    clock : Clock
-        Clock of the deadlines.
-    models : dict of int to Model
-        Servos by id, in joint order.
-    plan : Plan
-        Plan by which to read them.
-
-    Attributes
-    ----------
-    angle_rad, current_a : ndarray, shape (dof,)
-        From the latest successful read; partly overwritten after a failed one.
-    alert : bool
-        Whether a servo reported a hardware error in the latest read.
-    standing : int
-        `TORQUE_LOST`, `STOPPED_BY_WATCHDOG`: why a servo did not drive in the latest read; 0 where
-        all drive or the plan does not tell.
-    late_ns : int
-        Time by which the measurement is later than the start of its read, because the second
-        attempt made it; 0 where the first did. Where each made a part of it, the mean of the
-        joints.
-    usual_ns : int
-        Duration of one exchange: by the plan, until `DynamixelBus.connect` has measured it.
-    """
+    """Reader of servos of one control table by one plan; all are fresh or none is."""
 
     def __init__(
         self,
@@ -132,16 +102,6 @@ class FeedbackReader:
         attempt the next one requests a different number of bytes. An answer to the first attempt
         that arrives during the second was measured in this tick, so it is used for a servo whose
         second answer is missing.
-
-        Parameters
-        ----------
-        deadline_ns : int
-            End of the wait for the answers.
-
-        Raises
-        ------
-        OSError
-            If the port is gone.
         """
         port, now_ns, usual_ns = self._port, self._clock.now_ns, self.usual_ns
         kept_ns = usual_ns + RETRY_MARGIN_NS

@@ -19,17 +19,7 @@ _CRC: Final = 2
 
 
 class GoalWriter:
-    """Writer of goals to servos of one control table.
-
-    Parameters
-    ----------
-    port : DeadlinePort
-        Port to the servos.
-    packets : PacketHandler
-        The SDK's Protocol 2.0.
-    models : dict of int to Model
-        Servos by id, in joint order.
-    """
+    """Writer of goals to servos of one control table."""
 
     def __init__(
         self, port: DeadlinePort, packets: PacketHandler, models: dict[int, Model]
@@ -55,17 +45,7 @@ class GoalWriter:
     def put(self, goal_rad: NDArray[float64]) -> BusStatus:
         """Send the goals.
 
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goal angles.
-
-        Raises
-        ------
-        ValueError
-            If a goal is not finite or does not fit the register.
-        OSError
-            If the port is gone.
+        Shapes: `goal_rad` (dof,).
         """
         encode, packet, packets = self._cell.encode, self._packet, self._packets
         for model, place, angle_rad in zip(

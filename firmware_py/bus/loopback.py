@@ -23,18 +23,7 @@ _MEMORY_BYTES: Final = 1024
 
 
 class LoopbackTransport:
-    """A `firmware_py.bus.transport.Transport` with servos at its end.
-
-    Parameters
-    ----------
-    models : mapping of int to Model
-        Servos by id.
-
-    Attributes
-    ----------
-    memory : dict of int to bytearray
-        Registers of each servo.
-    """
+    """A `firmware_py.bus.transport.Transport` with servos at its end."""
 
     def __init__(self, models: Mapping[int, Model]) -> None:
         self._models = models
@@ -56,30 +45,12 @@ class LoopbackTransport:
                 self.put(id_, register, raw)
 
     def put(self, id_: int, register: Register, raw: int) -> None:
-        """Set a register.
-
-        Parameters
-        ----------
-        id_ : int
-            Id of the servo.
-        register : Register
-            The register.
-        raw : int
-            Raw value.
-        """
+        """Set a register."""
         cell = self._models[id_].table[register]
         self.memory[id_][cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def get(self, id_: int, register: Register) -> int:
-        """Return the raw value of a register.
-
-        Parameters
-        ----------
-        id_ : int
-            Id of the servo.
-        register : Register
-            The register.
-        """
+        """Return the raw value of a register."""
         cell = self._models[id_].table[register]
         return cell.decode(self.memory[id_], cell.address)
 

@@ -57,24 +57,7 @@ _SHORTEST: Final = 11
 class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
     """Port of the SDK over a `Transport`, bounded by a deadline.
 
-    Parameters
-    ----------
-    transport : Transport
-        Byte stream to the servos.
-    clock : Clock
-        Clock of the deadlines.
-    name : str
-        Name in messages.
-    baud : int
-        Bits per second, for information only: the transport is already open.
-
-    Attributes
-    ----------
-    deadline_ns : int
-        End of the wait for an answer; the caller sets it before each exchange. The SDK's own
-        timeouts have no effect.
-    wait_ns : int
-        Time spent waiting for bytes since the start.
+    `baud`: bits per second, for information only: the transport is already open.
     """
 
     def __init__(
@@ -206,23 +189,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return crc_accum
 
     def rxPacket(self, port: DeadlinePort, fast_option: bool) -> tuple[bytes, int]:
-        """Receive the next status packet; bytes in front of it are dropped.
-
-        Parameters
-        ----------
-        port : DeadlinePort
-            Port to receive from.
-        fast_option : bool
-            Whether the packet answers a fast sync read.
-
-        Returns
-        -------
-        bytes
-            The packet, as received for a fast sync read, else without stuffing; meaningless where
-            the result is not COMM_SUCCESS.
-        int
-            COMM_SUCCESS, COMM_RX_TIMEOUT or COMM_RX_CORRUPT.
-        """
+        """Receive the next status packet; bytes in front of it are dropped."""
         highest_id = BROADCAST_ID if fast_option else MAX_ID
         packet, wanted, result = b"", _SHORTEST, int(COMM_RX_CORRUPT)
         while True:
@@ -270,10 +237,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
     def finished(self, txpacket: list[int]) -> bytes:
         """Return an instruction as it is sent.
 
-        Parameters
-        ----------
-        txpacket : list of int
-            Instruction; header, stuffing and CRC are filled in, the list is not changed.
+        `txpacket`: instruction; header, stuffing and CRC are filled in, the list is not changed.
         """
         packet = self.addStuffing(txpacket)
         packet[:4] = (*HEADER, 0)
@@ -284,17 +248,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
     def send(self, port: DeadlinePort, packet: bytes) -> int:
         """Send a finished instruction that is answered; bytes received before are dropped.
 
-        Parameters
-        ----------
-        port : DeadlinePort
-            Port to the servos.
-        packet : bytes
-            From `finished`.
-
-        Returns
-        -------
-        int
-            COMM_SUCCESS or another result of the SDK.
+        Returns COMM_SUCCESS or another result of the SDK.
         """
         if not port.is_using:
             port.clearPort()
@@ -303,17 +257,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
     def tell(self, port: DeadlinePort, packet: bytes) -> int:
         """Send a finished instruction that is not answered.
 
-        Parameters
-        ----------
-        port : DeadlinePort
-            Port to the servos.
-        packet : bytes
-            From `finished`.
-
-        Returns
-        -------
-        int
-            COMM_SUCCESS or another result of the SDK.
+        Returns COMM_SUCCESS or another result of the SDK.
         """
         result = self._write(port, packet)
         if result == COMM_SUCCESS:

@@ -18,22 +18,7 @@ SETUP_ATTEMPTS: Final = 3
 
 
 class RegisterAccess:
-    """Reader and writer of registers through the SDK.
-
-    Parameters
-    ----------
-    port : DeadlinePort
-        Port to the servos.
-    packets : PacketHandler
-        The SDK's Protocol 2.0.
-    clock : Clock
-        Clock of the deadlines.
-
-    Attributes
-    ----------
-    alert : bool
-        Whether a servo reported a hardware error in an answer to `put`; the caller resets it.
-    """
+    """Reader and writer of registers through the SDK."""
 
     def __init__(self, port: DeadlinePort, packets: PacketHandler, clock: Clock) -> None:
         self._port, self._packets, self._clock = port, packets, clock
@@ -45,22 +30,7 @@ class RegisterAccess:
         The SDK's own `readTxRx` accepts a late answer to an earlier write: its CRC then passes for
         data. Here an answer of a different length is dropped.
 
-        Parameters
-        ----------
-        id_ : int
-            Id of the servo.
-        cell : RegisterField
-            The register.
-
-        Returns
-        -------
-        int or None
-            Raw value; None where no valid answer came before the port's deadline.
-
-        Raises
-        ------
-        OSError
-            If the port is gone.
+        Returns raw value; None where no valid answer came before the port's deadline.
         """
         result = self._packets.readTx(self._port, id_, cell.address, cell.size)
         while result == COMM_SUCCESS:
@@ -86,17 +56,7 @@ class RegisterAccess:
     def get(self, id_: int, cell: RegisterField) -> int | None:
         """Read a register, up to three times.
 
-        Parameters
-        ----------
-        id_ : int
-            Id of the servo.
-        cell : RegisterField
-            The register.
-
-        Returns
-        -------
-        int or None
-            Raw value; None where every attempt failed or the port has gone.
+        Returns raw value; None where every attempt failed or the port has gone.
         """
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
@@ -109,22 +69,7 @@ class RegisterAccess:
         return None
 
     def put(self, id_: int, cell: RegisterField, raw: int) -> bool:
-        """Write a register, up to three times.
-
-        Parameters
-        ----------
-        id_ : int
-            Id of the servo.
-        cell : RegisterField
-            The register.
-        raw : int
-            Raw value.
-
-        Returns
-        -------
-        bool
-            Whether the servo confirmed it.
-        """
+        """Write a register, up to three times."""
         data = list(cell.encode(raw))
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS

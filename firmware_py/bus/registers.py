@@ -54,37 +54,18 @@ class Register(Enum):
 
 
 class RegisterField(NamedTuple):
-    """Location and format of a register (little endian, two's complement).
+    """Location and format of a register (little endian, two's complement)."""
 
-    Attributes
-    ----------
-    address : int
-        Address of the first byte.
-    size : int
-        Number of bytes.
-    signed : bool
-        Whether the value is signed.
-    writable : bool
-        Whether a program may write it.
-    """
-
-    address: int
+    address: int  # Address of the first byte
     size: int
-    signed: bool = False
-    writable: bool = True
+    signed: bool = False  # Whether the value is signed
+    writable: bool = True  # Whether a program may write it
 
     def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
         """Return the raw value at `offset` of received bytes."""
         return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
 
     def encode(self, raw: int) -> bytes:
-        """Return the bytes of a raw value.
-
-        Raises
-        ------
-        ValueError
-            If the value does not fit the register.
-        """
         try:
             return raw.to_bytes(self.size, "little", signed=self.signed)
         except OverflowError:
@@ -93,36 +74,18 @@ class RegisterField(NamedTuple):
 
 @dataclass(frozen=True)
 class Block:
-    """Contiguous span of registers, fetched by one read.
+    """Contiguous span of registers, fetched by one read."""
 
-    Attributes
-    ----------
-    address, size : int
-        Address of the first byte; number of bytes.
-    offsets : mapping of Register to int
-        Registers that are evaluated, and their offsets in the block.
-    """
-
-    address: int
+    address: int  # Address of the first byte; number of bytes
     size: int
     offsets: Mapping[Register, int]
 
 
 class Indirect(NamedTuple):
-    """Indirect addressing: byte k of the indirect data mirrors the address in entry k.
+    """Indirect addressing: byte k of the indirect data mirrors the address in entry k."""
 
-    Attributes
-    ----------
-    address : int
-        Address of the first entry; an entry has two bytes.
-    data : int
-        Address of the first byte of the indirect data.
-    entries : int
-        Number of entries.
-    """
-
-    address: int
-    data: int
+    address: int  # Address of the first entry; an entry has two bytes
+    data: int  # Address of the first byte of the indirect data
     entries: int
 
     def entry_of(self, address: int) -> int | None:
@@ -133,27 +96,16 @@ class Indirect(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlTable:
-    """Registers of one family of servos.
+    """Registers of one family of servos."""
 
-    Attributes
-    ----------
-    name : str
-        Family, as the e-Manual groups it.
-    cells : mapping of Register to RegisterField
-        Registers of the family; a register that is missing does not exist there.
-    ram_start : int
-        First address of the RAM area; everything below is EEPROM, locked while torque is on.
-    indirect : Indirect
-        Its indirect addresses.
-    fast_sync_read : bool
-        Whether some firmware answers a fast sync read. The first such version is published for
-        some models only, so `DynamixelBus.connect` tries it.
-    """
-
-    name: str
+    name: str  # Family, as the e-Manual groups it
+    # Registers of the family; a register that is missing does not exist there
     cells: Mapping[Register, RegisterField]
+    # First address of the RAM area; everything below is EEPROM, locked while torque is on
     ram_start: int
     indirect: Indirect
+    # Whether some firmware answers a fast sync read. The first such version is published for some
+    # models only, so `DynamixelBus.connect` tries it.
     fast_sync_read: bool
 
     def __getitem__(self, register: Register) -> RegisterField:
@@ -330,18 +282,7 @@ _ADDED_ALERTS: Final = {
 
 
 def describe_alert(bits: int) -> str:
-    """Return the names of the hardware errors and other alerts that are set, or "none".
-
-    Parameters
-    ----------
-    bits : int
-        Hardware error bits, `TORQUE_LOST` and `STOPPED_BY_WATCHDOG`, or-ed.
-
-    Examples
-    --------
-    >>> describe_alert(0b100100)
-    'overheating, overload'
-    """
+    """Return the names of the hardware errors and other alerts that are set, or "none"."""
     names = [name for k, name in enumerate(HARDWARE_ERRORS) if bits >> k & 1]
     names += [name for bit, name in _ADDED_ALERTS.items() if bits & bit]
     return ", ".join(names) or "none"

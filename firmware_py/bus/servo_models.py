@@ -27,16 +27,6 @@ def round_half_away(value: float) -> int:
 
     The rounding is symmetric about zero, so goals of +x and −x give opposite pulses. Python's own
     rounds halves to even.
-
-    Parameters
-    ----------
-    value : float
-        Value to round.
-
-    Raises
-    ------
-    ValueError
-        If the value is not finite.
     """
     if not math.isfinite(value):
         raise ValueError(f"{value} is not a finite number")
@@ -152,28 +142,7 @@ MODELS: Final[Mapping[int, Model]] = {
 
 
 def model_named(name: str) -> Model:
-    """Return the servo model of a name.
-
-    Parameters
-    ----------
-    name : str
-        Name on the type plate.
-
-    Raises
-    ------
-    InputError
-        If the model is not supported; the remedy lists the supported ones.
-
-    Examples
-    --------
-    >>> model = model_named("H54-200-S500-R")
-    >>> model.number, model.table.name, model.pulses_per_turn
-    (54024, 'legacy PRO', 501923)
-    >>> model.position_raw(0.5)
-    39942
-    >>> round(model.angle_rad(39942), 6)
-    0.500003
-    """
+    """Return the servo model of a name."""
     for model in MODELS.values():
         if model.name == name:
             return model

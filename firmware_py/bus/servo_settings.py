@@ -17,22 +17,15 @@ profiles and torque on by a goal, are never assumed (docs/sources.md, "Control t
 
 
 class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Gains with which the plant was identified (`gains` in `[[servos]]`), as register values.
+    """Gains with which the plant was identified (`gains` in `[[servos]]`), as register values."""
 
-    Attributes
-    ----------
-    position_p, position_i, position_d, velocity_p, velocity_i : int or None
-        Value of the register; None does not compare it.
-    """
-
-    position_p: int | None = None
+    position_p: int | None = None  # Value of the register; None does not compare it
     position_i: int | None = None
     position_d: int | None = None
     velocity_p: int | None = None
     velocity_i: int | None = None
 
     def registers(self) -> dict[Register, int]:
-        """Return the gains that are given, by register."""
         given = {register: getattr(self, name) for name, register in GAINS.items()}
         return {register: raw for register, raw in given.items() if raw is not None}
 
@@ -48,18 +41,8 @@ GAINS: Final = {
 
 
 class AssumedSettings(NamedTuple):
-    """Settings that a servo must have.
+    """Settings that a servo must have."""
 
-    Attributes
-    ----------
-    reverse : bool
-        Whether its positions count the other way.
-    homing_offset_rad : float
-        Angle that the servo adds to its encoder.
-    gains : mapping of Register to int
-        Gains to compare.
-    """
-
-    reverse: bool = False
-    homing_offset_rad: float = 0.0
+    reverse: bool = False  # Whether its positions count the other way
+    homing_offset_rad: float = 0.0  # Angle that the servo adds to its encoder
     gains: Mapping[Register, int] = {}

@@ -23,46 +23,20 @@ __all__ = ["ServoPreparation", "ServoSetup", "check_assumed"]
 
 
 class ServoSetup(NamedTuple):
-    """Configuration of one servo.
-
-    Attributes
-    ----------
-    id : int
-        Id on the bus.
-    model : Model
-        Expected model.
-    min_angle_rad, max_angle_rad : float
-        Range of the goals; the servo's own position limits must contain it.
-    max_rate_rad_s : float
-        Largest rate of the goals. It is written as profile velocity to a servo without a watchdog,
-        so that the servo moves no faster when the loop has died; infinity writes nothing.
-    settings : AssumedSettings
-        Settings that the plant assumes.
-    """
+    """Configuration of one servo."""
 
     id: int
     model: Model
-    min_angle_rad: float
+    min_angle_rad: float  # Range of the goals; the servo's own position limits must contain it
     max_angle_rad: float
+    # Largest rate of the goals. It is written as profile velocity to a servo without a watchdog, so
+    # that the servo moves no faster when the loop has died; infinity writes nothing.
     max_rate_rad_s: float = math.inf
     settings: AssumedSettings = AssumedSettings()
 
 
 def check_assumed(servo: ServoSetup, where: Path | str) -> None:
-    """Refuse a configuration of settings that the model does not have.
-
-    Parameters
-    ----------
-    servo : ServoSetup
-        Configuration of the servo.
-    where : Path or str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        Naming the servo and the register.
-    """
+    """Refuse a configuration of settings that the model does not have."""
     registers = [*servo.settings.gains, *[Register.DRIVE_MODE] * servo.settings.reverse]
     lacking = [r.value for r in registers if r not in servo.model.table]
     if lacking:
@@ -80,34 +54,15 @@ def check_assumed(servo: ServoSetup, where: Path | str) -> None:
 class ServoPreparation:
     """Checks and preparation of servos before a run.
 
-    Parameters
-    ----------
-    registers : RegisterAccess
-        Access to the registers of the servos.
-    name : str
-        Name of the port in messages.
-    return_delay_s : float or None
-        Return delay to write to every servo that has a different one; None writes nothing.
+    `return_delay_s`: return delay to write to every servo that has a different one; None writes
+    nothing.
     """
 
     def __init__(self, registers: RegisterAccess, name: str, return_delay_s: float | None) -> None:
         self._registers, self._name, self._return_delay_s = registers, name, return_delay_s
 
     def prepare(self, servo: ServoSetup) -> int:
-        """Check and prepare one servo, torque off; return its firmware version.
-
-        Parameters
-        ----------
-        servo : ServoSetup
-            The servo.
-
-        Raises
-        ------
-        InputError
-            If it is silent, is a different model, reports a hardware error, is not in position
-            mode, has narrower limits than the configuration, or settings that the plant does not
-            assume.
-        """
+        """Check and prepare one servo, torque off; return its firmware version."""
         table = servo.model.table
         self._identify(servo)
         self._set(servo, Register.TORQUE_ENABLE, 0)
@@ -140,18 +95,7 @@ class ServoPreparation:
         return self._get(servo, Register.FIRMWARE_VERSION)
 
     def found(self, servo: ServoSetup) -> dict[str, int]:
-        """Return the settings of a servo on which the plant depends, by name of the register.
-
-        Parameters
-        ----------
-        servo : ServoSetup
-            The servo.
-
-        Raises
-        ------
-        InputError
-            If it is silent or is a different model.
-        """
+        """Return the settings of a servo on which the plant depends, by name of the register."""
         self._identify(servo)
         return {
             register.value: self._get(servo, register)
@@ -226,11 +170,6 @@ class ServoPreparation:
         """Point the first indirect addresses of a servo to the registers that a tick reads.
 
         They lie in EEPROM, so they are written only where they differ.
-
-        Returns
-        -------
-        bool
-            Whether the servo confirmed them.
         """
         table = servo.model.table
         entries = [a.to_bytes(2, "little") for a in table.gathered_addresses]
@@ -242,13 +181,7 @@ class ServoPreparation:
         )
 
     def unfit(self, what: str, remedy: str) -> InputError:
-        """Return the refusal of a servo or of the whole bus.
-
-        Parameters
-        ----------
-        what, remedy : str
-            See `firmware_py.errors.InputError`.
-        """
+        """Return the refusal of a servo or of the whole bus."""
         return InputError(self._name, what, remedy)
 
     def _get(self, servo: ServoSetup, register: Register) -> int:

@@ -82,22 +82,7 @@ class Transport(Protocol):
 
 
 class SerialTransport:
-    """Serial device or pseudo-terminal.
-
-    Parameters
-    ----------
-    path : str
-        Device, like `/dev/ttyUSB0`.
-    baud : int
-        Bits per second, one of `BAUD_RATES`.
-    clock : Clock
-        Clock of the deadlines.
-
-    Raises
-    ------
-    InputError
-        If the device cannot be opened.
-    """
+    """Serial device or pseudo-terminal."""
 
     def __init__(self, path: str, baud: int, clock: Clock) -> None:
         try:
@@ -147,20 +132,7 @@ class SerialTransport:
 
 
 class SocketTransport:
-    """UNIX stream socket of an emulator; less jitter than a pseudo-terminal.
-
-    Parameters
-    ----------
-    path : str
-        Path of the socket.
-    clock : Clock
-        Clock of the deadlines.
-
-    Raises
-    ------
-    InputError
-        If the socket cannot be connected to.
-    """
+    """UNIX stream socket of an emulator; less jitter than a pseudo-terminal."""
 
     def __init__(self, path: str, clock: Clock) -> None:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -217,20 +189,8 @@ def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
 def open_transport(name: str, baud: int, clock: Clock) -> Transport:
     """Open the transport of a port.
 
-    Parameters
-    ----------
-    name : str
-        `unix:PATH` for a socket, else the path of a serial device. With wildcards, the first in
-        alphabetical order that can be opened: an adapter may come back under another name.
-    baud : int
-        Bits per second.
-    clock : Clock
-        Clock of the deadlines.
-
-    Raises
-    ------
-    InputError
-        If the port cannot be opened; where several match, the refusal of the first.
+    `name`: `unix:PATH` for a socket, else the path of a serial device. With wildcards, the first in
+    alphabetical order that can be opened: an adapter may come back under another name.
     """
     scheme = "unix:" if name.startswith("unix:") else ""
     pattern = name.removeprefix(scheme)

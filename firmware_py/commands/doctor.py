@@ -42,19 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks; the verdict is negative where a setting is bad or ids are exchanged.
-
-    Parameters
-    ----------
-    args : Namespace
-        Arguments of `configure`.
-
-    Raises
-    ------
-    InputError
-        If --bus or --joints and --config are not given together, the configuration is refused, or
-        no joint is turned.
-    """
+    """Run the checks; the verdict is negative where a setting is bad or ids are exchanged."""
     if args.bus and args.joints:
         raise InputError("doctor", "is given --bus and --joints", "run one after the other")
     if (args.bus or args.joints) != (args.config is not None):

@@ -10,13 +10,7 @@ __all__ = ["quiet_interrupt"]
 
 
 def quiet_interrupt(prog: str) -> None:
-    """Say in one sentence that a program was interrupted where nothing else handles it.
-
-    Parameters
-    ----------
-    prog : str
-        Name of the program.
-    """
+    """Say in one sentence that a program was interrupted where nothing else handles it."""
     before = sys.excepthook
 
     def said(

@@ -111,18 +111,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write both files, or print them.
-
-    Parameters
-    ----------
-    args : Namespace
-        Arguments of `configure`.
-
-    Raises
-    ------
-    InputError
-        If the configuration, the user or a path is refused, or a file cannot be written.
-    """
+    """Write both files, or print them."""
     path = args.config.resolve()
     config = read_config(path)
     files = {SERVICE_PATH: service_file(config, path, args.user), RULE_PATH: _RULE}
@@ -158,22 +147,9 @@ def service_file(
 ) -> str:
     """Return the text of the systemd service file.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        With `real_time.cpu` the loop's thread has that processor to itself: the affinity of the
-        service excludes it for everything else.
-    path : Path
-        The configuration's absolute path.
-    user : str
-        User of the service.
-    processors : frozenset of int, optional
-        Processors of the machine; by default those that the kernel reports.
-
-    Raises
-    ------
-    InputError
-        If the user is no user name, or a path has a line break or another control character.
+    `config`: with `real_time.cpu` the loop's thread has that processor to itself: the affinity of
+    the service excludes it for everything else.
+    `processors`: processors of the machine; by default those that the kernel reports.
     """
     if not _USER.fullmatch(user):
         raise InputError(

@@ -31,35 +31,14 @@ _POLL_NS: Final = 50_000_000
 
 
 class JointTurn(NamedTuple):
-    """Joint that was to be turned, and what its servos showed.
+    """Joint that was to be turned, and what its servos showed."""
 
-    Attributes
-    ----------
-    joint : int
-        Number of the joint that was asked for, from 1.
-    found : int
-        Number of the joint whose angle changed most.
-    change_rad : float
-        Change of that angle, with its sign.
-    """
-
-    joint: int
-    found: int
+    joint: int  # Number of the joint that was asked for, from 1
+    found: int  # Number of the joint whose angle changed most
     change_rad: float
 
     def told(self, ids: Sequence[int]) -> str:
-        """Return the finding as a sentence.
-
-        Parameters
-        ----------
-        ids : sequence of int
-            Ids of the servos in joint order.
-
-        Examples
-        --------
-        >>> JointTurn(1, 2, 0.1).told((4, 7)).endswith("correct the order of [[servos]]")
-        True
-        """
+        """Return the finding as a sentence."""
         change = ANGLE.text(self.change_rad)
         if self.found == self.joint:
             return (
@@ -76,24 +55,7 @@ class JointTurn(NamedTuple):
 def turn_joints(
     bus: ServoBus, clock: Clock, timeout_s: float, ask: Callable[[str], None]
 ) -> tuple[JointTurn, ...]:
-    """Ask for a turn of each joint by hand; tell which angle changed.
-
-    Parameters
-    ----------
-    bus : ServoBus
-        Connected, torque off.
-    clock : Clock
-        The machine's clock.
-    timeout_s : float
-        Longest wait for the servos in a read.
-    ask : callable
-        Shows a request to the person at the robot.
-
-    Raises
-    ------
-    InputError
-        If nothing is turned, or the joints do not stand still, for `PATIENCE_S`.
-    """
+    """Ask for a turn of each joint by hand; tell which angle changed."""
     watch = _Watch(bus, clock, timeout_s)
     turns = []
     for joint in range(1, bus.dof + 1):

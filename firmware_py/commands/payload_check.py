@@ -44,37 +44,15 @@ _PRIOR_DEVIATION: Final = "parameters.payload_spread_kg"
 
 
 class PayloadEstimate(NamedTuple):
-    """Payload by the currents of a run.
-
-    Attributes
-    ----------
-    payload_kg : float
-        The estimate.
-    deviation_kg : float
-        Its standard deviation by the observer; that of its start where nothing moved.
-    prior_deviation_kg : float
-        Standard deviation before anything was measured.
-    """
+    """Payload by the currents of a run."""
 
     payload_kg: float
+    # Its standard deviation by the observer; that of its start where nothing moved
     deviation_kg: float
-    prior_deviation_kg: float
+    prior_deviation_kg: float  # Standard deviation before anything was measured
 
     def contradicts(self, told_kg: float) -> bool:
-        """Whether it differs clearly from a payload.
-
-        Parameters
-        ----------
-        told_kg : float
-            Mass at the tip.
-
-        Examples
-        --------
-        >>> PayloadEstimate(0.5, 0.02, 1.0).contradicts(1.0)
-        True
-        >>> PayloadEstimate(0.5, 0.2, 1.0).contradicts(1.0)  # the arm hardly moved
-        False
-        """
+        """Whether it differs clearly from a payload."""
         least_kg = max(
             LEAST_DIFFERENCE * self.prior_deviation_kg, LEAST_DEVIATIONS * self.deviation_kg
         )
@@ -84,12 +62,7 @@ class PayloadEstimate(NamedTuple):
 def unused_payload(bundle: ModelBundle, told_kg: float | None) -> str:
     """Return a sentence where a bundle has no use of the payload that it is told, or "".
 
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the run.
-    told_kg : float or None
-        `payload_kg` of the run. It is kept for the log and for the goals of a plan.
+    `told_kg`: `payload_kg` of the run. It is kept for the log and for the goals of a plan.
     """
     if told_kg is None or isinstance(bundle.estimator, ObserverEstimator):
         return ""
@@ -111,18 +84,9 @@ def contradicted_payload(
 
     It never raises: a fault of the comparison is a sentence, for the run is over.
 
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the run; its own observer is left as it is. One without an observer tells nothing.
-    told_kg : float or None
-        `payload_kg` of the run; None where it was estimated anyway.
-    period_s : float
-        Control period.
-    summary : RunSummary
-        The run.
-    log : Path or None
-        Its log: the records in memory may lack the begin of the run.
+    `bundle`: of the run; its own observer is left as it is. One without an observer tells nothing.
+    `told_kg`: `payload_kg` of the run; None where it was estimated anyway.
+    `log`: its log: the records in memory may lack the begin of the run.
     """
     if told_kg is None or not isinstance(bundle.estimator, ObserverEstimator):
         return ""

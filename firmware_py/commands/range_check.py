@@ -23,17 +23,7 @@ _UNBOUNDED: Final = (-np.inf, np.inf)
 class RangeWatch:
     """Models of a bundle whose predictor notes why a tick was out of range.
 
-    Parameters
-    ----------
-    bundle : ModelBundle
-        Of the run. Ranges are those of the predictor that it runs.
-
-    Attributes
-    ----------
-    estimator : DeformationEstimator
-        That of the bundle.
-    predictor : RangeWatch
-        The watch itself, which answers as the bundle's predictor does.
+    `bundle`: of the run. Ranges are those of the predictor that it runs.
     """
 
     def __init__(self, bundle: ModelBundle) -> None:

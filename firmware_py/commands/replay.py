@@ -29,18 +29,12 @@ _COMPARED = (DI.name, PAYLOAD.name, *tip_names("predicted_"))
 
 
 class Seams(NamedTuple):
-    """Rows of a log that do not continue the row before.
+    """Rows of a log that do not continue the row before."""
 
-    Attributes
-    ----------
-    restarted : ndarray of bool, shape (n,)
-        Rows at which the robot started again after its port had gone: the loop discards its past.
-    missing : int
-        Ticks that ran and that the log does not hold.
-    """
-
+    # (n,), rows at which the robot started again after its port had gone: the loop discards its
+    # past
     restarted: NDArray[np.bool_]
-    missing: int
+    missing: int  # Ticks that ran and that the log does not hold
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -52,18 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; the verdict is negative where a value differs by more than the tolerance.
-
-    Parameters
-    ----------
-    args : Namespace
-        Arguments of `configure`.
-
-    Raises
-    ------
-    InputError
-        If log or bundle cannot be read, or they do not fit together.
-    """
+    """Compare; the verdict is negative where a value differs by more than the tolerance."""
     if args.log is None:
         if args.bundle is None:
             raise InputError("replay", "has neither a log nor a bundle", "name one of them")
@@ -112,13 +95,7 @@ def _bundle_of(path: Path, log: Recording) -> Path:
 
 
 def find_seams(log: Recording) -> Seams:
-    """Find the rows at which a run began again, and the ticks that the log lacks.
-
-    Parameters
-    ----------
-    log : Recording
-        Log of a run.
-    """
+    """Find the rows at which a run began again, and the ticks that the log lacks."""
     columns = log.columns
     count = len(columns["missed"])
     state = columns.get("state", np.zeros(count))
@@ -134,22 +111,7 @@ def find_seams(log: Recording) -> Seams:
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     """Run a log's measurements through a bundle's estimator and predictor.
 
-    Parameters
-    ----------
-    log : Recording
-        Log of a run.
-    bundle : ModelBundle
-        Bundle for the same number of joints.
-
-    Returns
-    -------
-    dict of str to float
-        Largest absolute difference by column; infinite where only one side has a value.
-
-    Raises
-    ------
-    InputError
-        If log and bundle have different numbers of joints.
+    Returns largest absolute difference by column; infinite where only one side has a value.
     """
     dof = bundle.manifest.dof
     if log.dof != dof:

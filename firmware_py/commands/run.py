@@ -95,13 +95,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the loop and report its summary.
-
-    Raises
-    ------
-    SafetyTrip
-        After the summary, if a fault was seen or a servo did not confirm torque off.
-    """
+    """Run the loop and report its summary."""
     config = _overridden(read_config(args.config), args)
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     bundle = load_bundle(config, args.config)
@@ -157,13 +151,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lacking_ticks(document: RunDocument) -> str:
-    """Return a sentence where the log of a run lacks ticks, or "".
-
-    Parameters
-    ----------
-    document : RunDocument
-        The run; without a log nothing lacks.
-    """
+    """Return a sentence where the log of a run lacks ticks, or ""."""
     logged = document.logged_ticks
     if document.log is None or logged == document.ticks:
         return ""
@@ -299,15 +287,7 @@ def _telemetry(
 
 
 def describe(summary: RunSummary, document: RunDocument) -> str:
-    """Return the summary of a run as text.
-
-    Parameters
-    ----------
-    summary : RunSummary
-        The run.
-    document : RunDocument
-        Its document.
-    """
+    """Return the summary of a run as text."""
     busy, own = (summary.timing.stages[name].summary() for name in ("busy", "own"))
     faults = ", ".join(f"{n} {name}" for name, n in summary.bus_faults.items()) or "none"
     lines = [

@@ -31,21 +31,6 @@ def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
 
     A member is unpacked to the size that the archive declares at most, so the declared sizes bound
     what is allocated.
-
-    Parameters
-    ----------
-    archive : ZipFile
-        Opened for reading.
-    path : Path
-        Its file, for the message.
-    remedy : str
-        What the user can do.
-
-    Raises
-    ------
-    InputError
-        If it has too many members, is too large unpacked, holds a name twice, or one that leads
-        out of the archive.
     """
     members = archive.infolist()
     names = [member.filename for member in members]

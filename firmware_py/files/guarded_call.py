@@ -53,26 +53,10 @@ def guarded_call(
     nothing to the terminal, and its temporary files are removed with it. Without a fork (Windows)
     the work runs in this process, which it may crash; no limit of memory, time or size is held.
 
-    Parameters
-    ----------
-    work : callable
-        Without arguments; returns bytes.
-    where : Path or str
-        File that it reads, for messages.
-    remedy : str
-        What the user can do if the child does not survive it.
-    memory_bytes : int
-        Memory that it may take beyond what is taken now (Linux; other systems do not limit it).
-    seconds : float
-        Longest processor time; the elapsed time may be `ELAPSED_FACTOR` times as long.
-
-    Raises
-    ------
-    InputError
-        That of `work`; another exception of it with its text, since it may be an error of the
-        program; or if the child dies, or needs more memory or time than it may.
-    OSError
-        If the disk is full, or the child writes a larger file than it may.
+    `remedy`: what the user can do if the child does not survive it.
+    `memory_bytes`: memory that it may take beyond what is taken now (Linux; other systems do not
+    limit it).
+    `seconds`: longest processor time; the elapsed time may be `ELAPSED_FACTOR` times as long.
     """
     if not hasattr(os, "fork"):
         return _called_here(work, where, remedy)

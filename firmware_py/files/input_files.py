@@ -54,19 +54,8 @@ _TOML_SEPARATOR: Final = re.compile(rb"[,\[\]{}=\n]")
 def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:
     """Open a regular file that is not too large.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    remedy : str
-        What the user can do where the file is missing or is no file.
-    most : int
-        Size of the largest file that is opened, in bytes.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, cannot be opened, is no regular file or is too large.
+    `remedy`: what the user can do where the file is missing or is no file.
+    `most`: size of the largest file that is opened, in bytes.
     """
     try:
         # A FIFO without a writer would block the opening.
@@ -94,18 +83,7 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
 
 
 def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
-    """Content of a file that is not too large.
-
-    Parameters
-    ----------
-    path, remedy, most
-        See `open_bounded`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, cannot be read, is no regular file or is too large.
-    """
+    """Content of a file that is not too large."""
     with open_bounded(path, remedy, most) as file:
         try:
             data = file.read(most + 1)  # it may grow meanwhile
@@ -119,18 +97,7 @@ def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
-    """Text of a UTF-8 file that is not too large.
-
-    Parameters
-    ----------
-    path, remedy, most
-        See `open_bounded`.
-
-    Raises
-    ------
-    InputError
-        As `read_bytes`, and if the file is not UTF-8.
-    """
+    """Text of a UTF-8 file that is not too large."""
     data = read_bytes(path, remedy, most)
     try:
         return data.decode("utf-8-sig")
@@ -139,18 +106,7 @@ def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
 
 
 def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
-    """Lines of a table one by one, with their ends: UTF-8, or UTF-16 with a byte order mark.
-
-    Parameters
-    ----------
-    path, remedy
-        See `open_bounded`.
-
-    Raises
-    ------
-    InputError
-        As `read_text`, and if a line is longer than `LONGEST_LINE`.
-    """
+    """Lines of a table one by one, with their ends: UTF-8, or UTF-16 with a byte order mark."""
     encoding = "utf-8-sig"
     with open_bounded(path, remedy) as data:
         try:
@@ -175,19 +131,7 @@ def read_toml(
 ) -> dict[str, Any]:
     """Tables of a TOML file.
 
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-    missing : str
-        What the user can do where it is missing.
-    damaged : str
-        What the user can do where it is not TOML.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large or too deeply nested, or is not TOML in UTF-8.
+    `damaged`: what the user can do where it is not TOML.
     """
     data = read_bytes(path, missing, MOST_TOML_BYTES)
     damaged = damaged or "correct the line it names"
@@ -215,22 +159,7 @@ def _dots(piece: bytes) -> int:
 
 
 def check_json(path: Path | str, data: bytes, remedy: str) -> None:
-    """Refuse a JSON document that would need much memory, before it is decoded.
-
-    Parameters
-    ----------
-    path : Path or str
-        For the message.
-    data : bytes
-        The document.
-    remedy : str
-        What the user can do.
-
-    Raises
-    ------
-    InputError
-        If it holds more than `MOST_JSON_VALUES` values or `MOST_JSON_LISTS` lists and objects.
-    """
+    """Refuse a JSON document that would need much memory, before it is decoded."""
     lists = data.count(b"[") + data.count(b"{")
     if lists > MOST_JSON_LISTS:
         raise InputError(path, f"holds more than {MOST_JSON_LISTS} lists and objects", remedy)
@@ -239,19 +168,7 @@ def check_json(path: Path | str, data: bytes, remedy: str) -> None:
 
 
 def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any:
-    """Value of a JSON file.
-
-    Parameters
-    ----------
-    path, remedy, most
-        See `open_bounded`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is too large or too deeply nested, takes too much memory (text
-        in wide characters has four times the size of its file), or is not JSON.
-    """
+    """Value of a JSON file."""
     data = read_bytes(path, remedy, most)
     check_json(path, data, remedy)
     try:
@@ -276,23 +193,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def convert(raw: Any, kind: type[T], path: Path | str, what: str, remedy: str) -> T:
     """Struct that decoded TOML or JSON holds.
 
-    Parameters
-    ----------
-    raw : Any
-        Decoded document.
-    kind : type
-        Struct.
-    path : Path or str
-        Its file, for the message.
-    what : str
-        What is wrong where it does not fit, like "is no motion"; empty for the reason alone.
-    remedy : str
-        What the user can do.
-
-    Raises
-    ------
-    InputError
-        If the document does not fit the struct.
+    `what`: what is wrong where it does not fit, like "is no motion"; empty for the reason alone.
     """
     try:
         return msgspec.convert(raw, kind)

@@ -21,15 +21,7 @@ libraries loaded and stays below 500 MB."""
 def limit_memory(memory_bytes: int = MEMORY_BYTES) -> tuple[int, int] | None:
     """Limit the address space of this process to what it has and some more.
 
-    Parameters
-    ----------
-    memory_bytes : int
-        How much more.
-
-    Returns
-    -------
-    tuple of int or None
-        The limits before, soft and hard; None where the system has no such limit (not Linux).
+    Returns the limits before, soft and hard; None where the system has no such limit (not Linux).
     """
     if sys.platform != "linux":
         return None
@@ -49,19 +41,7 @@ def limited_memory(
 ) -> Iterator[None]:
     """Refuse a file for which the code within needs more memory than it may.
 
-    Parameters
-    ----------
-    where : Path or str
-        The file, for the message.
-    remedy : str
-        What the user can do.
-    memory_bytes : int
-        Memory that the code may take beyond what is taken now.
-
-    Raises
-    ------
-    InputError
-        In place of `MemoryError`.
+    `memory_bytes`: memory that the code may take beyond what is taken now.
     """
     before = limit_memory(memory_bytes)
     try:

@@ -17,20 +17,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Where the body fails the scratch file is removed and the file stays as it was. What is no
     regular file, like `/dev/stdout`, is written in place. A link to a file stays a link.
 
-    Parameters
-    ----------
-    path : Path
-        File to write; its directory exists.
-
-    Yields
-    ------
-    Path
-        File to write to, in the same directory.
-
-    Raises
-    ------
-    OSError
-        If the system refuses it, as on a full disk; it names the file.
+    Yields file to write to, in the same directory.
     """
     whole = Path(os.path.realpath(path))
     in_place = whole.exists() and not whole.is_file()
@@ -49,19 +36,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file as a whole.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its directory exists.
-    data : bytes
-        Content.
-
-    Raises
-    ------
-    OSError
-        See `replacing`.
-    """
+    """Write a file as a whole."""
     with replacing(path) as scratch:
         scratch.write_bytes(data)

@@ -19,13 +19,8 @@ class LastingStream:
 
     Attributes of the stream, such as its encoding, are found through this one.
 
-    Parameters
-    ----------
-    stream : TextIO or None
-        The stream; None discards everything.
-    carries_result : bool
-        Whether it carries the result of a command: then other errors, as of a full disk, are
-        raised, else they are ignored.
+    `carries_result`: whether it carries the result of a command: then other errors, as of a full
+    disk, are raised, else they are ignored.
     """
 
     def __init__(self, stream: TextIO | None, *, carries_result: bool = False) -> None:

@@ -22,19 +22,6 @@ class TableEnd:
     Many programs write no line break behind the last row: that alone says nothing. A number with
     fewer decimals than every other one of its column, of which there are some, or with an exponent
     of one digit, does. What a cut costs beside these is the last digit of one number.
-
-    Parameters
-    ----------
-    lines : iterator of str
-        Of the file, with their ends.
-
-    Examples
-    --------
-    >>> watch = TableEnd(iter(["0.125\n"] * 20 + ["0.2"]))
-    >>> for line in watch.lines():
-    ...     watch.see(line.strip())
-    >>> watch.is_cut
-    True
     """
 
     def __init__(self, lines: Iterator[str]) -> None:
@@ -49,13 +36,7 @@ class TableEnd:
             yield line
 
     def see(self, cell: str) -> None:
-        """Note the last cell of a row.
-
-        Parameters
-        ----------
-        cell : str
-            Its text.
-        """
+        """Note the last cell of a row."""
         self._rows += 1
         before = _decimals(self._last)
         if before is not None:
@@ -72,22 +53,7 @@ class TableEnd:
         return len(digits) == 1 or decimals < self._fewest
 
     def refuse_cut(self, path: Path, row: int, column: str) -> None:
-        """Refuse a file that ends within its last number.
-
-        Parameters
-        ----------
-        path : Path
-            The file.
-        row : int
-            Its last row, the header being row 1.
-        column : str
-            Its last column.
-
-        Raises
-        ------
-        InputError
-            If `is_cut`.
-        """
+        """Refuse a file that ends within its last number."""
         if self.is_cut:
             raise InputError(
                 path,

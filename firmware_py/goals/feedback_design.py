@@ -15,14 +15,9 @@ MOST_STATES: Final = 20
 
 
 class RateFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Discrete filter from the error of the tip in m to the rate of the correction in rad/s.
+    """Discrete filter from the error of the tip in m to the rate of the correction in rad/s."""
 
-    Attributes
-    ----------
-    a, b, c, d : tuple of rows
-        State-space matrices with the period of the plan, shapes (n, n), (n, 1), (1, n) and (1, 1).
-    """
-
+    # State-space matrices with the period of the plan, shapes (n, n), (n, 1), (1, n) and (1, 1)
     a: Columns
     b: Columns
     c: Columns
@@ -30,87 +25,41 @@ class RateFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class LoopMargins(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Least margins of a loop over the linearised twins at one payload.
-
-    Attributes
-    ----------
-    payload_kg : float
-        Mass at the tip.
-    gain_db, phase_rad : float
-        Gain and phase margin, delay of loop and bus included.
-    crossover_rad_s : float
-        Frequency at which the gain of the loop is 1.
-    """
+    """Least margins of a loop over the linearised twins at one payload."""
 
     payload_kg: float
-    gain_db: float
+    gain_db: float  # Gain and phase margin, delay of loop and bus included
     phase_rad: float
-    crossover_rad_s: float
+    crossover_rad_s: float  # Frequency at which the gain of the loop is 1
 
 
 class FeedbackDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Feedback of the estimated tip, one filter for each payload of the plan and joint.
+    """Feedback of the estimated tip, one filter for each payload of the plan and joint."""
 
-    Attributes
-    ----------
-    filters : tuple of tuple of RateFilter
-        By payload, then by joint.
-    margins : tuple of tuple of LoopMargins
-        By joint, then by payload.
-    size_rad, rate_rad_s : float
-        Largest correction of a goal and its largest rate.
-    innovation_a : float
-        Root mean square innovation of a current above which the estimate is not trusted.
-    """
-
-    filters: tuple[tuple[RateFilter, ...], ...]
-    margins: tuple[tuple[LoopMargins, ...], ...]
-    size_rad: float
+    filters: tuple[tuple[RateFilter, ...], ...]  # By payload, then by joint
+    margins: tuple[tuple[LoopMargins, ...], ...]  # By joint, then by payload
+    size_rad: float  # Largest correction of a goal and its largest rate
     rate_rad_s: float
+    # Root mean square innovation of a current above which the estimate is not trusted
     innovation_a: float
 
 
 class StiffnessSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Differences that a stiffer link makes, per relative stiffness, at every row of a plan.
+    """Differences that a stiffer link makes, per relative stiffness, at every row of a plan."""
 
-    Attributes
-    ----------
-    goals_rad : tuple of columns
-        Goals that follow the path with the stiffer link.
-    current_a : tuple of columns
-        Currents, link and goals changed together.
-    unmatched_a : tuple of columns
-        Currents, the link alone changed.
-    friction_a : tuple of columns
-        Current of each joint per relative friction.
-    weight : tuple of columns
-        Weight of a sample of each joint: none at rest, where dry friction can take any value.
-    unseen_m : tuple of columns
-        True tip beyond that of an observer that does not know of the change.
-    """
-
-    goals_rad: Columns
-    current_a: Columns
-    unmatched_a: Columns
-    friction_a: Columns
+    goals_rad: Columns  # Goals that follow the path with the stiffer link
+    current_a: Columns  # Currents, link and goals changed together
+    unmatched_a: Columns  # Currents, the link alone changed
+    friction_a: Columns  # Current of each joint per relative friction
+    # Weight of a sample of each joint: none at rest, where dry friction can take any value
     weight: Columns
-    unseen_m: Columns
+    unseen_m: Columns  # True tip beyond that of an observer that does not know of the change
 
 
 def wrong_in_feedback(
     design: FeedbackDesign | None, slopes: tuple[StiffnessSlopes | None, ...], dof: int, rows: int
 ) -> str:
-    """First thing in the feedback of a plan that cannot be, as a sentence; empty for none.
-
-    Parameters
-    ----------
-    design : FeedbackDesign or None
-        Of the plan.
-    slopes : tuple of StiffnessSlopes or None
-        One for each payload.
-    dof, rows : int
-        Joints and rows of the plan.
-    """
+    """First thing in the feedback of a plan that cannot be, as a sentence; empty for none."""
     if design is None:
         return ""
     if len(design.filters) != len(slopes) or any(len(own) != dof for own in design.filters):

@@ -108,21 +108,7 @@ class OwnGoals:
 class GoalTable(OwnGoals):
     """Table of goals that depends on no estimate.
 
-    Parameters
-    ----------
-    goals_rad : ndarray, shape (n, dof)
-        Goal of each slot.
-
-    Raises
-    ------
-    InputError
-        If the table is empty or has no such shape.
-
-    Examples
-    --------
-    >>> table = GoalTable(np.array([[0.0], [0.1]]))
-    >>> [table.at(slot).tolist() for slot in (-1, 1, 2)]
-    [[0.0], [0.1], [0.0]]
+    Shapes: `goals_rad` (n, dof).
     """
 
     def __init__(self, goals_rad: Array) -> None:

@@ -26,14 +26,7 @@ def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummar
 
     What counts is the median over the second half of the motion, by when the estimate has settled.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    told_kg : float or None
-        Payload that the robot was told; then nothing was estimated.
-    summary : RunSummary
-        The run.
+    `told_kg`: payload that the robot was told; then nothing was estimated.
     """
     if told_kg is not None:
         return ""
@@ -55,14 +48,8 @@ def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummar
 
 
 def recording_beyond_plan(plan: TipPlan, payload_kg: float) -> str:
-    """Return a sentence where a recorded run of a plan has a payload outside of the plan's, or "".
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan that is to learn from it.
-    payload_kg : float
-        Mass at the tip in the recording.
+    """Return a sentence where a recorded run of a plan has a payload outside of the plan's, or
+    "".
     """
     nearest_kg = _nearest_kg(plan, payload_kg)
     if nearest_kg is None:

@@ -21,20 +21,7 @@ __all__ = ["feedback_of_plan", "goals_of_plan", "innovation_places", "log_facts"
 def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
     """Return the goals of a plan; the payload is `config.payload_kg`, or what the bundle estimates.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    config : RobotConfig
-        Joints, period, limits, and the payload where it is known.
-    bundle : ModelBundle
-        The robot's bundle.
-
-    Raises
-    ------
-    InputError
-        If the plan is for another robot, link or bundle, breaks a limit, or nothing tells the
-        payload.
+    `config`: joints, period, limits, and the payload where it is known.
     """
     where = f"plan {plan.path}"
     if plan.dof != config.dof:
@@ -64,24 +51,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
 def feedback_of_plan(
     plan: TipPlan, goals: PlanGoals, config: RobotConfig, bundle: ModelBundle
 ) -> TipFeedback | None:
-    """Return the feedback of a plan; None where it has none or robot.toml says so.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    goals : PlanGoals
-        Of `goals_of_plan`.
-    config : RobotConfig
-        With the table `[feedback]`.
-    bundle : ModelBundle
-        The robot's bundle, whose predictor estimates the tip.
-
-    Raises
-    ------
-    InputError
-        If the bundle's estimator does not tell the innovations by which feedback ends its trust.
-    """
+    """Return the feedback of a plan; None where it has none or robot.toml says so."""
     if plan.feedback is None or not config.feedback.use:
         return None
     places = innovation_places(bundle.told, plan.dof)
@@ -95,29 +65,13 @@ def feedback_of_plan(
 
 
 def innovation_places(told: Sequence[str], dof: int) -> list[int]:
-    """Return the places of the innovations of the currents among the signals of an estimate.
-
-    Parameters
-    ----------
-    told : sequence of str
-        Names of the signals, in order (`ModelBundle.told`).
-    dof : int
-        Number of joints.
-    """
+    """Return the places of the innovations of the currents among the signals of an estimate."""
     names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
     return [told.index(name) for name in names if name in told]
 
 
 def log_facts(plan: TipPlan, config: RobotConfig) -> dict[str, str]:
-    """Return what the log of a run of a plan holds in place of the configured motion.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    config : RobotConfig
-        Configuration of the run.
-    """
+    """Return what the log of a run of a plan holds in place of the configured motion."""
     probed = {"probed": "true"} if plan.probe is not None and config.feedback.use else {}
     return probed | {
         "motion": msgspec.json.encode(plan.conditions()).decode(),

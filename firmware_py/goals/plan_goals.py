@@ -28,30 +28,8 @@ _REMEDY = "make the path slower or smaller, or widen the limit"
 class PlanGoals(OwnGoals):
     """Goals of a plan as `firmware_py.goals.goal_source.GoalSource`.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    payload_kg : float or None
-        Payload where it is known; None follows the estimate, from the middle of the grid.
-    probes : bool
-        Whether the probing motion of the plan, where it has one, precedes slot 0.
-
-    Attributes
-    ----------
-    dof, slots : int
-        Joints and rows of the plan.
-    lead : int
-        Rows of its probing motion.
-    payload_kg : float
-        Payload of the goals of this tick; beyond the grid its nearest end.
-    known : bool
-        Whether it is known.
-
-    Raises
-    ------
-    InputError
-        If the known payload lies outside of the grid.
+    `payload_kg`: payload where it is known; None follows the estimate, from the middle of the grid.
+    `probes`: whether the probing motion of the plan, where it has one, precedes slot 0.
     """
 
     def __init__(
@@ -75,15 +53,7 @@ class PlanGoals(OwnGoals):
         self.payload_kg = 0.5 * (low + high) if payload_kg is None else float(payload_kg)
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload; one that is not finite changes nothing.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Of this tick.
-        step_s : float
-            Time since the previous tick.
-        """
+        """Follow the estimated payload; one that is not finite changes nothing."""
         if self.known or not math.isfinite(estimate.payload_kg):
             return
         wanted = min(max(estimate.payload_kg, self._grid[0]), self._grid[-1])
@@ -93,10 +63,7 @@ class PlanGoals(OwnGoals):
     def at(self, slot: int) -> Array:
         """Return the goals of a slot for the payload, shape (dof,).
 
-        Parameters
-        ----------
-        slot : int
-            Number of the slot; before the first the goals probe the link or wait at the start.
+        `slot`: number of the slot; before the first the goals probe the link or wait at the start.
         """
         if -self.lead <= slot < 0:
             return np.asarray(self.between(self._goals, 0) + self._probe[slot])
@@ -105,12 +72,7 @@ class PlanGoals(OwnGoals):
     def between(self, tables: Array, row: int) -> Array:
         """Interpolate a row of a table for each payload of the grid, shape (dof,).
 
-        Parameters
-        ----------
-        tables : ndarray, shape (p, n, dof)
-            One table per payload.
-        row : int
-            Row of the plan.
+        Shapes: `tables` (p, n, dof).
         """
         k, part = self._place()
         below = tables[k, row]
@@ -119,12 +81,8 @@ class PlanGoals(OwnGoals):
     def along(self, tables: Array, payload_kg: float | None = None) -> Array:
         """Interpolate whole tables for a payload, shape (n, dof).
 
-        Parameters
-        ----------
-        tables : ndarray, shape (p, n, dof)
-            One table per payload.
-        payload_kg : float, optional
-            Beyond the grid its nearest end counts; by default that of this tick.
+        Shapes: `tables` (p, n, dof).
+        `payload_kg`: beyond the grid its nearest end counts; by default that of this tick.
         """
         k, part = self._place(payload_kg)
         return np.asarray(tables[k] + part * (tables[k + 1] - tables[k]) if part else tables[k])
@@ -132,10 +90,7 @@ class PlanGoals(OwnGoals):
     def blend(self, values: Array) -> Array:
         """Interpolate values for each payload of the grid, shape (dof,).
 
-        Parameters
-        ----------
-        values : ndarray, shape (p, dof)
-            One row per payload.
+        Shapes: `values` (p, dof).
         """
         k, part = self._place()
         return np.asarray(values[k] + part * (values[k + 1] - values[k]) if part else values[k])
@@ -152,22 +107,7 @@ class PlanGoals(OwnGoals):
 
 
 def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
-    """Refuse a plan whose goals break a limit for some payload, or while the payload changes.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    limits : Limits
-        Limits of the robot, as in force.
-    where : str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If a goal violates a limit; it names the first row, and the payload.
-    """
+    """Refuse a plan whose goals break a limit for some payload, or while the payload changes."""
     goals, step_s = plan.goals_rad(), plan.period_s
     limits = _beside_corrections(plan, limits)
     probe = np.zeros((0, plan.dof)) if plan.probe is None else np.transpose(plan.probe.goals_rad)

@@ -21,20 +21,6 @@ def note_on_plant(where: str, made: GoalMap | TipPlan, bundle: ModelBundle) -> s
 
     A bundle without the observer holds no plant, so that its link is not known; then the sentence
     is all.
-
-    Parameters
-    ----------
-    where : str
-        Plan or map, for the message.
-    made : GoalMap or TipPlan
-        The plan or the map.
-    bundle : ModelBundle
-        The robot's bundle.
-
-    Raises
-    ------
-    InputError
-        If the plant is of another link.
     """
     theirs = bundle.manifest.plant_sha256
     if not theirs or made.plant_sha256 == theirs:

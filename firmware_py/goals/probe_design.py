@@ -24,27 +24,15 @@ MOST_VALUE: Final = 1e6
 
 
 class ProbeDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Probing motion that precedes the first run of a plan.
+    """Probing motion that precedes the first run of a plan."""
 
-    Attributes
-    ----------
-    goals_rad : tuple of columns
-        Goals beyond those of the plan's first row, one column per joint, from zero to zero.
-    weights : tuple of tuple of columns
-        For each feature a column per joint: its weight of the current of each row, 1/A.
-    stiffness : tuple of float
-        Relative stiffness beyond the plant's, rising in equal steps.
-    payloads_kg : tuple of float
-        Payloads, rising in equal steps.
-    expected : tuple of tuple of tuple of float
-        Features by stiffness and payload.
-    """
-
+    # Goals beyond those of the plan's first row, one column per joint, from zero to zero
     goals_rad: Columns
+    # For each feature a column per joint: its weight of the current of each row, 1/A
     weights: tuple[Columns, ...]
-    stiffness: tuple[float, ...]
-    payloads_kg: tuple[float, ...]
-    expected: tuple[tuple[tuple[float, ...], ...], ...]
+    stiffness: tuple[float, ...]  # Relative stiffness beyond the plant's, rising in equal steps
+    payloads_kg: tuple[float, ...]  # Payloads, rising in equal steps
+    expected: tuple[tuple[tuple[float, ...], ...], ...]  # Features by stiffness and payload
 
     @property
     def rows(self) -> int:
@@ -53,15 +41,7 @@ class ProbeDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def wrong_in_probe(probe: ProbeDesign | None, dof: int) -> str:
-    """First thing in a probe that cannot be, as a sentence; empty for none.
-
-    Parameters
-    ----------
-    probe : ProbeDesign or None
-        Of the plan.
-    dof : int
-        Joints of the plan.
-    """
+    """First thing in a probe that cannot be, as a sentence; empty for none."""
     if probe is None:
         return ""
     rows = len(probe.goals_rad[0]) if probe.goals_rad else 0

@@ -42,24 +42,12 @@ ENOUGH: Final = 1e-4
 
 
 class ProbeFinding(NamedTuple):
-    """What a probing motion told.
+    """What a probing motion told."""
 
-    Attributes
-    ----------
-    stiffness : float
-        Relative stiffness beyond the plant's.
-    payload_kg : float
-        Mass at the tip.
-    deviation : float
-        Standard deviation of the stiffness.
-    misfit : float
-        Mean square of what the features leave, per degree of freedom.
-    """
-
-    stiffness: float
+    stiffness: float  # Relative stiffness beyond the plant's
     payload_kg: float
-    deviation: float
-    misfit: float
+    deviation: float  # Standard deviation of the stiffness
+    misfit: float  # Mean square of what the features leave, per degree of freedom
 
     @property
     def certain(self) -> bool:
@@ -68,15 +56,7 @@ class ProbeFinding(NamedTuple):
 
 
 class ProbeEstimate:
-    """Features of the currents, gathered row by row, and what they tell.
-
-    Parameters
-    ----------
-    design : ProbeDesign
-        Of the plan.
-    known_kg : float or None
-        Payload where it is known.
-    """
+    """Features of the currents, gathered row by row, and what they tell."""
 
     def __init__(self, design: ProbeDesign, known_kg: float | None) -> None:
         self.rows, self._known_kg = design.rows, known_kg
@@ -95,14 +75,8 @@ class ProbeEstimate:
     def take(self, row: int, fresh: bool, current_a: Array) -> None:
         """Take the currents of a row; rows that were skipped count as missing.
 
-        Parameters
-        ----------
-        row : int
-            Row of the probing motion; before the first nothing is taken.
-        fresh : bool
-            Whether the sample was measured in this tick.
-        current_a : ndarray, shape (dof,)
-            Measured currents.
+        Shapes: `current_a` (dof,).
+        `row`: row of the probing motion; before the first nothing is taken.
         """
         fresh = fresh and bool(np.isfinite(current_a).all())
         for k in range(max(self._next, 0), min(row + 1, self.rows)):

@@ -28,18 +28,7 @@ MOST: Final = 0.3
 
 
 class StiffnessEstimate:
-    """Recursive least squares of relative stiffness, friction and constant current.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-
-    Attributes
-    ----------
-    value : float
-        Relative stiffness beyond the plant's, within ±`MOST`.
-    """
+    """Recursive least squares of relative stiffness, friction and constant current."""
 
     def __init__(self, dof: int) -> None:
         self._dof = dof
@@ -58,14 +47,7 @@ class StiffnessEstimate:
     ) -> None:  # fmt: skip
         """Take the currents of one fresh sample.
 
-        Parameters
-        ----------
-        excess_a : sequence of float
-            Measured currents beyond those of a link that is as stiff as the plant.
-        by_stiffness, by_friction : sequence of float
-            Slopes of the currents.
-        weight : sequence of float
-            Weight of each sample, 0 to 1.
+        `excess_a`: measured currents beyond those of a link that is as stiff as the plant.
         """
         theta, covariance, dof = self._theta, self._covariance, self._dof
         for j in range(dof):

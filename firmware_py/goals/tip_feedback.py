@@ -40,21 +40,9 @@ with the innovation, which a wrong stiffness raises too, and that is what feedba
 
 
 class Correction(Protocol):
-    """Correction that is added to the goals of a source.
+    """Correction that is added to the goals of a source."""
 
-    Attributes
-    ----------
-    value_rad : ndarray, shape (dof,)
-        Correction of the latest tick.
-    trust : TrustState
-        Whether the estimate is trusted.
-    lost_because : str
-        Why trust was lost last; empty where it never was.
-    stop_reason : str
-        Why the robot must stop; empty where it need not.
-    """
-
-    value_rad: Array
+    value_rad: Array  # (dof,), correction of the latest tick
 
     @property
     def trust(self) -> TrustState:
@@ -77,34 +65,14 @@ class Correction(Protocol):
     ) -> Array:  # fmt: skip
         """Return the correction of a tick, shape (dof,).
 
-        Parameters
-        ----------
-        slot : int
-            Number of the slot.
-        step_s : float
-            Time since the previous tick.
-        fresh : bool
-            Whether the sample was measured in this tick.
-        current_a : ndarray, shape (dof,)
-            As measured.
-        estimate : Estimate
-            Of the estimator.
-        prediction : Prediction
-            Of the predictor.
-        following : bool
-            Whether the goals are those of the source: no blend, no stop.
+        Shapes: `current_a` (dof,).
+        `following`: whether the goals are those of the source: no blend, no stop.
         """
         ...
 
 
 class NoCorrection:
-    """No correction.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    """
+    """No correction."""
 
     trust: TrustState = TrustState.NONE
     stop_reason = lost_because = ""
@@ -123,35 +91,9 @@ class NoCorrection:
 class TipFeedback:
     """Feedback of a plan as `Correction`.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        With a feedback design.
-    goals : PlanGoals
-        Goals of this plan, whose payload the feedback follows.
-    options : TrustOptions
-        What follows when the estimate is not trusted.
-    innovations : sequence of int
-        Places of the innovations of the currents among the signals of an estimate.
-    tell : callable, optional
-        Called after a probing motion, with the payload that the observer is to assume from now on,
-        or None where it is to estimate it afresh.
-
-    Attributes
-    ----------
-    value_rad : ndarray, shape (dof,)
-        Correction of the latest tick.
-    found : ProbeFinding or None
-        What the probing motion told.
-    stiffness : float
-        Relative stiffness of this run of the plan: what the probing motion told, else the runs
-        before it. Measured on the rig, 1.8 kg: within the first run the current of the first moves
-        tells it wrong by 0.1, and following that makes 3.1 mm of an error of 1.9 mm.
-
-    Raises
-    ------
-    ValueError
-        If the plan has no feedback.
+    `innovations`: places of the innovations of the currents among the signals of an estimate.
+    `tell`: called after a probing motion, with the payload that the observer is to assume from now
+    on, or None where it is to estimate it afresh.
     """
 
     def __init__(
@@ -265,13 +207,7 @@ class TipFeedback:
         return ""
 
     def innovation_a(self, estimate: Estimate) -> float:
-        """Return the largest innovation of a current; 0 where the estimator tells none.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Of the estimator.
-        """
+        """Return the largest innovation of a current; 0 where the estimator tells none."""
         return max((float(estimate.signals[k]) for k in self._innovations), default=0.0)
 
     def _follow(self, row: int, step_s: float, current_a: Array, tip_m: Array) -> None:

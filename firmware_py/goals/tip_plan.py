@@ -34,167 +34,87 @@ Columns = tuple[tuple[float, ...], ...]
 
 
 class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Plan for one payload, as the twin predicts it.
-
-    Attributes
-    ----------
-    payload_kg : float
-        Mass at the tip.
-    goals_rad : tuple of columns
-        Goals, one column per joint.
-    tip_m : tuple of columns
-        Tip that they give: x, and y where there are two joints.
-    current_a : tuple of columns
-        Motor currents, one column per joint.
-    residual_rms_m : float
-        Root mean square distance of that tip from the path.
-    rigid_rms_m : float
-        The same for goals from rigid kinematics.
-    expected_rms_m : float
-        The residual together with the plant's own error on trials that it was not fitted to; in a
-        plan that has learned, with what the runs leave of that error, and the scatter between runs.
-    stiffness : StiffnessSlopes or None
-        Differences that a stiffer link makes; None where the plan has no feedback.
-    """
+    """Plan for one payload, as the twin predicts it."""
 
     payload_kg: float
-    goals_rad: Columns
-    tip_m: Columns
-    current_a: Columns
-    residual_rms_m: float
-    rigid_rms_m: float
+    goals_rad: Columns  # Goals, one column per joint
+    tip_m: Columns  # Tip that they give: x, and y where there are two joints
+    current_a: Columns  # Motor currents, one column per joint
+    residual_rms_m: float  # Root mean square distance of that tip from the path
+    rigid_rms_m: float  # The same for goals from rigid kinematics
+    # The residual together with the plant's own error on trials that it was not fitted to; in a
+    # plan that has learned, with what the runs leave of that error, and the scatter between runs
     expected_rms_m: float
+    # Differences that a stiffer link makes; None where the plan has no feedback
     stiffness: StiffnessSlopes | None = None
 
 
 class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Recorded run from which a plan was improved.
+    """Recorded run from which a plan was improved."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Hash of the recording.
-    source : {"mocap", "observer"}
-        What measured the tip.
-    payload_kg : float
-        Mass at the tip.
-    rms_m : float
-        Measured root mean square distance of the tip from the path, bias of the source included.
-    predicted_rms_m : float
-        The same as the twin predicts it for the next run, where all errors repeat.
-    goal_delay_s : float
-        Measured time by which the joints follow later than the twin's; 0 where it was not used.
-    gain : float
-        Fraction of the full correction that was applied.
-    stiffness, damping : float
-        Those of the link over those of the plant, as the recording tells.
-    expected_rms_m : float
-        The prediction together with the scatter between runs, and with the error of the plant where
-        the observer measured the tip.
-    """
-
-    sha256: str
-    source: str
+    sha256: str  # Hash of the recording
+    source: str  # {"mocap", "observer"}, What measured the tip
     payload_kg: float
+    # Measured root mean square distance of the tip from the path, bias of the source included
     rms_m: float
+    # The same as the twin predicts it for the next run, where all errors repeat
     predicted_rms_m: float
+    # Measured time by which the joints follow later than the twin's; 0 where it was not used
     goal_delay_s: float
-    gain: float
-    stiffness: float
+    gain: float  # Fraction of the full correction that was applied
+    stiffness: float  # Those of the link over those of the plant, as the recording tells
     damping: float
+    # The prediction together with the scatter between runs, and with the error of the plant where
+    # the observer measured the tip
     expected_rms_m: float
 
 
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Best recorded run so far at a payload, to which learning goes back after a worse one.
+    """Best recorded run so far at a payload, to which learning goes back after a worse one."""
 
-    Attributes
-    ----------
-    run : int
-        Its place in `TipPlan.learned`.
-    goals_rad : tuple of columns
-        Goals that were sent.
-    tip_m, angle_rad : tuple of columns
-        Measured tip and joint angles.
-    """
-
-    run: int
-    goals_rad: Columns
-    tip_m: Columns
+    run: int  # Its place in `TipPlan.learned`
+    goals_rad: Columns  # Goals that were sent
+    tip_m: Columns  # Measured tip and joint angles
     angle_rad: Columns
 
 
 class TipPlan(Document, frozen=True):
-    """Plan of a path of the tip.
-
-    Attributes
-    ----------
-    path : str
-        Name of the path.
-    method : {"inverse", "rigid", "zvd"}
-        Whether the twin was inverted, or, for comparison, the link taken as rigid, or that shaped
-        so that the first mode is not excited.
-    dof : int
-        Joints.
-    period_s : float
-        Control period: the time between two rows.
-    rest_s : float
-        Rest before the motion.
-    start_row, end_row : int
-        First row of the path, and the first after it; outside is the way there and back.
-    drawn : tuple of (int, int)
-        Rows between which the path is drawn: the strokes of a text; first and after the last.
-    desired_m : tuple of columns
-        Where the tip is wanted: x, and y where there are two joints.
-    payloads : tuple of PayloadPlan
-        In rising order of payload.
-    payload_rate_kg_s : float
-        Largest rate at which the robot changes the payload between whose plans it interpolates.
-    plant_error_rms_m : float or None
-        Error of the tip of the plant on trials that it was not fitted to.
-    plant_sha256, bundle_sha256 : str
-        Hashes of the plant that was inverted, as the manifest of a bundle has it, and of the
-        manifest of the robot's bundle.
-    goal_lead_s : float
-        Time by which learning has moved the goals ahead.
-    learned : tuple of LearnedRun
-        Runs that improved the plan, in order.
-    best : tuple of BestRun
-        Best of them, one for each payload that was run.
-    moves : tuple of (int, int, int)
-        Moves from rest to rest: first row, row at which the move itself is over, and the row after
-        the rest that follows.
-    feedback : FeedbackDesign or None
-        Feedback of the estimated tip.
-    probe : ProbeDesign or None
-        Motion before the first run that tells stiffness and payload; it needs feedback.
-    link : LinkFacts
-        Facts of the plant's link.
-    """
+    """Plan of a path of the tip."""
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "python -m models plan"
 
     path: str
+    # {"inverse", "rigid", "zvd"}, Whether the twin was inverted, or, for comparison, the link taken
+    # as rigid, or that shaped so that the first mode is not excited
     method: str
     dof: int
-    period_s: float
-    rest_s: float
+    period_s: float  # Control period: the time between two rows
+    rest_s: float  # Rest before the motion
+    # First row of the path, and the first after it; outside is the way there and back
     start_row: int
     end_row: int
+    # Rows between which the path is drawn: the strokes of a text; first and after the last
     drawn: tuple[tuple[int, int], ...]
-    desired_m: Columns
-    payloads: tuple[PayloadPlan, ...]
+    desired_m: Columns  # Where the tip is wanted: x, and y where there are two joints
+    payloads: tuple[PayloadPlan, ...]  # In rising order of payload
+    # Largest rate at which the robot changes the payload between whose plans it interpolates
     payload_rate_kg_s: float
+    # Error of the tip of the plant on trials that it was not fitted to
     plant_error_rms_m: float | None
+    # Hashes of the plant that was inverted, as the manifest of a bundle has it, and of the manifest
+    # of the robot's bundle
     plant_sha256: str
     bundle_sha256: str
-    link: LinkFacts
-    goal_lead_s: float = 0.0
-    learned: tuple[LearnedRun, ...] = ()
-    best: tuple[BestRun, ...] = ()
+    link: LinkFacts  # Facts of the plant's link
+    goal_lead_s: float = 0.0  # Time by which learning has moved the goals ahead
+    learned: tuple[LearnedRun, ...] = ()  # Runs that improved the plan, in order
+    best: tuple[BestRun, ...] = ()  # Best of them, one for each payload that was run
+    # Moves from rest to rest: first row, row at which the move itself is over, and the row after
+    # the rest that follows
     moves: tuple[tuple[int, int, int], ...] = ()
     feedback: FeedbackDesign | None = None
+    # Motion before the first run that tells stiffness and payload; it needs feedback
     probe: ProbeDesign | None = None
 
     @property
@@ -245,29 +165,13 @@ class TipPlan(Document, frozen=True):
 def as_columns(table: Array, decimals: int) -> Columns:
     """Columns of a table as a document holds them, without negative zeros.
 
-    Parameters
-    ----------
-    table : ndarray, shape (n, columns)
-        Values.
-    decimals : int
-        Digits after the point to which they are rounded.
+    Shapes: `table` (n, columns).
     """
     return tuple(tuple(column) for column in (np.round(table, decimals) + 0.0).T.tolist())
 
 
 def read_tip_plan(path: Path) -> TipPlan:
-    """Read and check a plan.
-
-    Parameters
-    ----------
-    path : Path
-        JSON file.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, of another version, or holds what cannot be run.
-    """
+    """Read and check a plan."""
     plan = read_document(path, TipPlan)
     if wrong := _wrong_in(plan):
         raise InputError(path, wrong, _MAKE)

@@ -57,22 +57,7 @@ def predict_rows(
 ) -> Predictions:
     """Predict each row by itself, from angle, current and DI.
 
-    Parameters
-    ----------
-    predictor : OnnxPredictor
-        One that wants nothing else.
-    angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
-        As measured.
-    di : array_like, shape (n,) or ()
-        Deformation Index, dimensionless.
-    dof : int
-        Number of joints.
-
-    Raises
-    ------
-    InputError
-        If an array has another shape or values that are not finite, or the predictor wants
-        signals of the observer.
+    Shapes: `angle_rad`, `current_a` (n, dof), `di` (n,) or ().
     """
     if predictor.wanted:
         raise InputError(
@@ -103,23 +88,8 @@ def predict_run(
 ) -> Predictions:
     """Predict the samples of one run, whose DI the estimator follows from the first one on.
 
-    Parameters
-    ----------
-    estimator : DeformationEstimator
-        Of a bundle; reset before and after.
-    predictor : Predictor
-        Of the same bundle.
-    angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
-        As measured, one row per step; the link rests at the first.
-    step_s : float
-        Time between two rows.
-    dof : int
-        Number of joints.
-
-    Raises
-    ------
-    InputError
-        If an array has another shape or values that are not finite, or the step is no time.
+    Shapes: `angle_rad`, `current_a` (n, dof).
+    `angle_rad`, `current_a`: as measured, one row per step; the link rests at the first.
     """
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
     if not 0.0 < step_s < math.inf:

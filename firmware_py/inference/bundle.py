@@ -56,35 +56,12 @@ OBSERVER: Final = "observer.fmu"
 
 
 def read_manifest(directory: Path | str) -> Manifest:
-    """Read `manifest.json` and verify the hash of every file that it names.
-
-    Parameters
-    ----------
-    directory : Path or str
-        The bundle.
-
-    Raises
-    ------
-    InputError
-        If the directory or a file is missing, damaged, of another schema or does not match.
-    """
+    """Read `manifest.json` and verify the hash of every file that it names."""
     return read_bundle_files(directory).manifest
 
 
 def load_predictor(files: BundleFiles) -> OnnxPredictor:
-    """Load the predictor that the estimator of a bundle can serve.
-
-    Parameters
-    ----------
-    files : BundleFiles
-        The bundle.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used, or the predictor needs the observer and the bundle has neither
-        that nor a polynomial.
-    """
+    """Load the predictor that the estimator of a bundle can serve."""
     manifest = files.manifest
     predictor = OnnxPredictor(files.file(PREDICTOR), manifest.dof)
     if manifest.estimator == "observer" or not predictor.wanted:

@@ -29,76 +29,33 @@ _SIGN: Final = "sign it with 'python -m models sign'"
 
 
 class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[trust]` of `robot.toml`.
+    """Table `[trust]` of `robot.toml`."""
 
-    Attributes
-    ----------
-    keys : tuple of str
-        Public keys of which one must have signed the bundle; empty accepts unsigned bundles.
-    """
-
+    # Public keys of which one must have signed the bundle; empty accepts unsigned bundles
     keys: tuple[str, ...] = ()
 
 
 class BundleSignature(Document, frozen=True, kw_only=True):
-    """Contents of `manifest.sig`.
-
-    Attributes
-    ----------
-    key : str
-        Public key, `ed25519:` and base64.
-    signature : str
-        The 64 bytes of the signature in base64.
-    """
+    """Contents of `manifest.sig`."""
 
     MADE_BY: ClassVar[str] = "python -m models sign"
 
-    key: str
-    signature: str
+    key: str  # Public key, `ed25519:` and base64
+    signature: str  # The 64 bytes of the signature in base64
 
 
 def signed_message(manifest: FileContent) -> bytes:
-    """Return the bytes that a signature of a bundle signs.
-
-    Parameters
-    ----------
-    manifest : FileContent
-        The file `manifest.json`.
-    """
+    """Return the bytes that a signature of a bundle signs."""
     return _CONTEXT + manifest.data
 
 
 def key_text(raw: bytes) -> str:
-    """Return a public key as robot.toml names it.
-
-    Parameters
-    ----------
-    raw : bytes
-        Its 32 bytes.
-
-    Examples
-    --------
-    >>> key_text(bytes(32))
-    'ed25519:AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA='
-    """
+    """Return a public key as robot.toml names it."""
     return _PREFIX + base64.b64encode(raw).decode()
 
 
 def key_bytes(text: str, where: Path | str) -> bytes:
-    """Return the 32 bytes of a public key.
-
-    Parameters
-    ----------
-    text : str
-        The key, `ed25519:` and base64.
-    where : Path or str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If it is no such key.
-    """
+    """Return the 32 bytes of a public key."""
     raw = _decoded(text.removeprefix(_PREFIX))
     if not text.startswith(_PREFIX) or len(raw) != _KEY_BYTES:
         raise InputError(
@@ -118,25 +75,7 @@ def _decoded(text: str) -> bytes:
 def check_signature(manifest: FileContent, path: Path, trusted: Sequence[str]) -> str:
     """Require that a trusted key has signed a manifest.
 
-    Parameters
-    ----------
-    manifest : FileContent
-        The file `manifest.json`.
-    path : Path
-        The file `manifest.sig` beside it.
-    trusted : sequence of str
-        Public keys.
-
-    Returns
-    -------
-    str
-        The key that has signed it.
-
-    Raises
-    ------
-    InputError
-        If the signature is missing, damaged, by another key or of another manifest, or the library
-        for it is missing.
+    Returns the key that has signed it.
     """
     try:
         from cryptography.exceptions import InvalidSignature

@@ -30,24 +30,6 @@ class CompiledObserver(ObserverEstimator):
 
     `predict` returns the answer to the sample of the latest `update`, and refuses another fresh
     one. It computes again only where the sample has another age than a fresh one.
-
-    Parameters
-    ----------
-    fmu : FmuInstance
-        Observer with the predictor in it.
-    dof : int
-        Number of joints.
-
-    Attributes
-    ----------
-    told : tuple of str
-        Names of the signals of its estimates: the innovations of the currents, which feedback of
-        the tip watches. `predict` takes none.
-
-    Raises
-    ------
-    InputError
-        If the FMU holds no predictor.
     """
 
     def __init__(self, fmu: FmuInstance, dof: int) -> None:
@@ -72,13 +54,7 @@ class CompiledObserver(ObserverEstimator):
 
     @staticmethod
     def offered_by(fmu: FmuInstance) -> bool:
-        """Whether an observer holds a compiled predictor.
-
-        Parameters
-        ----------
-        fmu : FmuInstance
-            Any observer.
-        """
+        """Whether an observer holds a compiled predictor."""
         return fmu.ticks and all(name in fmu.variables for name in PREDICTED)
 
     def reset(self) -> None:
@@ -110,11 +86,6 @@ class CompiledObserver(ObserverEstimator):
         """Return the answer to the latest sample; see `Predictor.predict`.
 
         Before the first `update` it is that of a link that rests at the sample given here.
-
-        Raises
-        ------
-        InputError
-            If a fresh sample is given that `update` has not had: the observer needs every sample.
         """
         if not self._updated:
             self._sample(angle_rad, current_a)

@@ -47,20 +47,11 @@ _KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
 
 
 class Estimate(NamedTuple):
-    """Estimate after a sample.
-
-    Attributes
-    ----------
-    di : float
-        Deformation Index, dimensionless.
-    payload_kg : float
-        Mass at the tip; NaN where the estimator does not estimate it.
-    signals : ndarray
-        Further signals that the predictor wants, in its order; overwritten by the next estimate.
-    """
+    """Estimate after a sample."""
 
     di: float
-    payload_kg: float
+    payload_kg: float  # Mass at the tip; NaN where the estimator does not estimate it
+    # Further signals that the predictor wants, in its order; overwritten by the next estimate
     signals: Array = NO_SIGNALS
 
 
@@ -96,13 +87,7 @@ class DeformationEstimator(Protocol):
 
 
 class NoEstimator:
-    """Estimator that returns DI = 0, the study's baseline "without DI".
-
-    Examples
-    --------
-    >>> NoEstimator().update(np.array([0.1]), np.array([0.5]), 0.017).di
-    0.0
-    """
+    """Estimator that returns DI = 0, the study's baseline "without DI"."""
 
     waits_for_fresh: ClassVar[bool] = False
 
@@ -120,19 +105,8 @@ class LaggedEstimator:
     It does not use the time: it is valid only at the period of its training data. Before the first
     sample the link is assumed to have rested at that sample.
 
-    Parameters
-    ----------
-    path : Path, str or FileContent
-        The graph: input "lagged", for each lag angles then currents; output "di".
-    lag_ticks : sequence of int
-        Ages of the samples that it uses, in ticks; from the manifest.
-    dof : int
-        Number of joints.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or of another shape.
+    `path`: the graph: input "lagged", for each lag angles then currents; output "di".
+    `lag_ticks`: ages of the samples that it uses, in ticks; from the manifest.
     """
 
     waits_for_fresh: ClassVar[bool] = False
@@ -169,19 +143,8 @@ class ObserverEstimator:
 
     Before the first sample the link is assumed to have rested at that sample.
 
-    Parameters
-    ----------
-    fmu : FmuInstance
-        FMU with the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and `payload_kg`.
-    dof : int
-        Number of joints.
-    wanted : sequence of str
-        Further outputs, for the predictor.
-
-    Raises
-    ------
-    InputError
-        If the FMU lacks one of these variables.
+    `fmu`: FMU with the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and
+    `payload_kg`.
     """
 
     waits_for_fresh: ClassVar[bool] = True
@@ -199,15 +162,7 @@ class ObserverEstimator:
     def assume_payload(self, payload_kg: float | None) -> None:
         """Set the payload as known, or have it estimated again; discard the past.
 
-        Parameters
-        ----------
-        payload_kg : float or None
-            Mass at the tip; None has it estimated.
-
-        Raises
-        ------
-        InputError
-            If the FMU refuses the value.
+        `payload_kg`: mass at the tip; None has it estimated.
         """
         self._payload_kg = payload_kg
         try:
@@ -247,16 +202,6 @@ class SampleHold:
     A repeated sample tells the observer that the joint has stopped and then jumped. It is given the
     next fresh one instead, with the time that has passed; it is told, too, how late in its slot a
     sample was taken. Other estimators count ticks and take every one.
-
-    Parameters
-    ----------
-    estimator : DeformationEstimator
-        Of the bundle.
-
-    Attributes
-    ----------
-    age_s : float
-        Age of the sample that the estimate follows; after a gap a small, fading fraction of it.
     """
 
     def __init__(self, estimator: DeformationEstimator) -> None:
@@ -276,16 +221,8 @@ class SampleHold:
     ) -> Estimate:
         """Take one sample if it is fresh, or the first; else return the latest estimate.
 
-        Parameters
-        ----------
-        angle_rad, current_a
-            See `DeformationEstimator.update`.
-        step_s : float
-            Time between the slots of this tick and of the previous one.
-        fresh : bool
-            Whether the sample was measured in this tick.
-        late_s : float
-            Time from the begin of the slot to the request for the sample.
+        `step_s`: time between the slots of this tick and of the previous one.
+        `late_s`: time from the begin of the slot to the request for the sample.
         """
         latest = self._latest
         if not self._estimator.waits_for_fresh:
@@ -317,23 +254,7 @@ def load_estimator(
 ) -> DeformationEstimator:
     """Load the estimator of a bundle.
 
-    Parameters
-    ----------
-    name : str
-        "observer", "lagged" or "none", from the manifest.
-    file : callable
-        Returns a file of the bundle by its name.
-    dof : int
-        Number of joints.
-    lag_ticks : sequence of int
-        Ages of the samples for the lagged estimator, from the manifest.
-    wanted : sequence of str
-        Signals that the predictor takes from the observer.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown or the file cannot be used.
+    `lag_ticks`: ages of the samples for the lagged estimator, from the manifest.
     """
     if name == "observer":
         return ObserverEstimator(FmuInstance(file("observer.fmu")), dof, wanted)

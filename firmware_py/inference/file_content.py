@@ -15,17 +15,9 @@ LARGEST_BYTES: Final = 64_000_000
 
 
 class FileContent(NamedTuple):
-    """File in memory.
+    """File in memory."""
 
-    Attributes
-    ----------
-    path : Path
-        Where it was read, for messages.
-    data : bytes
-        Its content.
-    """
-
-    path: Path
+    path: Path  # Where it was read, for messages
     data: bytes
 
     @property
@@ -41,17 +33,7 @@ Source = Path | str | FileContent
 def content_of(source: Source, remedy: str = "copy the whole bundle directory") -> FileContent:
     """Return the content of a file; one that was read before is returned as it is.
 
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        The file.
-    remedy : str, optional
-        What the user can do where it is missing, for the message.
-
-    Raises
-    ------
-    InputError
-        If it is missing, is no file, cannot be read or is larger than `LARGEST_BYTES`.
+    `remedy`: what the user can do where it is missing, for the message.
     """
     if isinstance(source, FileContent):
         return source

@@ -12,10 +12,7 @@ _MACHINES: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 def platform_here() -> str:
     """Return the platform of this process, like "x86_64-linux" or "aarch64-darwin".
 
-    Returns
-    -------
-    str
-        Processor and system; one of those that an FMU may be built for, or another one.
+    Returns processor and system; one of those that an FMU may be built for, or another one.
     """
     machine = platform.machine().lower()
     return f"{_MACHINES.get(machine, machine)}-{platform.system().lower()}"

@@ -29,55 +29,18 @@ _FUNCTIONS: Final = (
 
 
 class InstanceVariable(NamedTuple):
-    """Scalar variable of an FMU, as its model description declares it.
-
-    Attributes
-    ----------
-    name : str
-        Name.
-    reference : int
-        Value reference.
-    type : str
-        Type, like "Float64".
-    causality : str
-        Causality, like "input".
-    unit : str
-        SI unit; "1" for none.
-    start : float or None
-        Start value of a Float64.
-    """
+    """Scalar variable of an FMU, as its model description declares it."""
 
     name: str
     reference: int
     type: str
     causality: str
-    unit: str
+    unit: str  # SI unit; "1" for none
     start: float | None
 
 
 def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], ctypes.PyDLL]:
-    """Read the model description with its variables, and load the binary for this machine.
-
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        The .fmu file.
-
-    Returns
-    -------
-    Element
-        Root of the model description.
-    dict of str to InstanceVariable
-        Variables by name, in the order of the file.
-    PyDLL
-        The loaded binary.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, is of another FMI version or kind, or has no binary for
-        this machine.
-    """
+    """Read the model description with its variables, and load the binary for this machine."""
     remedy = "copy the bundle again, or build it with 'python -m fmu build' in a checkout"
     path, data = content_of(source, remedy)
     try:

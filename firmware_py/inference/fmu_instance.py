@@ -29,20 +29,7 @@ _FMI_WARNING: Final = 1
 
 
 class Channel:
-    """Fixed set of variables of an FMU, transferred together through one buffer.
-
-    Parameters
-    ----------
-    fmu : FmuInstance
-        The FMU.
-    names : sequence of str
-        Variables of type Float64.
-
-    Attributes
-    ----------
-    values : ndarray, shape (n,)
-        Values to write before `send`, and to read after `receive`; always the same memory.
-    """
+    """Fixed set of variables of an FMU, transferred together through one buffer."""
 
     def __init__(self, fmu: FmuInstance, names: Sequence[str]) -> None:
         references = [fmu.variable(name, "Float64").reference for name in names]
@@ -67,20 +54,6 @@ class TickChannel:
     """Inputs, step and outputs of a tick in one call, which FMUs of this project offer.
 
     Any other FMU takes three calls, and outputs of type Float64 only.
-
-    Parameters
-    ----------
-    fmu : FmuInstance
-        The FMU; `FmuInstance.ticks` tells whether it offers the call.
-    inputs, outputs : sequence of str
-        Variables; a Boolean output is 1 or 0.
-
-    Attributes
-    ----------
-    inputs : ndarray, shape (inputs,)
-        Values to write before `run`; always the same memory.
-    outputs : ndarray, shape (outputs,)
-        Values after it; always the same memory.
     """
 
     def __init__(self, fmu: FmuInstance, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -101,18 +74,7 @@ class TickChannel:
         self._together = fmu.ticks
 
     def run(self, step_s: float) -> None:
-        """Set the inputs, step, get the outputs.
-
-        Parameters
-        ----------
-        step_s : float
-            Communication step; 0 evaluates the outputs for other inputs.
-
-        Raises
-        ------
-        FmuRefusal
-            If the FMU refuses an input or the step.
-        """
+        """Set the inputs, step, get the outputs."""
         if self._together:
             self._step_s.value = step_s
             self._fmu.tick(step_s, self._arguments)
@@ -129,24 +91,6 @@ class FmuInstance:
 
     It starts in initialization mode: values set then determine its first state. The first step, or
     `start`, ends this mode.
-
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        The .fmu file.
-
-    Attributes
-    ----------
-    variables : dict of str to InstanceVariable
-        By name, in the order of the file.
-    time_s : float
-        Time that the FMU has reached.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, is of another FMI version or kind, or has no binary for
-        this machine.
     """
 
     def __init__(self, source: Source) -> None:
@@ -188,38 +132,11 @@ class FmuInstance:
         self.time_s = 0.0
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call an FMI function on this instance.
-
-        Parameters
-        ----------
-        name : str
-            Name of the function.
-        *arguments
-            Arguments after the instance, as ctypes objects.
-
-        Raises
-        ------
-        FmuRefusal
-            If the call fails.
-        """
+        """Call an FMI function on this instance."""
         if getattr(self._library, name)(self._instance, *arguments) > _FMI_WARNING:
             raise FmuRefusal(f"{self.path}: {self._message or name + ' failed.'}")
 
     def variable(self, name: str, kind: str | None = None) -> InstanceVariable:
-        """Return a variable.
-
-        Parameters
-        ----------
-        name : str
-            Name of the variable.
-        kind : str, optional
-            Type that it must have, like "Float64".
-
-        Raises
-        ------
-        InputError
-            If the FMU has no variable of this name and type.
-        """
         found = self.variables.get(name)
         if found is None or kind not in (None, found.type):
             what = f"has no variable {name}" if found is None else f"{name} is no {kind}"
@@ -239,17 +156,7 @@ class FmuInstance:
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
         """Set variables by name.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Variables of type Float64.
-        values : array_like, shape (n,)
-            Values in SI units.
-
-        Raises
-        ------
-        FmuRefusal
-            If the FMU refuses a value.
+        Shapes: `values` (n,).
         """
         channel = self.channel(names)
         channel.values[:] = values
@@ -258,15 +165,7 @@ class FmuInstance:
     def get(self, names: Sequence[str]) -> Array:
         """Return the values of variables by name.
 
-        Parameters
-        ----------
-        names : sequence of str
-            Variables of type Float64 or Boolean.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            Values in SI units; a Boolean is 1 or 0.
+        Returns shape (n,), values in SI units; a Boolean is 1 or 0.
         """
         return np.array([self._get(self.variable(name)) for name in names])
 
@@ -286,18 +185,7 @@ class FmuInstance:
         self._initializing = False
 
     def step(self, step_s: float) -> None:
-        """Advance with the inputs that are set.
-
-        Parameters
-        ----------
-        step_s : float
-            Communication step, positive.
-
-        Raises
-        ------
-        FmuRefusal
-            If the FMU refuses the step.
-        """
+        """Advance with the inputs that are set."""
         if self._initializing:
             self.start()
         self.call(
@@ -312,20 +200,7 @@ class FmuInstance:
         return hasattr(self._library, _TICK)
 
     def tick(self, step_s: float, arguments: Sequence[Any]) -> None:
-        """Call a tick; see `TickChannel`.
-
-        Parameters
-        ----------
-        step_s : float
-            Communication step.
-        arguments : sequence
-            Arguments after the instance, as ctypes objects.
-
-        Raises
-        ------
-        FmuRefusal
-            If the call fails.
-        """
+        """Call a tick; see `TickChannel`."""
         self.call(_TICK, *arguments)
         if step_s > 0.0:
             self._initializing = False

@@ -33,25 +33,13 @@ _LEAST_WAY_RAD: Final = 1e-3
 
 
 class Golden(NamedTuple):
-    """Measurements and results, one row per tick.
+    """Measurements and results, one row per tick."""
 
-    Attributes
-    ----------
-    angle_rad, current_a : ndarray, shape (n, dof)
-        Measurements from rest.
-    step_s : float
-        Control period.
-    di, payload_kg : ndarray, shape (n,)
-        Results of the estimator.
-    tip_m : ndarray, shape (n, 3)
-        Results of the predictor with that DI.
-    """
-
-    angle_rad: Array
+    angle_rad: Array  # (n, dof)
     current_a: Array
     step_s: float
-    di: Array
-    tip_m: Array
+    di: Array  # (n,), results of the estimator
+    tip_m: Array  # (n, 3), results of the predictor with that DI
     payload_kg: Array
 
 
@@ -64,16 +52,7 @@ def record_golden(
 ) -> Golden:
     """Run a motion through estimator and predictor; the estimator is reset before and after.
 
-    Parameters
-    ----------
-    estimator : DeformationEstimator
-        Estimator of the bundle.
-    predictor : Predictor
-        Predictor of the bundle.
-    angle_rad, current_a : ndarray, shape (n, dof)
-        Measurements from rest.
-    step_s : float
-        Control period.
+    Shapes: `angle_rad`, `current_a` (n, dof).
     """
     count = len(angle_rad)
     di, payload_kg, tip_m = np.empty(count), np.empty(count), np.empty((count, 3))
@@ -86,34 +65,12 @@ def record_golden(
 
 
 def write_golden(path: Path, golden: Golden) -> None:
-    """Write the golden ticks; equal ticks give equal bytes.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    golden : Golden
-        The ticks.
-    """
+    """Write the golden ticks; equal ticks give equal bytes."""
     np.savez(path, allow_pickle=False, **golden._asdict())
 
 
 def read_golden(source: Source, dof: int) -> Golden:
-    """Read the golden ticks.
-
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        The file `golden.npz`.
-    dof : int
-        Number of joints.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, its arrays do not fit together, or it does not hold 100
-        finite ticks in which a joint moves.
-    """
+    """Read the golden ticks."""
     path, data = content_of(source)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -150,24 +107,7 @@ def _check_evidence(golden: Golden, path: Path) -> None:
 def verify(
     golden: Golden, estimator: DeformationEstimator, predictor: Predictor, where: Path
 ) -> None:
-    """Replay the golden ticks and compare.
-
-    Parameters
-    ----------
-    golden : Golden
-        The ticks.
-    estimator : DeformationEstimator
-        Estimator of the bundle.
-    predictor : Predictor
-        Predictor of the bundle.
-    where : Path
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If a result differs by more than `TOLERANCE`; it names the first.
-    """
+    """Replay the golden ticks and compare."""
     replayed = record_golden(
         estimator, predictor, golden.angle_rad, golden.current_a, golden.step_s
     )
@@ -190,21 +130,8 @@ def verify_equal(
     second: tuple[DeformationEstimator, Predictor],
     where: Path,
 ) -> None:
-    """Compare whole answers, interval and range included, on the golden ticks and on old samples.
-
-    Parameters
-    ----------
-    golden : Golden
-        The ticks.
-    first, second : tuple of DeformationEstimator and Predictor
-        Two that must agree; reset before and after.
-    where : Path
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If an answer differs by more than `TOLERANCE`; it names the first.
+    """Compare whole answers, interval and range included, on the golden ticks and on old
+    samples.
     """
     names = ("tip_m", "in_range", "half_width_m")
     for estimator, _ in (first, second):

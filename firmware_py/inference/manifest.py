@@ -46,116 +46,52 @@ _LARGEST_COEFFICIENT: Final = 1e15
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Feature or output of the predictor.
-
-    Attributes
-    ----------
-    name : str
-        Name of the signal.
-    unit : str
-        SI unit; "1" for none.
-    minimum, maximum : float
-        Range in the training data.
-    """
+    """Feature or output of the predictor."""
 
     name: str
-    unit: str
-    minimum: float
+    unit: str  # SI unit; "1" for none
+    minimum: float  # Range in the training data
     maximum: float
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Contents of `manifest.json`.
-
-    Attributes
-    ----------
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period of the training data.
-    features, outputs : tuple of Quantity
-        In the order of the graph's input columns and output rows.
-    estimator : str
-        Source of the DI on the robot: "observer", "lagged" or "none".
-    degree : int
-        Degree of the paper's polynomial, chosen by cross-validation on the training trials.
-    predictor : str
-        Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone.
-    lag_ticks : tuple of int
-        Ages of the samples that the lagged estimator uses.
-    training_data_sha256, plant_sha256 : str
-        Hashes of the training trials and of the plant.
-    libraries : dict
-        Versions of the libraries, by name.
-    metrics : dict
-        Errors on held-out trials by name, SI units in the names.
-    coefficients : dict
-        Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only.
-    files : dict
-        SHA-256 by file name.
-    servo_gains : tuple of ServoGains
-        Gains of the servos with which the plant was identified, by joint; empty where nobody said.
-        A robot whose servos have others is refused.
-    content_sha256 : str
-        Hash of all other fields; empty until the manifest is written.
-    """
+    """Contents of `manifest.json`."""
 
     schema: int = SCHEMA
     dof: int
-    period_s: float
+    period_s: float  # Control period of the training data
+    # Degree of the paper's polynomial, chosen by cross-validation on the training trials
     degree: int
-    estimator: str
-    features: tuple[Quantity, ...]
+    estimator: str  # Source of the DI on the robot: "observer", "lagged" or "none"
+    features: tuple[Quantity, ...]  # In the order of the graph's input columns and output rows
     outputs: tuple[Quantity, ...]
-    lag_ticks: tuple[int, ...]
-    training_data_sha256: str
+    lag_ticks: tuple[int, ...]  # Ages of the samples that the lagged estimator uses
+    training_data_sha256: str  # Hashes of the training trials and of the plant
     plant_sha256: str
-    libraries: dict[str, str]
-    metrics: dict[str, float]
+    libraries: dict[str, str]  # Versions of the libraries, by name
+    metrics: dict[str, float]  # Errors on held-out trials by name, SI units in the names
+    # Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only
     coefficients: dict[str, tuple[float, ...]]
-    files: dict[str, str]
+    files: dict[str, str]  # SHA-256 by file name
+    # Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone
     predictor: str = ""
+    # Gains of the servos with which the plant was identified, by joint; empty where nobody said. A
+    # robot whose servos have others is refused.
     servo_gains: tuple[ServoGains, ...] = ()
-    content_sha256: str = ""
+    content_sha256: str = ""  # Hash of all other fields; empty until the manifest is written
 
 
 @dataclass(frozen=True)
 class BundleFiles:
-    """Files of a bundle in memory, as the manifest's hashes describe them.
+    """Files of a bundle in memory, as the manifest's hashes describe them."""
 
-    Attributes
-    ----------
-    directory : Path
-        Where they were read.
-    manifest : Manifest
-        Contents of `manifest.json`.
-    manifest_sha256 : str
-        Hash of that file.
-    signed_by : str
-        Trusted key that has signed the manifest; empty where none was asked for.
-    contents : mapping of str to FileContent
-        Every file that the manifest names.
-    """
-
-    directory: Path
+    directory: Path  # Where they were read
     manifest: Manifest
-    manifest_sha256: str
-    signed_by: str
-    contents: Mapping[str, FileContent]
+    manifest_sha256: str  # Hash of that file
+    signed_by: str  # Trusted key that has signed the manifest; empty where none was asked for
+    contents: Mapping[str, FileContent]  # Every file that the manifest names
 
     def file(self, name: str) -> FileContent:
-        """Return a file.
-
-        Parameters
-        ----------
-        name : str
-            Its name.
-
-        Raises
-        ------
-        InputError
-            If the manifest does not name it.
-        """
         if name not in self.contents:
             raise InputError(
                 self.directory / MANIFEST, f"names no {name}", "copy or train the bundle again"
@@ -166,18 +102,8 @@ class BundleFiles:
 def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> BundleFiles:
     """Read every file of a bundle once and compare it with the manifest.
 
-    Parameters
-    ----------
-    directory : Path or str
-        The bundle.
-    trusted : sequence of str, optional
-        Public keys of which one must have signed the manifest; without one no signature is checked.
-
-    Raises
-    ------
-    InputError
-        If the directory or a file is missing, damaged, of another schema or does not match; if the
-        manifest names a file that no bundle has; if no trusted key has signed it.
+    `trusted`: public keys of which one must have signed the manifest; without one no signature is
+    checked.
     """
     directory = Path(directory)
     path = directory / MANIFEST
@@ -272,13 +198,6 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
     """Replace `manifest.json` atomically, with the hashes of its content and of the other files.
 
     A signature of the old manifest is removed.
-
-    Parameters
-    ----------
-    directory : Path
-        The bundle.
-    manifest : Manifest
-        Manifest to write; its `files` and `content_sha256` are replaced.
     """
     files = {
         name: content_of(directory / name).sha256

@@ -11,13 +11,7 @@ __all__ = ["NoModels", "NoPredictor"]
 
 
 class NoPredictor:
-    """Predictor that returns a constant tip, 1 m above the base.
-
-    Examples
-    --------
-    >>> NoPredictor().predict(np.zeros(1), np.zeros(1), 0.0).tip_m
-    array([0., 0., 1.])
-    """
+    """Predictor that returns a constant tip, 1 m above the base."""
 
     def __init__(self) -> None:
         self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
@@ -35,15 +29,7 @@ class NoPredictor:
 
 
 class NoModels:
-    """Models of a loop that estimates and predicts nothing.
-
-    Attributes
-    ----------
-    estimator : NoEstimator
-        DI = 0.
-    predictor : NoPredictor
-        Constant tip.
-    """
+    """Models of a loop that estimates and predicts nothing."""
 
     def __init__(self) -> None:
         self.estimator, self.predictor = NoEstimator(), NoPredictor()

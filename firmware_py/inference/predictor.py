@@ -28,15 +28,7 @@ NO_SIGNALS: Final[Array] = np.zeros(0)
 
 
 class Prediction:
-    """Prediction from one sample.
-
-    Attributes
-    ----------
-    tip_m : ndarray, shape (3,)
-        End effector in the world frame, for inputs clipped to the training range.
-    half_width_m : ndarray, shape (3,)
-        Half width of the 95 % prediction interval; grows outside the training data.
-    """
+    """Prediction from one sample."""
 
     __slots__ = ("_in_range", "half_width_m", "tip_m")
 
@@ -87,31 +79,8 @@ class Predictor(Protocol):
 class OnnxGraph:
     """ONNX graph with one float64 input row, run with buffers that are bound once.
 
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        ONNX file.
-    inputs : int or None
-        Required width of the input; None for any.
-    outputs : sequence of (name, width)
-        Required outputs, in order.
+    `inputs`: required width of the input; None for any.
 
-    Attributes
-    ----------
-    row : ndarray, shape (inputs,)
-        Input; write it before `run`.
-    results : tuple of ndarray
-        Outputs of the latest `run`, shapes (width,).
-    metadata : dict of str to str
-        Facts that the file holds.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, or has other inputs or outputs.
-
-    Notes
-    -----
     One thread, because the loop's thread is the one with real-time priority; IO binding on
     preallocated buffers saves 6-7 µs a call and all allocation on our side
     (docs/sources.md, "ONNX").
@@ -171,32 +140,7 @@ class OnnxGraph:
 
 
 class OnnxPredictor:
-    """Predictor from a graph of the bundle, whose metadata name its inputs.
-
-    Parameters
-    ----------
-    source : Path, str or FileContent
-        The file.
-    dof : int
-        Number of joints.
-
-    Attributes
-    ----------
-    inputs : tuple of str
-        Names of the graph's input columns: angles, currents and DI, the age if it is used, then
-        `wanted`.
-    wanted : tuple of str
-        Those that only the observer knows; `predict` takes them as `signals`, in this order.
-    ranges : dict of str to (float, float)
-        Least and largest value of each input in its training data, SI units; empty where the file
-        does not say.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, made for another number of joints or wants an unknown
-        input.
-    """
+    """Predictor from a graph of the bundle, whose metadata name its inputs."""
 
     def __init__(self, source: Source, dof: int) -> None:
         source = content_of(source, "train the bundle again or copy all of it")
@@ -253,17 +197,7 @@ class _Feature(msgspec.Struct, frozen=True):
 def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ...]:
     """Return the names of a graph's input columns by its metadata; none where it does not say.
 
-    Parameters
-    ----------
-    metadata : mapping of str to str
-        The file's `metadata_props`; "features" is a list of objects with a "name".
-    path : Path or str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        If the metadata are damaged.
+    `metadata`: the file's `metadata_props`; "features" is a list of objects with a "name".
     """
     return tuple(feature.name for feature in _features(metadata, path))
 

@@ -54,22 +54,16 @@ CORNER_ROOM_M: Final = 0.1
 
 
 class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[gravity]`.
+    """Table `[gravity]`."""
 
-    Attributes
-    ----------
-    mounting : {"upright", "horizontal", "hanging", "balloon"}
-        How the link stands at zero angle. Horizontal: gravity along -x, in the plane of joint 1.
-        Balloon: upright, with a part of its weight carried.
-    direction : tuple of float, optional
-        Direction of gravity where it is none of these; z along the link at zero angle.
-    effective_weight : float
-        Part of the weight, payload included, that the link has to carry: below 1 with a balloon.
-        Its inertia stays whole.
-    """
-
+    # {"upright", "horizontal", "hanging", "balloon"}, How the link stands at zero angle.
+    # Horizontal: gravity along -x, in the plane of joint 1. Balloon: upright, with a part of its
+    # weight carried.
     mounting: Mounting = "upright"
+    # Direction of gravity where it is none of these; z along the link at zero angle
     direction: Vector | None = None
+    # Part of the weight, payload included, that the link has to carry: below 1 with a balloon. Its
+    # inertia stays whole.
     effective_weight: float = 1.0
 
     @property
@@ -93,16 +87,7 @@ class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[servo]`: a model, and what differs from its preset.
-
-    Attributes
-    ----------
-    model : str
-        Name of `firmware_py.link.servo_presets.PRESETS`.
-    gear, torque_constant_nm_a, coulomb_friction_nm, viscous_friction_nm_s_rad, load_friction,
-    rotor_inertia_kg_m2, backlash_rad, current_limit_a, speed_limit_rad_s, mass_kg, source
-        As in `ServoPreset`; left out, the preset's.
-    """
+    """Table `[servo]`: a model, and what differs from its preset."""
 
     model: str = "H54-200-S500-R"
     gear: float | None = None
@@ -110,7 +95,7 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     coulomb_friction_nm: float | None = None
     viscous_friction_nm_s_rad: float | None = None
     load_friction: float | None = None
-    rotor_inertia_kg_m2: float | None = None
+    rotor_inertia_kg_m2: float | None = None  # As in `ServoPreset`; left out, the preset's
     backlash_rad: float | None = None
     current_limit_a: float | None = None
     speed_limit_rad_s: float | None = None
@@ -130,45 +115,24 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,
                       dict=True):  # fmt: skip
-    """Content of `link.toml`.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    joints : int
-        Driven joints, 1 or 2.
-    length_m, width_m : float
-        From the base plate to the last marker row; side (or diameter) of the section.
-    section : {"square", "round"}
-        Shape of the section.
-    base_offset_m : float
-        Base plate above the joint axes.
-    pressure_pa : float
-        Inflation pressure.
-    mass_kg, tip_mass_kg : float, optional
-        Of the link and of the hardware at its tip; left out, estimated from the size.
-    payload_kg : float
-        Largest payload that it is used with.
-    markers : MarkerLayout, optional
-        Places of the markers; left out, four rows of four at the corners.
-    gravity, servo
-        Tables of these names.
-    """
+    """Content of `link.toml`."""
 
     schema: int = SCHEMA
     name: str = "link"
     joints: Literal[1, 2] = 2
+    # From the base plate to the last marker row; side (or diameter) of the section
     length_m: float = 0.95
     width_m: float = 0.15
     section: Literal["square", "round"] = "square"
-    base_offset_m: float = 0.06
+    base_offset_m: float = 0.06  # Base plate above the joint axes
     pressure_pa: float = 41_300.0
+    # Of the link and of the hardware at its tip; left out, estimated from the size
     mass_kg: float | None = None
     tip_mass_kg: float | None = None
-    payload_kg: float = 2.0
+    payload_kg: float = 2.0  # Largest payload that it is used with
+    # Places of the markers; left out, four rows of four at the corners
     markers: MarkerLayout | None = None
-    gravity: LinkGravity = LinkGravity()
+    gravity: LinkGravity = LinkGravity()  # Tables of these names
     servo: LinkServo = LinkServo()
 
     @cached_property
@@ -219,41 +183,12 @@ def describes_link(document: Any) -> bool:
     """Whether a decoded TOML document describes a link, and no plant or rig.
 
     A key of its size is enough: `read_link` then names those that are missing.
-
-    Parameters
-    ----------
-    document : dict
-        As decoded.
     """
     return isinstance(document, dict) and not _DESCRIBES.isdisjoint(document)
 
 
 def read_link(path: Path | str) -> LinkDescription:
-    r"""Read and check `link.toml`.
-
-    Parameters
-    ----------
-    path : Path or str
-        The file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is not TOML, a key is unknown, one of the link's size, pressure
-        or payload is missing, or a value is out of range; the message names file, key and remedy.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> text = "length_m = 0.6\nwidth_m = 0.1\nbase_offset_m = 0.06\npressure_pa = 20700\n"
-    >>> text += 'payload_kg = 0.1\n[gravity]\nmounting = "hanging"\n'
-    >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "link.toml"
-    ...     size = path.write_text(text)
-    ...     link = read_link(path)
-    >>> link.layout.count, link.gravity.vector_m_s2
-    (16, (0.0, 0.0, 9.81))
-    """
+    r"""Read and check `link.toml`."""
     path = Path(path)
     document = read_toml(path, "write one with 'python -m models new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
@@ -267,20 +202,7 @@ def read_link(path: Path | str) -> LinkDescription:
 
 
 def check_link(link: LinkDescription, where: Path | str) -> None:
-    """Refuse values that are out of range or do not fit together.
-
-    Parameters
-    ----------
-    link : LinkDescription
-        To check.
-    where : Path or str
-        File or option, for the message.
-
-    Raises
-    ------
-    InputError
-        Naming the key and the remedy.
-    """
+    """Refuse values that are out of range or do not fit together."""
     if link.schema != SCHEMA:
         raise InputError(where, f"schema is {link.schema}", f"this version reads {SCHEMA}")
     for key, (low, high) in _RANGES.items():

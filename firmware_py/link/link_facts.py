@@ -24,27 +24,14 @@ _SAME: Final = 1e-6
 
 
 class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What tells one link from another.
-
-    Attributes
-    ----------
-    joints : int
-        Driven joints.
-    length_m, width_m, base_offset_m : float
-        Size, as in `firmware_py.link.link_description.LinkDescription`.
-    section : str
-        Shape of the section.
-    gravity_m_s2 : tuple of float
-        Acceleration by gravity in the link's frame: the mounting.
-    servo : str
-        Model of the servos.
-    """
+    """What tells one link from another."""
 
     joints: int
-    length_m: float
+    length_m: float  # Size, as in `firmware_py.link.link_description.LinkDescription`
     width_m: float
     base_offset_m: float
     section: str
+    # Acceleration by gravity in the link's frame: the mounting
     gravity_m_s2: tuple[float, float, float]
     servo: str
 
@@ -57,13 +44,7 @@ STUDY_FACTS: Final = LinkFacts(
 
 
 def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
-    """Facts of the link of a plant; None where it is no link, or does not tell them.
-
-    Parameters
-    ----------
-    plant : mapping
-        Its document, as JSON decodes it.
-    """
+    """Facts of the link of a plant; None where it is no link, or does not tell them."""
     try:
         described = plant.get("link")
         link = msgspec.convert(described, LinkDescription) if described else STUDY_LINK
@@ -82,17 +63,8 @@ def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
 
 
 def facts_of_bundle(directory: Path) -> LinkFacts | None:
-    """Facts of the link of a bundle; None where it holds no plant, or one that does not tell them.
-
-    Parameters
-    ----------
-    directory : Path
-        The bundle.
-
-    Raises
-    ------
-    InputError
-        If its plant cannot be read.
+    """Facts of the link of a bundle; None where it holds no plant, or one that does not tell
+    them.
     """
     path = directory / PLANT
     if not path.is_file():
@@ -102,13 +74,7 @@ def facts_of_bundle(directory: Path) -> LinkFacts | None:
 
 
 def other_link(own: LinkFacts, there: LinkFacts) -> str:
-    """First fact in which two links differ, as "length_m 0.6 in place of 0.95"; empty for none.
-
-    Parameters
-    ----------
-    own, there : LinkFacts
-        The two links.
-    """
+    """First fact in which two links differ, as "length_m 0.6 in place of 0.95"; empty for none."""
     for field in msgspec.structs.fields(LinkFacts):
         one, other = getattr(own, field.name), getattr(there, field.name)
         if not _same(one, other):

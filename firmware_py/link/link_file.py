@@ -23,12 +23,7 @@ _MEANINGS = {
 def link_toml(link: LinkDescription, mass_kg: float, tip_mass_kg: float) -> str:
     """Text of the file of a link.
 
-    Parameters
-    ----------
-    link : LinkDescription
-        The link.
-    mass_kg, tip_mass_kg : float
-        Masses that are estimated where the link does not give them.
+    `mass_kg`, `tip_mass_kg`: masses that are estimated where the link does not give them.
     """
     gravity, layout = link.gravity, link.layout
     rows = [

@@ -19,44 +19,14 @@ BOX_MARGIN: Final = 1.2
 def limits_with_link(
     where: Path, link_file: str, models: Sequence[str], limits: Limits, given: Collection[str]
 ) -> Limits:
-    """Limits of a configuration that names a link.
-
-    Parameters
-    ----------
-    where : Path
-        The configuration.
-    link_file : str
-        The link's file, relative to it.
-    models, limits, given
-        As for `refuse_other_servos` and `limits_of_link`.
-
-    Raises
-    ------
-    InputError
-        If the link's file cannot be used, or the servos are not the link's.
-    """
+    """Limits of a configuration that names a link."""
     link = read_link(where.parent / link_file)
     refuse_other_servos(link, models, where)
     return limits_of_link(link, limits, given)
 
 
 def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Path | str) -> None:
-    """Refuse servos that are not the link's.
-
-    Parameters
-    ----------
-    link : LinkDescription
-        The link.
-    models : sequence of str
-        Models of the configured servos, in joint order.
-    where : Path or str
-        Configuration, for the message.
-
-    Raises
-    ------
-    InputError
-        If there are more than the link has joints, or one is of another model.
-    """
+    """Refuse servos that are not the link's."""
     if len(models) > link.joints:
         raise InputError(
             where, f"servos has {len(models)} entries, the link {link.joints} joint",
@@ -74,15 +44,6 @@ def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]
     """Limits with the tip's box, largest current and rate of a link, where they are not given.
 
     Current and rate are lowered to what the servo can do, never raised.
-
-    Parameters
-    ----------
-    link : LinkDescription
-        The link.
-    limits : Limits
-        As configured.
-    given : collection of str
-        Keys that the configuration gives itself.
     """
     reach_m = round(BOX_MARGIN * (link.base_offset_m + link.length_m), 3)
     own = {

@@ -23,18 +23,12 @@ AT_TIP_M: Final = 0.002
 
 
 class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Places of the markers m01, m02, … row after row from the base.
+    """Places of the markers m01, m02, … row after row from the base."""
 
-    Attributes
-    ----------
-    rows_m : tuple of float
-        Height of each row above the base plate; the last one is the end effector's.
-    corners_m : tuple of (float, float)
-        Place of each marker of a row at zero angle: distance from the axis along x and y. A long
-        edge is the line through the same corner of all rows, from the base plate on.
-    """
-
+    # Height of each row above the base plate; the last one is the end effector's
     rows_m: tuple[float, ...]
+    # Place of each marker of a row at zero angle: distance from the axis along x and y. A long edge
+    # is the line through the same corner of all rows, from the base plate on.
     corners_m: tuple[tuple[float, float], ...]
 
     @property
@@ -58,13 +52,7 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return tuple(f"m{k:02d}" for k in range(1, self.count + 1))
 
     def row(self, number: int) -> tuple[str, ...]:
-        """Names of a row.
-
-        Parameters
-        ----------
-        number : int
-            Counted from 0; negative from the tip.
-        """
+        """Names of a row."""
         first = (number % self.rows) * self.corners
         return self.names[first : first + self.corners]
 
@@ -74,20 +62,7 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return slice(self.count - self.corners, self.count)
 
     def check(self, where: Path | str, length_m: float) -> None:
-        """Refuse a layout that cannot be.
-
-        Parameters
-        ----------
-        where : Path or str
-            File, for the message.
-        length_m : float
-            Of the link.
-
-        Raises
-        ------
-        InputError
-            If there are no markers or too many, rows do not ascend to the tip, or a number is none.
-        """
+        """Refuse a layout that cannot be."""
         numbers = (*self.rows_m, *(v for corner in self.corners_m for v in corner))
         if not all(math.isfinite(v) for v in numbers):
             raise InputError(where, "[markers] holds a value that is no number", "correct it")
@@ -112,36 +87,12 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def square_corners_m(width_m: float) -> tuple[tuple[float, float], ...]:
-    """Corners of a square section in the order of a row: (+x, +y), (-x, +y), (+x, -y), (-x, -y).
-
-    Parameters
-    ----------
-    width_m : float
-        Side of the section.
-
-    Examples
-    --------
-    >>> square_corners_m(0.2)[1]
-    (-0.1, 0.1)
-    """
+    """Corners of a square section in the order of a row: (+x, +y), (-x, +y), (+x, -y), (-x, -y)."""
     half = 0.5 * width_m
     return tuple((sx * half, sy * half) for sy in (1, -1) for sx in (1, -1))
 
 
 def square_layout(length_m: float, width_m: float, rows: int = STUDY_ROWS) -> MarkerLayout:
-    """Rows at equal distances with a marker at each corner of a square section.
-
-    Parameters
-    ----------
-    length_m, width_m : float
-        Of the link.
-    rows : int
-        Number of rows, the last one at the tip.
-
-    Examples
-    --------
-    >>> square_layout(1.0, 0.2).rows_m
-    (0.25, 0.5, 0.75, 1.0)
-    """
+    """Rows at equal distances with a marker at each corner of a square section."""
     heights = tuple(length_m * row / rows for row in range(1, rows + 1))
     return MarkerLayout(heights, square_corners_m(width_m))

@@ -39,41 +39,19 @@ wrong unit or the motor's side of the gear."""
 
 
 class ServoPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Physical properties of a servo, at its output.
+    """Physical properties of a servo, at its output."""
 
-    Attributes
-    ----------
-    gear : float
-        Turns of the motor per turn of the output.
-    torque_constant_nm_a : float
-        Torque at the output per ampere.
-    coulomb_friction_nm, viscous_friction_nm_s_rad : float
-        Friction without load.
-    load_friction : float
-        Friction per transmitted torque.
-    rotor_inertia_kg_m2 : float
-        Inertia of the rotor, times the gear squared.
-    backlash_rad : float
-        Play at the output.
-    current_limit_a, speed_limit_rad_s : float
-        Largest current, and speed without load.
-    mass_kg : float
-        Of the servo.
-    source : str
-        Where the numbers come from.
-    """
-
-    gear: float
-    torque_constant_nm_a: float
+    gear: float  # Turns of the motor per turn of the output
+    torque_constant_nm_a: float  # Torque at the output per ampere
     coulomb_friction_nm: float
     viscous_friction_nm_s_rad: float
-    load_friction: float
-    rotor_inertia_kg_m2: float
-    backlash_rad: float
-    current_limit_a: float
+    load_friction: float  # Friction per transmitted torque
+    rotor_inertia_kg_m2: float  # Inertia of the rotor, times the gear squared
+    backlash_rad: float  # Play at the output
+    current_limit_a: float  # Largest current, and speed without load
     speed_limit_rad_s: float
     mass_kg: float
-    source: str
+    source: str  # Where the numbers come from
 
     @property
     def torque_limit_nm(self) -> float:
@@ -141,23 +119,7 @@ PRESETS: Final[Mapping[str, ServoPreset]] = {
 
 
 def preset_named(name: str) -> ServoPreset:
-    """Return the preset of a model.
-
-    Parameters
-    ----------
-    name : str
-        Name on the type plate.
-
-    Raises
-    ------
-    InputError
-        If there is none; the remedy lists those that there are.
-
-    Examples
-    --------
-    >>> preset_named("XM430-W350").gear
-    353.5
-    """
+    """Return the preset of a model."""
     if name not in PRESETS:
         raise InputError(
             f"servo model {name!r}", "is not known", f"use one of {', '.join(PRESETS)}"
@@ -166,20 +128,7 @@ def preset_named(name: str) -> ServoPreset:
 
 
 def check_servo(servo: ServoPreset, where: Path | str) -> None:
-    """Refuse numbers that no servo has.
-
-    Parameters
-    ----------
-    servo : ServoPreset
-        To check.
-    where : Path or str
-        File, for the message.
-
-    Raises
-    ------
-    InputError
-        Naming the number and its unit.
-    """
+    """Refuse numbers that no servo has."""
     for name, (low, high, unit) in _RANGES.items():
         value = getattr(servo, name)
         if not low <= value <= high:

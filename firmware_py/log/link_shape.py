@@ -26,64 +26,31 @@ _CELLS: Final = 24
 
 
 class LinkShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the shape of a link depends on beside its angles and tip.
+    """What the shape of a link depends on beside its angles and tip."""
 
-    Attributes
-    ----------
-    base_offset_m, length_m : float
-        Base plate above the joint axes; length from there to the last marker row.
-    rows_m, corners_m : tuple
-        Places of the markers, as in `firmware_py.link.marker_layout.MarkerLayout`.
-    bend_ratio : float
-        Bend of the span over that of the root under a force at the tip.
-    """
-
+    # Base plate above the joint axes; length from there to the last marker row
     base_offset_m: float
     length_m: float
+    # Places of the markers, as in `firmware_py.link.marker_layout.MarkerLayout`
     rows_m: tuple[float, ...]
     corners_m: tuple[tuple[float, float], ...]
-    bend_ratio: float
+    bend_ratio: float  # Bend of the span over that of the root under a force at the tip
 
 
 class LinkPose(msgspec.Struct, frozen=True):
-    """Link at one moment, world frame, m.
+    """Link at one moment, world frame, m."""
 
-    Attributes
-    ----------
-    centre : ndarray, shape (stations, 3)
-        Centre line from the base plate to the tip.
-    edges : ndarray, shape (stations, corners, 3)
-        Corners of the section at each station, in the order of the layout.
-    markers : ndarray, shape (markers, 3)
-        Markers, m01 first.
-    rigid_tip : ndarray, shape (3,)
-        Tip of a link that does not bend.
-    """
-
-    centre: Array
+    centre: Array  # (stations, 3), centre line from the base plate to the tip
+    # (stations, corners, 3), corners of the section at each station, in the order of the layout
     edges: Array
-    markers: Array
-    rigid_tip: Array
+    markers: Array  # (markers, 3)
+    rigid_tip: Array  # (3,), tip of a link that does not bend
 
 
 def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
     """Pose of the link.
 
-    Parameters
-    ----------
-    shape : LinkShape
-        The link.
-    angle_rad : ndarray, shape (dof,)
-        Joint angles.
-    tip_m : ndarray, shape (3,)
-        End effector, world frame.
-
-    Examples
-    --------
-    >>> shape = LinkShape(0.06, 0.94, (0.235, 0.94), ((0.075, 0.075), (-0.075, -0.075)), 1.0)
-    >>> pose = pose_link(shape, np.array([0.0]), np.array([0.0, 0.0, 1.0]))
-    >>> pose.centre[-1].round(6).tolist(), pose.markers[0].round(6).tolist()
-    ([0.0, 0.0, 1.0], [0.075, 0.075, 0.295])
+    Shapes: `angle_rad` (dof,), `tip_m` (3,).
     """
     turn = _base_rotation(angle_rad)
     own = turn.T @ tip_m - (0.0, 0.0, shape.base_offset_m)

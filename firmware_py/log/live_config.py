@@ -15,21 +15,10 @@ VIEWERS: Final = 8
 
 
 class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove.
+    """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove."""
 
-    Attributes
-    ----------
-    host : str
-        Address to listen at. Who can reach it sees the ticks, but cannot command the robot.
-    port : int
-        TCP port; 0 takes any that is free.
-    origins : tuple of str
-        Web sites whose pages may connect.
-    viewers : int
-        Largest number of viewers.
-    """
-
+    # Address to listen at. Who can reach it sees the ticks, but cannot command the robot.
     host: str = "127.0.0.1"
-    port: int = 8765
-    origins: tuple[str, ...] = ORIGINS
-    viewers: int = VIEWERS
+    port: int = 8765  # TCP port; 0 takes any that is free
+    origins: tuple[str, ...] = ORIGINS  # Web sites whose pages may connect
+    viewers: int = VIEWERS  # Largest number of viewers

@@ -31,26 +31,7 @@ _END: Final = b"\r\n\r\n"
 class LiveGate:
     """Listener that passes admitted viewers on to the server behind it.
 
-    Parameters
-    ----------
-    address : tuple of str and int
-        Host and port to listen at; port 0 takes any that is free.
-    behind : tuple of str and int
-        Host and port of the server.
-    origins : sequence of str
-        Origins that are admitted.
-    viewers : int
-        Largest number of viewers.
-
-    Attributes
-    ----------
-    port : int
-        Port that it listens at.
-
-    Raises
-    ------
-    OSError
-        If the address cannot be listened at.
+    `address`: host and port to listen at; port 0 takes any that is free.
     """
 
     def __init__(

@@ -22,24 +22,14 @@ T = TypeVar("T")
 
 
 class LoggedMotion(msgspec.Struct, frozen=True):
-    """Motion of a run: of a plan, or the table `[motion]` of its robot.toml.
+    """Motion of a run: of a plan, or the table `[motion]` of its robot.toml."""
 
-    Attributes
-    ----------
-    motion, kind : str or None
-        Name, in the log of a plan; kind, in that of a configured motion.
-    period_s, amplitude_rad, phase_2_rad : float or None
-        Conditions, where they are known.
-    design : MotionDocument or None
-        Content of a motion file.
-    """
-
-    motion: str | None = None
+    motion: str | None = None  # Name, in the log of a plan; kind, in that of a configured motion
     kind: str | None = None
-    period_s: float | None = None
+    period_s: float | None = None  # Conditions, where they are known
     amplitude_rad: float | None = None
     phase_2_rad: float | None = None
-    design: MotionDocument | None = None
+    design: MotionDocument | None = None  # Content of a motion file
 
 
 class _LoggedConfig(msgspec.Struct, frozen=True):
@@ -50,45 +40,20 @@ class _LoggedConfig(msgspec.Struct, frozen=True):
 
 
 class LoggedRun(msgspec.Struct, frozen=True):
-    """Facts of a log.
-
-    Attributes
-    ----------
-    period_s : float or None
-        Control period.
-    payload_kg : float or None
-        Mass at the tip as the log states it.
-    assumed_payload_kg : float or None
-        Mass that robot.toml gave to the estimator.
-    motion : LoggedMotion
-        What ran.
-    probed : bool
-        Whether a probing motion preceded it, after which the observer was told the payload.
-    slots : int or None
-        Slots after which the run was to end; None where the log does not say.
-    """
+    """Facts of a log."""
 
     period_s: float | None
-    payload_kg: float | None
-    assumed_payload_kg: float | None
+    payload_kg: float | None  # Mass at the tip as the log states it
+    assumed_payload_kg: float | None  # Mass that robot.toml gave to the estimator
     motion: LoggedMotion
+    # Whether a probing motion preceded it, after which the observer was told the payload
     probed: bool = False
+    # Slots after which the run was to end; None where the log does not say
     slots: int | None = None
 
 
 def logged_run(log: Recording) -> LoggedRun:
-    """Facts that the metadata of a log hold.
-
-    Parameters
-    ----------
-    log : Recording
-        Of `dropstitch run`.
-
-    Raises
-    ------
-    InputError
-        If they are damaged.
-    """
+    """Facts that the metadata of a log hold."""
     config = _decoded(log, "config", "{}", _LoggedConfig)
     period_s = _decoded(log, "period_s", "null", float | None)  # type: ignore[arg-type]
     if period_s is not None and not 1e-3 <= period_s <= 1.0:

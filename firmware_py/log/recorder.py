@@ -44,35 +44,15 @@ _NICENESS: Final = 5
 
 
 class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Task of the recorder process.
+    """Task of the recorder process."""
 
-    Attributes
-    ----------
-    fd : int
-        Descriptor of the socket, inherited.
-    path : str or None
-        File to write.
-    live : tuple of str and int, or None
-        Host and port of the live view.
-    origins : tuple of str
-        Origins that the live view admits.
-    viewers : int
-        Largest number of its viewers.
-    dof : int
-        Number of joints, which determines the layout of a record.
-    start_ns : int
-        Wall time of the start of the run; `time_s` of a tick is added to it.
-    metadata : dict of str to str
-        Metadata of the file.
-    """
-
-    fd: int
+    fd: int  # Descriptor of the socket, inherited
     path: str | None
-    live: tuple[str, int] | None = None
-    origins: tuple[str, ...] = ORIGINS
-    viewers: int = VIEWERS
-    dof: int
-    start_ns: int
+    live: tuple[str, int] | None = None  # Host and port of the live view
+    origins: tuple[str, ...] = ORIGINS  # Origins that the live view admits
+    viewers: int = VIEWERS  # Largest number of its viewers
+    dof: int  # Number of joints, which determines the layout of a record
+    start_ns: int  # Wall time of the start of the run; `time_s` of a tick is added to it
     metadata: dict[str, str]
 
 
@@ -88,30 +68,8 @@ def recording(
 ) -> Iterator[SocketTelemetry]:
     """Run a recorder for the duration of the context.
 
-    Parameters
-    ----------
-    path : Path or None
-        File to write, with its directory; None writes no file.
-    dof : int
-        Number of joints.
-    start_ns : int
-        Wall time of the start of the run.
-    metadata : dict of str to str
-        Metadata of the file; `dof` is added.
-    live : tuple of str and int, optional
-        Host and port of the live view for Foxglove.
-    origins, viewers
-        See `firmware_py.log.live_config.LiveConfig`.
-
-    Yields
-    ------
-    SocketTelemetry
-        Telemetry for the loop; after the block it says how many ticks the file holds.
-
-    Raises
-    ------
-    InputError
-        If a package is missing, the file cannot be written or the port cannot be listened at.
+    `path`: file to write, with its directory; None writes no file.
+    Yields telemetry for the loop; after the block it says how many ticks the file holds.
     """
     if path is not None:
         require_packages()

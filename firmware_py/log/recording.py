@@ -83,13 +83,7 @@ def tick_schema(dof: int) -> dict[str, Any]:
 
 
 def require_packages() -> None:
-    """Check that the packages of the log file are installed.
-
-    Raises
-    ------
-    InputError
-        If mcap or lz4 is missing.
-    """
+    """Check that the packages of the log file are installed."""
     missing = [name for name in ("mcap", "lz4") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(

@@ -52,13 +52,7 @@ def scene_schema() -> bytes:
 
 
 def shape_in(metadata: dict[str, str]) -> LinkShape | None:
-    """Shape of the link that the metadata of a log hold; None where they have none.
-
-    Parameters
-    ----------
-    metadata : dict of str to str
-        Of the log.
-    """
+    """Shape of the link that the metadata of a log hold; None where they have none."""
     text = metadata.get(SHAPE_KEY)
     return msgspec.json.decode(text, type=LinkShape) if text else None
 
@@ -66,12 +60,7 @@ def shape_in(metadata: dict[str, str]) -> LinkShape | None:
 class SceneEncoder:
     """Encoder of tick records as scenes.
 
-    Parameters
-    ----------
-    dof : int
-        Number of joints, which determines the layout of a record.
-    shape : LinkShape
-        The link.
+    `dof`: number of joints, which determines the layout of a record.
     """
 
     def __init__(self, dof: int, shape: LinkShape) -> None:
@@ -83,15 +72,7 @@ class SceneEncoder:
         }  # fmt: skip
 
     def __call__(self, record: bytes, time_ns: int) -> bytes | None:
-        """Scene of every `EVERY`-th record; None for others, and where the tip is not known.
-
-        Parameters
-        ----------
-        record : bytes
-            A packed tick.
-        time_ns : int
-            Its wall time.
-        """
+        """Scene of every `EVERY`-th record; None for others, and where the tip is not known."""
         due = self._records % EVERY == 0
         self._records += 1
         if not due:
@@ -129,7 +110,6 @@ class _Template:
         self._places = (np.array(places + tips)[:, None] + np.arange(8)).ravel()
 
     def filled(self, pose: LinkPose, tip_size_m: Array, time_ns: int) -> bytes:
-        """Scene of a pose."""
         seconds, nanos = divmod(time_ns, 1_000_000_000)
         text = bytearray(
             self._text.replace(_SECONDS, _varint5(seconds)).replace(_NANOS, _varint5(nanos))

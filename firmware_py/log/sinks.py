@@ -31,17 +31,7 @@ class Sink(Protocol):
     """Receiver of ticks in the recorder process."""
 
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
-        """Take one message.
-
-        Parameters
-        ----------
-        time_ns : int
-            Wall time.
-        data : bytes
-            A tick as JSON, or a scene as protobuf.
-        topic : str
-            `TOPIC` or `SCENE_TOPIC`.
-        """
+        """Take one message."""
 
     def finish(self) -> None:
         """Complete the output after the last tick."""
@@ -54,12 +44,8 @@ class Sink(Protocol):
 class TickEncoder:
     """Encoder of packed records as JSON, exact; NaN becomes null, an infinity a string.
 
-    Parameters
-    ----------
-    dof : int
-        Number of joints, which determines the layout of a record.
-    start_ns : int
-        Wall time of the start of the run; `time_s` of a tick is added to it.
+    `dof`: number of joints, which determines the layout of a record.
+    `start_ns`: wall time of the start of the run; `time_s` of a tick is added to it.
     """
 
     def __init__(self, dof: int, start_ns: int) -> None:
@@ -81,24 +67,7 @@ class TickEncoder:
 class McapSink:
     """MCAP file: small LZ4 chunks, each on the disk as soon as it is full.
 
-    Parameters
-    ----------
-    path : str
-        File to make; one that exists, or a link, is never written to.
-    dof : int
-        Number of joints.
-    metadata : dict of str to str
-        Metadata of the file.
-
-    Raises
-    ------
-    InputError
-        If the file exists or cannot be written; a file that it has begun is removed.
-
-    Attributes
-    ----------
-    ticks : int
-        Ticks that the file holds: those of the chunks that are on the disk.
+    `path`: file to make; one that exists, or a link, is never written to.
     """
 
     def __init__(self, path: str, dof: int, metadata: dict[str, str]) -> None:
@@ -163,35 +132,7 @@ class McapSink:
 
 
 class LiveSink:
-    """WebSocket server for Foxglove, in its own threads; a slow viewer loses old ticks.
-
-    Parameters
-    ----------
-    host : str
-        Address to listen at.
-    port : int
-        TCP port; 0 takes any that is free.
-    dof : int
-        Number of joints.
-    origins : sequence of str
-        Origins that are admitted, see `firmware_py.log.live_gate`.
-    viewers : int
-        Largest number of viewers.
-    scene : bool
-        Whether scenes follow the ticks.
-
-    Attributes
-    ----------
-    url : str
-        Address for the viewer.
-    ticks : None
-        It keeps none.
-
-    Raises
-    ------
-    InputError
-        If the address cannot be listened at.
-    """
+    """WebSocket server for Foxglove, in its own threads; a slow viewer loses old ticks."""
 
     ticks = None
 
@@ -243,13 +184,7 @@ class LiveSink:
 
 
 def require_live_package() -> None:
-    """Check that the package of the live view is installed.
-
-    Raises
-    ------
-    InputError
-        If foxglove-sdk is missing.
-    """
+    """Check that the package of the live view is installed."""
     if importlib.util.find_spec("foxglove") is None:
         raise InputError(
             "--live", "needs the package foxglove-sdk", "pip install 'dropstitch[live]'"

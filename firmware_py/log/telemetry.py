@@ -12,27 +12,13 @@ from typing import Protocol
 
 
 class Telemetry(Protocol):
-    """Receiver of finished tick records.
+    """Receiver of finished tick records."""
 
-    Attributes
-    ----------
-    drops : int
-        Records that were not delivered.
-    logged : int or None
-        Ticks that the log holds, once it is complete; None where nobody says.
-    """
-
-    drops: int
-    logged: int | None
+    drops: int  # Records that were not delivered
+    logged: int | None  # Ticks that the log holds, once it is complete; None where nobody says
 
     def put(self, record: memoryview) -> None:
-        """Take one record; never blocks, never raises.
-
-        Parameters
-        ----------
-        record : memoryview
-            Packed record of `firmware_py.signals.tick_dtype`, valid during the call.
-        """
+        """Take one record; never blocks, never raises."""
         ...
 
 
@@ -47,13 +33,7 @@ class NoTelemetry:
 
 
 class SocketTelemetry:
-    """Telemetry over a SEQPACKET socket.
-
-    Parameters
-    ----------
-    end : socket
-        Loop's end of a connected `AF_UNIX`, `SOCK_SEQPACKET` pair.
-    """
+    """Telemetry over a SEQPACKET socket."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)

@@ -16,20 +16,7 @@ _FIELD_BYTES: Final = 8
 
 
 class TickRing:
-    """Ring of the last records, written without net allocation.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    keep : int
-        Number of records kept.
-
-    Attributes
-    ----------
-    count : int
-        Records written since the start.
-    """
+    """Ring of the last records, written without net allocation."""
 
     def __init__(self, dof: int, keep: int) -> None:
         dtype = tick_dtype(dof)
@@ -46,26 +33,12 @@ class TickRing:
         self.count = 0
 
     def append(self, values: Sequence[Any]) -> None:
-        """Write a record.
-
-        Parameters
-        ----------
-        values : sequence
-            Values in the order of `firmware_py.signals.tick_signals`.
-        """
+        """Write a record."""
         self._pack(self._bytes, self.count % self._keep * self._size, *values)
         self.count += 1
 
     def amend(self, name: str, value: int) -> None:
-        """Replace an integer of the latest record.
-
-        Parameters
-        ----------
-        name : str
-            Name of the column.
-        value : int
-            New value.
-        """
+        """Replace an integer of the latest record."""
         start = (self.count - 1) % self._keep * self._size
         self._integer(self._bytes, start + self._offsets[name], value)
 

@@ -39,13 +39,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at a deadline; at once if it has passed.
-
-        Parameters
-        ----------
-        deadline_ns : int
-            Absolute time of this clock.
-        """
+        """Return at a deadline; at once if it has passed."""
         ...
 
 
@@ -61,22 +55,7 @@ class DeadlineClock:
 
 
 class SimClock:
-    """Simulated clock: time passes only where somebody waits, so a run is deterministic.
-
-    Parameters
-    ----------
-    start_ns : int
-        Time at the start.
-
-    Examples
-    --------
-    >>> clock = SimClock()
-    >>> clock.sleep_until(17_000_000)
-    >>> clock.advance(500_000)
-    >>> clock.sleep_until(10_000_000)  # has passed
-    >>> clock.now_ns()
-    17500000
-    """
+    """Simulated clock: time passes only where somebody waits, so a run is deterministic."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
@@ -95,39 +74,20 @@ class SimClock:
 
 
 class RealTimeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Requests to the kernel (table `[real_time]` of robot.toml).
+    """Requests to the kernel (table `[real_time]` of robot.toml)."""
 
-    Attributes
-    ----------
-    priority : int
-        SCHED_FIFO priority of the loop's thread, 1–99; 0 keeps the normal scheduler.
-    lock_memory : bool
-        Lock every page in memory.
-    freeze_gc : bool
-        Collect garbage once, then disable the collector during the loop.
-    cpu : int or None
-        Processor to pin the loop's thread to; None does not pin it.
-    """
-
+    # SCHED_FIFO priority of the loop's thread, 1–99; 0 keeps the normal scheduler
     priority: int = 50
     lock_memory: bool = True
-    freeze_gc: bool = True
-    cpu: int | None = None
+    freeze_gc: bool = True  # Collect garbage once, then disable the collector during the loop
+    cpu: int | None = None  # Processor to pin the loop's thread to; None does not pin it
 
 
 @contextlib.contextmanager
 def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
     """Make the calling thread real-time as far as the kernel permits; restore it afterwards.
 
-    Parameters
-    ----------
-    options : RealTimeOptions
-        Requests to the kernel.
-
-    Yields
-    ------
-    list of str
-        Refused requests with remedies, one sentence each; empty where all were granted.
+    Yields refused requests with remedies, one sentence each; empty where all were granted.
     """
     refused: list[str] = []
     affinity, collecting = os.sched_getaffinity(0), gc.isenabled()

@@ -42,24 +42,12 @@ class Severity(Enum):
 
 
 class Finding(NamedTuple):
-    """Result of one check.
-
-    Attributes
-    ----------
-    name : str
-        Name of the check.
-    verdict : Severity
-        Effect on the timing.
-    found : str
-        What was found.
-    remedy : str
-        Remedy; empty where the finding is good.
-    """
+    """Result of one check."""
 
     name: str
-    verdict: Severity
+    verdict: Severity  # Effect on the timing
     found: str
-    remedy: str = ""
+    remedy: str = ""  # Remedy; empty where the finding is good
 
 
 def examine(
@@ -67,12 +55,7 @@ def examine(
 ) -> list[Finding]:
     """Run every check.
 
-    Parameters
-    ----------
-    root : Path
-        Root of /proc and /sys; tests give their own.
-    may_be_real_time : callable, optional
-        Returns whether SCHED_FIFO is granted; by default it is tried.
+    `may_be_real_time`: returns whether SCHED_FIFO is granted; by default it is tried.
     """
     return [
         _latency_timer(root),

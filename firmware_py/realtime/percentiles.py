@@ -21,18 +21,10 @@ LABELS: Final = {"p50": "p50_ns", "p99": "p99_ns", "p99.9": "p99_9_ns", "max": "
 
 
 class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Percentiles of a series of durations in ns; each is a value that occurred.
+    """Percentiles of a series of durations in ns; each is a value that occurred."""
 
-    Attributes
-    ----------
-    n : int
-        Number of durations; the other fields are 0 where there is none.
-    p50_ns, p99_ns, p99_9_ns, max_ns : int
-        Smallest value that this fraction of the durations does not exceed.
-    """
-
-    n: int
-    p50_ns: int
+    n: int  # Number of durations; the other fields are 0 where there is none
+    p50_ns: int  # Smallest value that this fraction of the durations does not exceed
     p99_ns: int
     p99_9_ns: int
     max_ns: int
@@ -41,12 +33,7 @@ class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def of(cls, durations_ns: Nanoseconds, **more: Any) -> Self:
         """Return the percentiles of a series.
 
-        Parameters
-        ----------
-        durations_ns : ndarray of int, shape (n,)
-            The durations.
-        **more
-            Fields that a subclass adds.
+        Shapes: `durations_ns` (n,).
         """
         values = [0] * (len(FRACTIONS) + 1)
         if len(durations_ns):

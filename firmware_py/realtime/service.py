@@ -36,12 +36,8 @@ class NoService:
 class SystemdService:
     """Watchdog of systemd; does nothing where the environment names no socket.
 
-    Parameters
-    ----------
-    clock : Clock
-        Clock of the notifications; there are four within the timeout of systemd.
-    environment : mapping of str to str, optional
-        Environment with NOTIFY_SOCKET and WATCHDOG_USEC; by default that of the process.
+    `clock`: clock of the notifications; there are four within the timeout of systemd.
+    `environment`: environment with NOTIFY_SOCKET and WATCHDOG_USEC; by default that of the process.
     """
 
     def __init__(self, clock: Clock, environment: Mapping[str, str] = os.environ) -> None:

@@ -36,11 +36,6 @@ def signals_to(stop: Callable[[str], None]) -> Iterator[None]:
     """Turn `STOP_SIGNALS` into requests for a controlled stop (main thread only).
 
     SIGHUP stays ignored where it was ignored at the start: `nohup` asks for that.
-
-    Parameters
-    ----------
-    stop : callable
-        Called with the name of the signal.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

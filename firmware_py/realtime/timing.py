@@ -35,23 +35,6 @@ class Histogram:
     """Histogram of durations in constant memory, with a relative bucket width of at most 1/64.
 
     The layout is that of an HDR histogram: exact below 128 ns, then 64 buckets per octave.
-
-    Attributes
-    ----------
-    counts : array
-        Durations by bucket.
-    count : int
-        Number of durations.
-    max_ns : int
-        The longest.
-
-    Examples
-    --------
-    >>> histogram = Histogram()
-    >>> for duration_ns in (10, 20, 30, 100):
-    ...     histogram.add(duration_ns)
-    >>> histogram.percentile_ns(0.5), histogram.max_ns
-    (20, 100)
     """
 
     def __init__(self) -> None:
@@ -72,10 +55,7 @@ class Histogram:
     def percentile_ns(self, fraction: float) -> int:
         """Return a percentile, rounded up to the end of its bucket.
 
-        Parameters
-        ----------
-        fraction : float
-            Fraction of the durations that do not exceed it, 0 to 1.
+        `fraction`: fraction of the durations that do not exceed it, 0 to 1.
         """
         needed, seen = fraction * self.count, 0
         for bucket, count in enumerate(self.counts):
@@ -113,16 +93,8 @@ def cause_of_miss(
     Lateness that the run queue does not explain is time in which the whole machine stood still. The
     larger of the two counts for the host.
 
-    Parameters
-    ----------
-    busy_ns : int
-        Time from wake-up to the end of the tick.
-    bus_wait_ns : int
-        Part of it spent waiting for the servos.
-    lateness_ns : int
-        Wake-up behind the deadline.
-    preempted_ns, steal_ns : int
-        Run-queue delay during the period; steal time while the tick computed.
+    `preempted_ns`, `steal_ns`: run-queue delay during the period; steal time while the tick
+    computed.
     """
     host_ns = max(preempted_ns + steal_ns, lateness_ns)
     own_ns = busy_ns - bus_wait_ns - max(host_ns - lateness_ns, 0)
@@ -131,44 +103,17 @@ def cause_of_miss(
 
 
 class TimingSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Timing statistics of a run.
+    """Timing statistics of a run."""
 
-    Attributes
-    ----------
-    stages : dict of str to Percentiles
-        By stage, and "lateness", "busy" and "own", see `Timing`.
-    misses : int
-        Slots missed.
-    longest_run_of_misses : int
-        Largest number of slots missed in a row.
-    causes : dict of str to int
-        Slots missed by cause.
-    miss_rate_upper_bound_95 : float
-        See `miss_rate_bound`.
-    """
-
-    stages: dict[str, Percentiles]
+    stages: dict[str, Percentiles]  # By stage, and "lateness", "busy" and "own", see `Timing`
     misses: int
-    longest_run_of_misses: int
-    causes: dict[str, int]
+    longest_run_of_misses: int  # Largest number of slots missed in a row
+    causes: dict[str, int]  # Slots missed by cause
     miss_rate_upper_bound_95: float
 
 
 class Timing:
-    """Timing of a run in constant memory: a histogram per stage, and the misses by cause.
-
-    Attributes
-    ----------
-    stages : dict of str to Histogram
-        By stage, and "lateness", "busy" (the whole tick) and "own" (busy less the wait for the
-        servos).
-    misses : int
-        Slots missed.
-    longest_run : int
-        Largest number of slots missed in a row.
-    causes : dict of Cause to int
-        Slots missed by cause.
-    """
+    """Timing of a run in constant memory: a histogram per stage, and the misses by cause."""
 
     def __init__(self) -> None:
         self.stages = {name: Histogram() for name in (*STAGES, "lateness", "busy", "own")}
@@ -179,19 +124,7 @@ class Timing:
     def add(
         self, stages_ns: Iterable[int], lateness_ns: int, busy_ns: int, bus_wait_ns: int
     ) -> None:
-        """Count one tick.
-
-        Parameters
-        ----------
-        stages_ns : iterable of int
-            Durations in the order of `firmware_py.signals.STAGES`.
-        lateness_ns : int
-            Wake-up behind the deadline.
-        busy_ns : int
-            Time from wake-up to the end of the tick.
-        bus_wait_ns : int
-            Part of it spent waiting for the servos.
-        """
+        """Count one tick."""
         for add, duration_ns in zip(self._stage_adders, stages_ns, strict=True):
             add(duration_ns)
         self.stages["lateness"].add(lateness_ns)
@@ -199,15 +132,7 @@ class Timing:
         self.stages["own"].add(busy_ns - bus_wait_ns)
 
     def miss(self, slots: int, cause: Cause) -> None:
-        """Count slots missed in a row.
-
-        Parameters
-        ----------
-        slots : int
-            Number of slots.
-        cause : Cause
-            Their common cause.
-        """
+        """Count slots missed in a row."""
         self.misses += slots
         self.longest_run = max(self.longest_run, slots)
         self.causes[cause] += slots
@@ -230,24 +155,7 @@ def miss_rate_bound(misses: int, slots: int) -> float:
     It is the rate at which so few misses, or fewer, have a probability of 5 %. Without a miss it is
     1 − 0.05^(1/n), just below 3/n (docs/sources.md, "Fixed-rate loop").
 
-    Parameters
-    ----------
-    misses : int
-        Slots missed.
-    slots : int
-        Slots in all, the missed ones included.
-
-    Returns
-    -------
-    float
-        Upper bound, 0 to 1; 1 where nothing was observed.
-
-    Examples
-    --------
-    >>> f"{miss_rate_bound(0, 6000):.6f}"
-    '0.000499'
-    >>> f"{miss_rate_bound(1, 10):.4f}"  # the table of Clopper and Pearson
-    '0.3942'
+    Returns upper bound, 0 to 1; 1 where nothing was observed.
     """
     if misses >= slots:
         return 1.0

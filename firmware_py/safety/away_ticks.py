@@ -4,22 +4,7 @@ from __future__ import annotations
 
 
 class AwayTicks:
-    """Ticks from the loss of a port until the goals have joined the motion again.
-
-    Examples
-    --------
-    >>> away = AwayTicks()
-    >>> away.note(0, running=True, following=True)
-    >>> away.note(1, running=False, following=False)  # the port has gone, the robot stops
-    >>> away.leave()
-    >>> away.note(40, running=True, following=False)  # it is back, the goals blend
-    >>> away.note(41, running=True, following=False)
-    >>> away.count
-    41
-    >>> away.note(42, running=True, following=True)
-    >>> away.count
-    41
-    """
+    """Ticks from the loss of a port until the goals have joined the motion again."""
 
     def __init__(self) -> None:
         self._ran_slot = self._followed_slot = -1
@@ -38,17 +23,7 @@ class AwayTicks:
             self._left_slot = self._followed_slot + 1
 
     def note(self, slot: int, *, running: bool, following: bool) -> None:
-        """Take a tick.
-
-        Parameters
-        ----------
-        slot : int
-            Number of the slot.
-        running : bool
-            Whether no stop has begun.
-        following : bool
-            Whether the goals were those of the motion.
-        """
+        """Take a tick."""
         if running:
             self._ran_slot = slot
         if following:

@@ -41,17 +41,7 @@ _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
 
 
 class Blend:
-    """Blend in progress; see the module's table.
-
-    Parameters
-    ----------
-    limits : Limits
-        Limits of the goals.
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period.
-    """
+    """Blend in progress; see the module's table."""
 
     def __init__(self, limits: Limits, dof: int, period_s: float) -> None:
         self._limits, self._period_s = limits, period_s
@@ -66,10 +56,7 @@ class Blend:
     def approach(self, goal: Sequence[float], start: Sequence[float]) -> int:
         """Start an approach to a position; return its duration in ticks.
 
-        Parameters
-        ----------
-        goal, start : sequence of float
-            Latest goals and first goals of the motion, in rad.
+        `goal`, `start`: latest goals and first goals of the motion, in rad.
         """
         self._leave(goal, max(abs(to - at) for to, at in zip(start, goal, strict=True)))
         return self._ticks
@@ -77,10 +64,8 @@ class Blend:
     def absorb(self, goal: Sequence[float], desired_before: Sequence[float]) -> None:
         """Start an offset that keeps the latest goals and then decays to zero.
 
-        Parameters
-        ----------
-        goal, desired_before : sequence of float
-            Latest goals, and the motion one period before the next goals, in rad.
+        `goal`, `desired_before`: latest goals, and the motion one period before the next goals, in
+        rad.
         """
         if self._from_rest and self.active:
             self.join(goal)
@@ -97,12 +82,7 @@ class Blend:
     def join(self, goal: Sequence[float], ahead: Iterable[Sequence[float]] = ()) -> None:
         """Start a blend from rest into the motion, wherever it is within the limits.
 
-        Parameters
-        ----------
-        goal : sequence of float
-            Latest goals, in rad.
-        ahead : iterable of sequence of float, optional
-            Goals of the motion in the ticks to come, in rad, where they are known.
+        `ahead`: goals of the motion in the ticks to come, in rad, where they are known.
         """
         low, high = self._limits.angle_rad
         self._leave(goal, max(max(high - at, at - low) for at in goal))
@@ -153,13 +133,7 @@ class Blend:
         return math.ceil(least_s / self._period_s)
 
     def next(self, desired: list[float]) -> list[float]:
-        """Return the goals of the next tick.
-
-        Parameters
-        ----------
-        desired : list of float
-            Goals of the motion, in rad.
-        """
+        """Return the goals of the next tick."""
         if not self.active:
             return desired
         self._tick += 1

@@ -34,56 +34,18 @@ class TrustState(IntEnum):
 
 
 class TrustOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[feedback]` of robot.toml.
+    """Table `[feedback]` of robot.toml."""
 
-    Attributes
-    ----------
-    use : bool
-        Whether a plan that has feedback runs with it.
-    when_lost : {"continue", "stop"}
-        What follows when the estimate is not trusted: the plan goes on without feedback, or a
-        controlled stop.
-    bad_ticks : int
-        Ticks in a row with a bad estimate after which it is not trusted.
-    regain_s : float
-        Time for which the estimate must be good before it is trusted again.
-    """
-
-    use: bool = True
+    use: bool = True  # Whether a plan that has feedback runs with it
+    # What follows when the estimate is not trusted: the plan goes on without feedback, or a
+    # controlled stop
     when_lost: Literal["continue", "stop"] = "continue"
-    bad_ticks: int = 2
-    regain_s: float = 1.0
+    bad_ticks: int = 2  # Ticks in a row with a bad estimate after which it is not trusted
+    regain_s: float = 1.0  # Time for which the estimate must be good before it is trusted again
 
 
 class EstimateTrust:
-    """State machine of `TrustState`, run once a tick.
-
-    Parameters
-    ----------
-    options : TrustOptions
-        Of the robot.
-    period_s : float
-        Control period.
-
-    Attributes
-    ----------
-    state : TrustState
-        Present state.
-    fraction : float
-        Fraction of the corrections that may act: 1 while trusted, falling to 0 within 0.2 s.
-    reason : str
-        Why trust was lost last.
-    losses : int
-        How often it was.
-
-    Examples
-    --------
-    >>> trust = EstimateTrust(TrustOptions(), 0.017)
-    >>> for _ in range(2):
-    ...     trust.update("the data is stale", 0.017)
-    >>> trust.state.name, trust.fraction < 1.0
-    ('FADING', True)
-    """
+    """State machine of `TrustState`, run once a tick."""
 
     def __init__(self, options: TrustOptions, period_s: float) -> None:
         self._options, self._period_s = options, period_s
@@ -97,15 +59,7 @@ class EstimateTrust:
         return self.losses > 0 and self._options.when_lost == "stop"
 
     def update(self, doubt: str, step_s: float) -> None:
-        """Take what is wrong with the estimate of a tick; empty for nothing.
-
-        Parameters
-        ----------
-        doubt : str
-            First thing that is wrong, as a sentence.
-        step_s : float
-            Time since the previous tick.
-        """
+        """Take what is wrong with the estimate of a tick; empty for nothing."""
         self._bad = self._bad + max(1, math.floor(step_s / self._period_s + 0.5)) if doubt else 0
         if self.state is TrustState.TRUSTED and self._bad >= self._options.bad_ticks:
             self.state, self.reason = TrustState.FADING, doubt

@@ -19,59 +19,31 @@ _ROUNDING: Final = 1.0 + 1e-9
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Limits of the robot (table `[limits]` of robot.toml), the same for every joint.
+    """Limits of the robot (table `[limits]` of robot.toml), the same for every joint."""
 
-    Attributes
-    ----------
-    angle_rad : (float, float)
-        Range of the goals; measured angles may exceed it by `following_error_rad`.
-    rate_rad_s, acceleration_rad_s2 : float
-        Largest rate and acceleration of the goals. The study's motion starts at full speed: 0.76
-        rad/s within one period.
-    current_a : float
-        Largest magnitude of the motor current.
-    following_error_rad : float
-        Largest distance of a measured angle from the goal sent before it.
-    jump_rad : float
-        Largest change of a measured angle between samples; more is an encoder fault.
-    tip_min_m, tip_max_m : (float, float, float)
-        Box in the world frame for the predicted tip.
-    persistence_ticks : int
-        Samples in a row that must violate a limit before the robot stops.
-    stale_ticks : int
-        Ticks in a row without fresh data, or slots missed in a row, at which the robot stops.
-    missed_slots : int
-        Largest count of missed slots, reduced by one with each tick that is on time; beyond it the
-        loop is too slow for its period and the robot stops.
-    blend_s : float
-        Shortest duration of a blend into the motion.
-    stop_deceleration_rad_s2 : float
-        Deceleration of the goals in a controlled stop.
-    hold_s : float
-        Time for which the last goal is held before the torque goes off.
-
-    Examples
-    --------
-    >>> Limits().goal_violation([0.7], before=[0.59], velocity=[0.0], period_s=0.017)
-    'the goal of joint 1 is 0.700 rad, outside -0.6 to 0.6 rad (limits.angle_rad)'
-    >>> Limits().goal_violation([0.001], before=[0.0], velocity=[0.0], period_s=0.017)
-    ''
-    """
-
+    # Range of the goals; measured angles may exceed it by `following_error_rad`
     angle_rad: tuple[float, float] = (-0.6, 0.6)
+    # Largest rate and acceleration of the goals. The study's motion starts at full speed: 0.76
+    # rad/s within one period.
     rate_rad_s: float = 2.0
     acceleration_rad_s2: float = 60.0
-    current_a: float = 8.0
+    current_a: float = 8.0  # Largest magnitude of the motor current
+    # Largest distance of a measured angle from the goal sent before it
     following_error_rad: float = 0.2
+    # Largest change of a measured angle between samples; more is an encoder fault
     jump_rad: float = 0.1
+    # Box in the world frame for the predicted tip
     tip_min_m: tuple[float, float, float] = (-1.2, -1.2, 0.0)
     tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)
-    persistence_ticks: int = 3
+    persistence_ticks: int = 3  # Samples in a row that must violate a limit before the robot stops
+    # Ticks in a row without fresh data, or slots missed in a row, at which the robot stops
     stale_ticks: int = 3
+    # Largest count of missed slots, reduced by one with each tick that is on time; beyond it the
+    # loop is too slow for its period and the robot stops
     missed_slots: int = 12
-    blend_s: float = 1.0
-    stop_deceleration_rad_s2: float = 6.0
-    hold_s: float = 0.5
+    blend_s: float = 1.0  # Shortest duration of a blend into the motion
+    stop_deceleration_rad_s2: float = 6.0  # Deceleration of the goals in a controlled stop
+    hold_s: float = 0.5  # Time for which the last goal is held before the torque goes off
 
     def sample_violation(
         self,
@@ -85,16 +57,9 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ) -> str:
         """Return the first limit that a measurement violates, as a sentence; empty for none.
 
-        Parameters
-        ----------
-        angle, current : sequence of float
-            Measured angles in rad and currents in A, one per joint.
-        tip : sequence of three floats
-            Predicted tip, in m.
-        di : float
-            Estimated Deformation Index.
-        goal, angle_before : sequence of float
-            Goals sent before the sample, and angles of the sample before it, in rad.
+        `angle`, `current`: measured angles in rad and currents in A, one per joint.
+        `goal`, `angle_before`: goals sent before the sample, and angles of the sample before it, in
+        rad.
         """
         low, high = self.angle_rad
         margin = self.following_error_rad
@@ -138,14 +103,8 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ) -> str:
         """Return the first limit that a goal violates, as a sentence; empty for none.
 
-        Parameters
-        ----------
-        goal, before : sequence of float
-            Goals in question, and those one period before, in rad.
-        velocity : sequence of float
-            Rate at which the goals before were reached, in rad/s.
-        period_s : float
-            Control period.
+        `goal`, `before`: goals in question, and those one period before, in rad.
+        `velocity`: rate at which the goals before were reached, in rad/s.
         """
         low, high = self.angle_rad
         for joint, value in enumerate(goal):

@@ -27,32 +27,7 @@ class Fault(Enum):
 
 
 class StopReason:
-    """Reason of a stop.
-
-    Attributes
-    ----------
-    text : str
-        Cause of the stop, then the faults seen later; empty before a stop.
-    tripped : bool
-        Whether the cause is a fault, not a request.
-    faults : set of Fault
-        Kinds of fault that caused the stop or were seen later.
-    earlier_faults : set of Fault
-        Those of the stops before, after which the robot has started again.
-
-    Examples
-    --------
-    >>> reason = StopReason()
-    >>> reason.begin("the motion is over")
-    >>> reason.add(Fault.DATA, "no fresh data for 3 ticks")
-    >>> reason.add(Fault.DATA, "no fresh data for 4 ticks")  # known
-    >>> reason.text, reason.tripped, reason.faults == {Fault.DATA}
-    ('the motion is over; then no fresh data for 3 ticks', False, True)
-    >>> reason.restart("the port was back")
-    >>> reason.begin("the motion is over")
-    >>> reason.whole.count("the motion is over"), reason.earlier_faults == {Fault.DATA}
-    (2, True)
-    """
+    """Reason of a stop."""
 
     def __init__(self) -> None:
         self.text, self.tripped = "", False
@@ -66,13 +41,7 @@ class StopReason:
         return "; then ".join([*self._earlier, self.text]) if self.text else ""
 
     def restart(self, cause: str) -> None:
-        """Keep this stop as an earlier one: the robot starts again.
-
-        Parameters
-        ----------
-        cause : str
-            Why it may.
-        """
+        """Keep this stop as an earlier one: the robot starts again."""
         if self.text not in self._earlier:
             self._earlier += [self.text, cause]
         self.earlier_faults |= self.faults
@@ -81,27 +50,14 @@ class StopReason:
     def begin(self, text: str, fault: Fault | None = None) -> None:
         """Set the cause of a stop.
 
-        Parameters
-        ----------
-        text : str
-            The cause, one sentence.
-        fault : Fault, optional
-            Its kind; None for a request.
+        `fault`: its kind; None for a request.
         """
         self.text = text
         self.tripped = fault is not None
         self.faults = set() if fault is None else {fault}
 
     def add(self, fault: Fault, text: str) -> None:
-        """Add a fault that was seen later, unless one of its kind is known.
-
-        Parameters
-        ----------
-        fault : Fault
-            Kind of the fault.
-        text : str
-            The fault, one sentence.
-        """
+        """Add a fault that was seen later, unless one of its kind is known."""
         if fault not in self.faults:
             self.faults.add(fault)
             self.text += f"; then {text}"

@@ -29,38 +29,7 @@ Array = NDArray[np.float64]
 
 
 class SafetySupervisor:
-    """State machine of `firmware_py.safety.states`.
-
-    Parameters
-    ----------
-    limits : Limits
-        Limits of the robot.
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period.
-
-    Attributes
-    ----------
-    state : SafetyState
-        Present state.
-    stale_ticks : int
-        Age of the data in ticks, 0 is fresh.
-    goal_rad : ndarray, shape (dof,)
-        Goal that was admitted last.
-
-    Examples
-    --------
-    >>> supervisor = SafetySupervisor(Limits(), dof=1)
-    >>> supervisor.arm(np.array([0.1]))
-    >>> supervisor.start()
-    >>> supervisor.admit(np.array([0.11])).tolist()
-    [0.11]
-    >>> supervisor.admit(np.array([0.5])).tolist() < [0.15]  # far beyond the rate limit: it stops
-    True
-    >>> supervisor.state.name, supervisor.tripped
-    ('STOPPING', True)
-    """
+    """State machine of `firmware_py.safety.states`."""
 
     def __init__(self, limits: Limits, dof: int, period_s: float = PERIOD_S) -> None:
         self.state = SafetyState.STARTING
@@ -103,15 +72,7 @@ class SafetySupervisor:
     def arm(self, angle_rad: Array) -> None:
         """Take the measured position as the first goal: STARTING → READY.
 
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (dof,)
-            Measured position.
-
-        Raises
-        ------
-        InputError
-            If a joint is outside `limits.angle_rad`.
+        Shapes: `angle_rad` (dof,).
         """
         low, high = self._limits.angle_rad
         for joint, angle in enumerate(angle_rad.tolist()):
@@ -148,10 +109,7 @@ class SafetySupervisor:
     def conclude(self, alert: int, *, released: bool) -> None:
         """Add to the reason what was seen when the torque was switched off.
 
-        Parameters
-        ----------
-        alert, released
-            Alert bits of the servos; whether every servo confirmed torque off.
+        `alert`, `released`: alert bits of the servos; whether every servo confirmed torque off.
         """
         if alert:
             self._reason.add(Fault.ALERT, _alert_reason(alert))
@@ -187,23 +145,7 @@ class SafetySupervisor:
     ) -> SafetyState:
         """Check the measurement and the prediction of a tick; return the state.
 
-        Parameters
-        ----------
-        status : BusStatus
-            Result of the read.
-        alert : int
-            Alert bits of the servos, see `firmware_py.bus.registers.describe_alert`.
-        angle_rad, current_a : ndarray, shape (dof,)
-            Latest valid measurement.
-        tip_m, di : ndarray, shape (3,), and float
-            Predicted tip; estimated Deformation Index.
-        missed : int
-            Slots missed since the previous tick.
-
-        Returns
-        -------
-        SafetyState
-            State after the check.
+        Shapes: `angle_rad`, `current_a` (dof,), `tip_m`, `di` (3,).
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
         self._missed_slots = (
@@ -241,46 +183,32 @@ class SafetySupervisor:
     def approach(self, start_rad: Array) -> int:
         """Start the approach to the first goal of the motion; return its duration in ticks.
 
-        Parameters
-        ----------
-        start_rad : ndarray, shape (dof,)
-            First goal of the motion, to be passed to `admit` in each of these ticks.
+        Shapes: `start_rad` (dof,).
+        `start_rad`: first goal of the motion, to be passed to `admit` in each of these ticks.
         """
         return self._blend.approach(self._goal, start_rad.tolist())
 
     def rebase(self, desired_before_rad: Array) -> None:
         """Absorb a jump after missed slots: goals follow the motion with a decaying offset.
 
-        Parameters
-        ----------
-        desired_before_rad : ndarray, shape (dof,)
-            The motion one period before the next goal. The latest goal takes its place, so that the
-            speed of the motion is kept.
+        Shapes: `desired_before_rad` (dof,).
+        `desired_before_rad`: the motion one period before the next goal. The latest goal takes its
+        place, so that the speed of the motion is kept.
         """
         self._blend.absorb(self._goal, desired_before_rad.tolist())
 
     def resume(self, ahead: Iterable[Array] = ()) -> None:
         """Blend from rest into the motion, wherever it is, after a replug.
 
-        Parameters
-        ----------
-        ahead : iterable of ndarray, optional
-            Goals of the motion from the next tick on, where they are known.
+        `ahead`: goals of the motion from the next tick on, where they are known.
         """
         self._blend.join(self._goal, (row.tolist() for row in ahead))
 
     def admit(self, desired_rad: Array) -> Array:
         """Return the goal to send: the desired one if it is permitted, else one that stops.
 
-        Parameters
-        ----------
-        desired_rad : ndarray, shape (dof,)
-            Goal of the motion in this tick.
-
-        Returns
-        -------
-        ndarray, shape (dof,)
-            `goal_rad`, overwritten in place.
+        Shapes: `desired_rad` (dof,).
+        Returns shape (dof,), `goal_rad`, overwritten in place.
         """
         if self.state in (SafetyState.RUNNING, SafetyState.DEGRADED):
             goal = self._blend.next(desired_rad.tolist())
@@ -322,21 +250,8 @@ def _alert_reason(alert: int) -> str:
 def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) -> None:
     """Refuse a table of goals with which the supervisor would stop the robot.
 
-    Parameters
-    ----------
-    goals_rad : ndarray, shape (n, dof)
-        One row per period, from rest at the first row.
-    limits : Limits
-        Limits of the robot.
-    period_s : float
-        Control period.
-    where : str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If a goal violates a limit; it names the first.
+    Shapes: `goals_rad` (n, dof).
+    `goals_rad`: one row per period, from rest at the first row.
     """
     supervisor = SafetySupervisor(limits, goals_rad.shape[1], period_s)
     supervisor.arm(goals_rad[0])

@@ -44,13 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the FMU.
-
-    Raises
-    ------
-    InputError
-        If an option or a file cannot be used, or the plant is of another link than the bundle's.
-    """
+    """Build the FMU."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu

@@ -40,13 +40,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate the FMU, write and plot the run.
-
-    Raises
-    ------
-    InputError
-        If an option or a file cannot be used.
-    """
+    """Simulate the FMU, write and plot the run."""
     if not (math.isfinite(args.step) and 0 < args.step <= 1):
         raise InputError(
             f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"

@@ -32,13 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the package.
-
-    Raises
-    ------
-    InputError
-        If an option or a file cannot be used, or the plant is of another link than the bundle's.
-    """
+    """Build the package."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.fmu_models import read_parts
     from fmu.packaging.platforms import platform_names

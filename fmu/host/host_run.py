@@ -37,13 +37,7 @@ has the C library in that folder."""
 
 
 def emulator_of(platform: str) -> Sequence[str] | None:
-    """Return the command that runs programs of a platform here; None where there is none.
-
-    Parameters
-    ----------
-    platform : str
-        One of `PLATFORMS`.
-    """
+    """Return the command that runs programs of a platform here; None where there is none."""
     command = _EMULATORS.get(platform)
     if command is None or (command and not shutil.which(command[0])):
         return None
@@ -56,32 +50,9 @@ def run_in_host(
 ) -> list[str]:
     """Step an FMI 3.0 FMU in the C host.
 
-    Parameters
-    ----------
-    fmu : Path
-        The FMU.
-    platform : str
-        Platform whose library is run.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k; the first is also that of the initialization.
-    step_s : float
-        Communication step.
-    outputs : sequence of str
-        Names of numbers to print.
-    directory : Path
-        For the host and the library.
-
-    Returns
-    -------
-    list of str
-        Lines of numbers in 17 digits, n + 1.
-
-    Raises
-    ------
-    InputError
-        If programs of the platform cannot be run here, or the FMU has no such library.
-    DropstitchError
-        If the host refuses the library.
+    Shapes: `u` (n, inputs).
+    `u`: row k drives step k; the first is also that of the initialization.
+    Returns lines of numbers in 17 digits, n + 1.
     """
     emulator = emulator_of(platform)
     if emulator is None:

@@ -27,40 +27,15 @@ SMALLEST: Final = 1e-9
 
 
 class FmuContents(NamedTuple):
-    """Documents of an FMU.
-
-    Attributes
-    ----------
-    files : dict of str to bytes
-        Files by their path in the FMU.
-    sections : list of Section
-        Of its documentation.
-    example : tuple of float
-        For each input the amplitude of its example motion.
-    """
+    """Documents of an FMU."""
 
     files: dict[str, bytes]
     sections: list[Section]
-    example: tuple[float, ...]
+    example: tuple[float, ...]  # For each input the amplitude of its example motion
 
 
 def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuContents:
-    """Make the documents of an FMU.
-
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU.
-    model : StepModel
-        Its model.
-    fmi : {2, 3}
-        Version of the standard.
-
-    Raises
-    ------
-    InputError
-        If a part that this kind needs is absent.
-    """
+    """Make the documents of an FMU."""
     held_kg = usual_payload_kg(parts)
     u = inputs_from_motion(parts, model, Motion(dof=parts.dof), held_kg, rows=STEPS + 1)
     related = {"documentation/index.html": "document"}

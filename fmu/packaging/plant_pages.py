@@ -40,15 +40,7 @@ _HELD: Final[dict[Kind, str]] = {
 
 
 def plant_sections(parts: FmuParts, interface: Interface) -> list[Section]:
-    """Return the sections on what an FMU is made of.
-
-    Parameters
-    ----------
-    parts : FmuParts
-        Parts of the FMU.
-    interface : Interface
-        Its variables and their dependencies.
-    """
+    """Return the sections on what an FMU is made of."""
     held: list[Part] = [Paragraph(_HELD[parts.kind])]
     if parts.kind != "predictor":
         held.append(Paragraph(_direct_outputs(interface)))

@@ -24,24 +24,12 @@ SOURCE_CODE: Final = "c-code"
 
 
 class Platform(NamedTuple):
-    """Platform of a binary.
+    """Platform of a binary."""
 
-    Attributes
-    ----------
-    target : str
-        Zig's name of it, with the oldest glibc that it needs.
-    fmi2_folder : str
-        Folder of FMI 2.0; that of FMI 3.0 is the key in `PLATFORMS`.
-    suffix : str
-        Suffix of the library.
-    flags : tuple of str
-        Options of the compiler beside those of every platform.
-    """
-
-    target: str
+    target: str  # Zig's name of it, with the oldest glibc that it needs
     fmi2_folder: str
     suffix: str
-    flags: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()  # Options of the compiler beside those of every platform
 
     def folder(self, name: str, fmi: Literal[2, 3]) -> str:
         """Return the folder under binaries/ of the platform of this name."""
@@ -64,21 +52,8 @@ PLATFORMS: Final = {name: Platform(target, *_FOLDERS[name]) for name, target in 
 def platform_names(text: str) -> tuple[str, ...]:
     """Return the platforms that a list of names stands for.
 
-    Parameters
-    ----------
-    text : str
-        Names of `PLATFORMS` and `SOURCE_CODE`, separated by commas; "all" stands for all of
-        `PLATFORMS`.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown.
-
-    Examples
-    --------
-    >>> platform_names("x86_64-linux,c-code")
-    ('x86_64-linux', 'c-code')
+    `text`: names of `PLATFORMS` and `SOURCE_CODE`, separated by commas; "all" stands for all of
+    `PLATFORMS`.
     """
     known = (*PLATFORMS, SOURCE_CODE)
     parts = [part.strip() for part in text.split(",")]
@@ -94,17 +69,7 @@ def platform_names(text: str) -> tuple[str, ...]:
 
 
 def binary_files(name: str, libraries: Mapping[str, bytes], fmi: Literal[2, 3]) -> dict[str, bytes]:
-    """Return the files of libraries in an FMU.
-
-    Parameters
-    ----------
-    name : str
-        Model identifier.
-    libraries : mapping of str to bytes
-        Libraries by platform.
-    fmi : {2, 3}
-        Version of the standard.
-    """
+    """Return the files of libraries in an FMU."""
     places: dict[str, list[bytes]] = {}
     for key, library in libraries.items():
         platform = PLATFORMS[key]
@@ -122,11 +87,6 @@ def universal_library(slices: Sequence[bytes]) -> bytes:
     """Join Mach-O libraries for several processors into one file; one alone stays as it is.
 
     A big-endian header `fat_header` with one `fat_arch` for each slice (Apple, `mach-o/fat.h`).
-
-    Parameters
-    ----------
-    slices : sequence of bytes
-        One Mach-O library for each processor.
     """
     if len(slices) == 1:
         return slices[0]

@@ -40,41 +40,21 @@ _VERSION: Final = "1.0.0-alpha.1"
 
 
 class ReferenceRun(NamedTuple):
-    """Inputs and expected outputs of a run.
-
-    Attributes
-    ----------
-    step_s : float
-        Communication step.
-    inputs, outputs : tuple of str
-        Names of variables.
-    u : ndarray, shape (n, len(inputs))
-        Row k holds from k * step_s on; the last row is that of the end.
-    times_s : ndarray, shape (m,)
-        Times of the outputs.
-    y : ndarray, shape (m, len(outputs))
-        Outputs.
-    """
+    """Inputs and expected outputs of a run."""
 
     step_s: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    u: Array
-    times_s: Array
-    y: Array
+    u: Array  # (n, len(inputs)), row k holds from k * step_s on; the last row is that of the end
+    times_s: Array  # (m,)
+    y: Array  # (m, len(outputs))
 
 
 def reference_run(model: StepModel, u: Array, step_s: float) -> ReferenceRun:
     """Run the interpreted model.
 
-    Parameters
-    ----------
-    model : StepModel
-        Model of the FMU.
-    u : ndarray, shape (n, inputs)
-        Row k drives step k; the last row only ends the run.
-    step_s : float
-        Communication step.
+    Shapes: `u` (n, inputs).
+    `u`: row k drives step k; the last row only ends the run.
     """
     rows = np.arange(0, len(u), _EVERY)
     times_s: Array = step_s * np.arange(len(u), dtype=np.float64)
@@ -91,12 +71,7 @@ def reference_run(model: StepModel, u: Array, step_s: float) -> ReferenceRun:
 def reference_files(run: ReferenceRun, related: Mapping[str, str]) -> dict[str, bytes]:
     """Return the files of a reference run by their path in the FMU.
 
-    Parameters
-    ----------
-    run : ReferenceRun
-        The run.
-    related : mapping of str to str
-        Roles of further files that the manifest lists, by their path in the FMU.
+    `related`: roles of further files that the manifest lists, by their path in the FMU.
     """
     times_s: Array = run.step_s * np.arange(len(run.u), dtype=np.float64)
     manifest = _manifest({f"../../{path}": role for path, role in related.items()})
@@ -108,18 +83,7 @@ def reference_files(run: ReferenceRun, related: Mapping[str, str]) -> dict[str, 
 
 
 def read_reference_run(directory: Path) -> ReferenceRun | None:
-    """Read the reference run of an unpacked FMU; None where it has none.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the unpacked FMU.
-
-    Raises
-    ------
-    InputError
-        If a file is damaged.
-    """
+    """Read the reference run of an unpacked FMU; None where it has none."""
     folder = directory / FOLDER
     if not (folder / INPUTS).is_file() or not (folder / RESULTS).is_file():
         return None

@@ -17,17 +17,7 @@ __all__ = ["add_source_files", "source_files"]
 def source_files(
     name: str, fmi: Literal[2, 3], sources: Sequence[Path], headers: Sequence[Path]
 ) -> dict[str, bytes]:
-    """Return the files under sources/.
-
-    Parameters
-    ----------
-    name : str
-        Model identifier.
-    fmi : {2, 3}
-        Version of the standard; 3.0 gets a build description.
-    sources, headers : sequence of Path
-        C files to compile, and what they include.
-    """
+    """Return the files under sources/."""
     files = {f"sources/{path.name}": path.read_bytes() for path in (*sources, *headers)}
     if fmi == 3:
         files["sources/buildDescription.xml"] = _build_description(name, sources)
@@ -35,15 +25,7 @@ def source_files(
 
 
 def add_source_files(description: ET.Element, sources: Sequence[str]) -> None:
-    """List the C files in a model description of FMI 2.0, for each type of interface.
-
-    Parameters
-    ----------
-    description : Element
-        Root of the model description.
-    sources : sequence of str
-        Names of the C files.
-    """
+    """List the C files in a model description of FMI 2.0, for each type of interface."""
     for tag in ("ModelExchange", "CoSimulation"):
         for interface in description.iter(tag):
             files = ET.Element("SourceFiles")

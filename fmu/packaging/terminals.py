@@ -31,15 +31,7 @@ _GROUPS: Final[dict[str, tuple[str, ...]]] = {
 
 
 def terminal_files(interface: Interface, fmi: Literal[2, 3]) -> dict[str, bytes]:
-    """Return the files of terminals and icon by their path in the FMU.
-
-    Parameters
-    ----------
-    interface : Interface
-        Variables.
-    fmi : {2, 3}
-        Version of the standard.
-    """
+    """Return the files of terminals and icon by their path in the FMU."""
     picture = (HERE / "icon.png").read_bytes()
     if fmi == 2:
         return {"model.png": picture}

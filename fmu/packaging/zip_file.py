@@ -22,13 +22,7 @@ _EARLIEST_ZIP_S: Final = 315_532_800
 
 
 def build_time_s() -> int:
-    """Return the time of the build in seconds since 1970: SOURCE_DATE_EPOCH, else now.
-
-    Raises
-    ------
-    InputError
-        If the variable holds no whole number.
-    """
+    """Return the time of the build in seconds since 1970: SOURCE_DATE_EPOCH, else now."""
     text = os.environ.get(EPOCH_VARIABLE)
     if not text:
         return int(time.time())
@@ -41,28 +35,12 @@ def build_time_s() -> int:
 
 
 def date_and_time(epoch_s: int) -> str:
-    """Return a time as FMI writes it, like "2026-11-21T00:00:00Z".
-
-    Parameters
-    ----------
-    epoch_s : int
-        Seconds since 1970, UTC.
-    """
+    """Return a time as FMI writes it, like "2026-11-21T00:00:00Z"."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(epoch_s))
 
 
 def write_zip(content: Mapping[str, bytes], output: Path, epoch_s: int) -> None:
-    """Write a zip file, atomically: the same content and time give the same bytes.
-
-    Parameters
-    ----------
-    content : mapping of str to bytes
-        Files by their path.
-    output : Path
-        The zip file.
-    epoch_s : int
-        Date of every entry; before 1980 it is 1980.
-    """
+    """Write a zip file, atomically: the same content and time give the same bytes."""
     output.parent.mkdir(parents=True, exist_ok=True)
     date = time.gmtime(max(epoch_s, _EARLIEST_ZIP_S))[:6]
     with (

@@ -26,21 +26,7 @@ def build_ssp(
 ) -> Path:
     """Build the package.
 
-    Parameters
-    ----------
-    twin, observer : FmuParts
-        Parts of their FMUs.
-    output : Path
-        The .ssp file; replaced atomically when it is complete.
-    payload_kg : float
-        Payload of the twin, which the observer does not know.
-    platforms : sequence of str
-        Of the FMUs, as in `fmu.fmu_builder.build_fmu`.
-
-    Returns
-    -------
-    Path
-        `output`.
+    `payload_kg`: payload of the twin, which the observer does not know.
     """
     controller = tip_controller(twin.dof)
     models = dict(zip(PATHS, (controller, twin.model(), observer.model()), strict=True))

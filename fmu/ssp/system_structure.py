@@ -30,19 +30,7 @@ SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 def system_structure(
     name: str, models: Mapping[str, StepModel], payload_kg: float, generated: str
 ) -> bytes:
-    """Write SystemStructure.ssd.
-
-    Parameters
-    ----------
-    name : str
-        Of the system.
-    models : mapping of str to StepModel
-        Model of each of `PATHS`.
-    payload_kg : float
-        Payload of the twin.
-    generated : str
-        Date and time.
-    """
+    """Write SystemStructure.ssd."""
     for prefix, space in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV)):
         ET.register_namespace(prefix, space)
     root = ET.Element(

@@ -29,15 +29,7 @@ BOUND_RAD: Final = 0.3
 def tip_controller(dof: int) -> StepModel:
     """Compose the controller.
 
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-
-    Returns
-    -------
-    StepModel
-        Inputs tip_x_m, tip_y_m and tip_z_m; outputs goal_j_rad.
+    Returns inputs tip_x_m, tip_y_m and tip_z_m; outputs goal_j_rad.
     """
     joints = range(1, dof + 1)
     x, u, p = ca.SX.sym("x", 1 + dof), ca.SX.sym("u", 3), ca.SX.sym("p", 3)

@@ -25,31 +25,16 @@ KEY_DIGITS: Final = 32
 
 @dataclass(frozen=True)
 class CampaignCase:
-    """One case.
+    """One case."""
 
-    Attributes
-    ----------
-    key : str
-        Hash that names its result.
-    config : msgspec.Struct
-        Configuration, as the campaign's file spells it.
-    """
-
-    key: str
-    config: Any
+    key: str  # Hash that names its result
+    config: Any  # Configuration, as the campaign's file spells it
 
 
 class CaseMaker:
     """Maker of the cases and tasks of one kind.
 
-    Parameters
-    ----------
-    kind : CaseKind
-        The kind.
-    module : str
-        Word or module of the kind.
-    directory : Path
-        Of what cases share, such as a twin that was built for them.
+    `directory`: of what cases share, such as a twin that was built for them.
     """
 
     def __init__(self, kind: CaseKind[Any], module: str, directory: Path) -> None:
@@ -59,20 +44,7 @@ class CaseMaker:
         self._hashes: dict[str, str] = {}
 
     def cases(self, configurations: Iterable[Mapping[str, Any]], where: str) -> list[CampaignCase]:
-        """Cases of some configurations, each once.
-
-        Parameters
-        ----------
-        configurations : iterable of mapping
-            Plain values.
-        where : str
-            Their file, for messages.
-
-        Raises
-        ------
-        InputError
-            If a configuration does not fit the kind, or a file is missing.
-        """
+        """Cases of some configurations, each once."""
         found: dict[str, CampaignCase] = {}
         for number, plain in enumerate(configurations, start=1):
             try:
@@ -88,13 +60,7 @@ class CaseMaker:
         return list(found.values())
 
     def task(self, case: CampaignCase) -> CaseTask:
-        """Task of a case for a worker: paths absolute, what cases share made.
-
-        Parameters
-        ----------
-        case : CampaignCase
-            To run.
-        """
+        """Task of a case for a worker: paths absolute, what cases share made."""
         shared = self.kind.prepare(case.config, self._directory)
         config = msgspec.structs.replace(case.config, **shared)
         paths = {name: str(Path(p).resolve()) for name, p in self.kind.files(config).items()}

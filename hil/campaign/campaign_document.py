@@ -21,58 +21,30 @@ MOST_SENTENCES: Final = 50
 
 
 class FailureCount(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Failures with one sentence.
-
-    Attributes
-    ----------
-    state, sentence : str
-        Kind of failure, and its sentence.
-    cases : int
-        How many have it.
-    example : str
-        Key of one of them: `failures/KEY-N.json` holds its log.
-    """
+    """Failures with one sentence."""
 
     state: str
     sentence: str
-    cases: int
-    example: str
+    cases: int  # How many have it
+    example: str  # Key of one of them: `failures/KEY-N.json` holds its log
 
 
 class CampaignDocument(Document, frozen=True, kw_only=True):
-    """Result of a campaign.
-
-    Attributes
-    ----------
-    name, kind : str
-        Of the campaign's file.
-    code : str
-        Version of the code.
-    axes : tuple of str
-        Names of what varies.
-    cases : int
-        Number of different cases.
-    states : dict of str to int
-        Cases by state.
-    last_run : dict of str to int
-        What the last run did: results kept, damaged ones, and outcomes by state.
-    failures : tuple of FailureCount
-        Cases without a result, the most frequent sentence first.
-    """
+    """Result of a campaign."""
 
     MADE_BY: ClassVar[str] = "python -m hil campaign"
 
-    name: str
+    name: str  # Of the campaign's file
     kind: str
     code: str
-    axes: tuple[str, ...]
-    cases: int
+    axes: tuple[str, ...]  # Names of what varies
+    cases: int  # Number of different cases
     states: dict[str, int]
+    # What the last run did: results kept, damaged ones, and outcomes by state
     last_run: dict[str, int]
-    failures: tuple[FailureCount, ...]
+    failures: tuple[FailureCount, ...]  # Cases without a result, the most frequent sentence first
 
     def write(self, path: Path) -> None:
-        """Write the document."""
         write_document(path, self)
 
 
@@ -83,21 +55,7 @@ def campaign_document(
     cases: Sequence[CampaignCase],
     store: ResultStore,
 ) -> CampaignDocument:
-    """Contents of `campaign.json`.
-
-    Parameters
-    ----------
-    spec : CampaignSpec
-        The campaign's file.
-    maker : CaseMaker
-        With kind and code.
-    counts : RunCounts
-        Of the last run.
-    cases : sequence of CampaignCase
-        All cases.
-    store : ResultStore
-        Of their results.
-    """
+    """Contents of `campaign.json`."""
     states: Counter[str] = Counter()
     sentences: Counter[tuple[str, str]] = Counter()
     examples: dict[tuple[str, str], str] = {}
@@ -125,15 +83,7 @@ def campaign_document(
 
 
 def describe_campaign_document(document: CampaignDocument, out: Path) -> str:
-    """Return the result as text.
-
-    Parameters
-    ----------
-    document : CampaignDocument
-        Contents of `campaign.json`.
-    out : Path
-        Directory that it is in.
-    """
+    """Return the result as text."""
     done = document.states.get("done", 0)
     kept = f", {document.last_run['kept']} of them before" if document.last_run["kept"] else ""
     lines = [f"{done} of {document.cases} cases have a result{kept}"]

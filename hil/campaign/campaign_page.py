@@ -68,23 +68,6 @@ def write_campaign_page(
     store: ResultStore,
     path: Path,
 ) -> None:
-    """Write the page.
-
-    Parameters
-    ----------
-    document : CampaignDocument
-        Counts and failures.
-    spec : CampaignSpec
-        The campaign's file.
-    kind : CaseKind
-        With the figures to show.
-    cases : sequence of CampaignCase
-        All cases.
-    store : ResultStore
-        Of their results and costs.
-    path : Path
-        File to write.
-    """
     wanted = {*axis_names(spec)}
     rows = [_slim(row, wanted, kind.figures) for row in summary_rows(cases, store)]
     source = SOURCES.get(kind.name, f"cases of the kind {kind.name}")

@@ -23,36 +23,16 @@ ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 @dataclass(frozen=True)
 class RunCounts:
-    """Counts of a run.
-
-    Attributes
-    ----------
-    cases : int
-        Of the campaign.
-    kept : int
-        Results that were there, whole and of this code.
-    damaged : int
-        Result files that were not whole; their cases ran again.
-    ran : dict of str to int
-        Cases that ran, by how they ended.
-    """
+    """Counts of a run."""
 
     cases: int
-    kept: int
-    damaged: int
-    ran: dict[str, int]
+    kept: int  # Results that were there, whole and of this code
+    damaged: int  # Result files that were not whole; their cases ran again
+    ran: dict[str, int]  # Cases that ran, by how they ended
 
 
 class LazyTasks(Sequence[CaseTask]):
-    """Tasks of cases, each made when it is asked for.
-
-    Parameters
-    ----------
-    maker : CaseMaker
-        Maker of tasks.
-    cases : sequence of CampaignCase
-        Their cases.
-    """
+    """Tasks of cases, each made when it is asked for."""
 
     def __init__(self, maker: CaseMaker, cases: Sequence[CampaignCase]) -> None:
         self._maker, self._cases = maker, cases
@@ -75,36 +55,13 @@ class LazyTasks(Sequence[CaseTask]):
 def missing_cases(
     cases: Sequence[CampaignCase], store: ResultStore
 ) -> tuple[list[CampaignCase], int]:
-    """Cases without a valid result, and how many of them have a damaged one.
-
-    Parameters
-    ----------
-    cases : sequence of CampaignCase
-        Of the campaign.
-    store : ResultStore
-        Of its results.
-    """
+    """Cases without a valid result, and how many of them have a damaged one."""
     left = [case for case in cases if store.read(case.key) is None]
     return left, sum(store.path(case.key).exists() for case in left)
 
 
 def check_engine(cases: Sequence[CampaignCase], maker: CaseMaker, engine: Engine) -> None:
-    """Refuse to measure time on processors that others may use.
-
-    Parameters
-    ----------
-    cases : sequence of CampaignCase
-        Of the campaign.
-    maker : CaseMaker
-        With their kind.
-    engine : Engine
-        That is to run them.
-
-    Raises
-    ------
-    InputError
-        If a case keeps real time and the engine's workers are shared.
-    """
+    """Refuse to measure time on processors that others may use."""
     if engine.shared and any(maker.kind.in_real_time(case.config) for case in cases):
         raise InputError(
             "line", "keeps real time, and workers of a cluster are shared with other programs",
@@ -115,24 +72,7 @@ def check_engine(cases: Sequence[CampaignCase], maker: CaseMaker, engine: Engine
 def run_campaign_cases(
     cases: Sequence[CampaignCase], maker: CaseMaker, store: ResultStore, engine: Engine
 ) -> RunCounts:
-    """Run the cases that have no valid result; keep every outcome as it comes.
-
-    Parameters
-    ----------
-    cases : sequence of CampaignCase
-        Of the campaign.
-    maker : CaseMaker
-        With their kind.
-    store : ResultStore
-        For the outcomes.
-    engine : Engine
-        That runs them.
-
-    Raises
-    ------
-    InputError
-        If the engine cannot be used or is lost, or what cases share cannot be made.
-    """
+    """Run the cases that have no valid result; keep every outcome as it comes."""
     check_engine(cases, maker, engine)
     left, damaged = missing_cases(cases, store)
     if damaged:

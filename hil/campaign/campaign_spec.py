@@ -30,50 +30,22 @@ Axes = dict[str, Any]
 
 
 class CampaignSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Content of the file.
+    """Content of the file."""
 
-    Attributes
-    ----------
-    kind : str
-        sil, fmu, gap, rig, or a module with a kind of one's own.
-    name : str
-        Heading of the page.
-    fixed : dict
-        Values that all cases share.
-    grid : dict
-        Axes of which every combination is a case: a list of values, or `{first, count}`.
-    draw : dict
-        Axes that are drawn at random: `{uniform = [a, b]}`, `{log_uniform = [a, b]}`,
-        `{integers = [a, b]}` (both ends included), `{choice = […]}`.
-    draws : int
-        Draws of each combination of the grid.
-    draw_seed : int
-        Of the draws.
-    """
-
-    kind: str
-    name: str = ""
-    fixed: dict[str, Any] = {}
+    kind: str  # sil, fmu, gap, rig, or a module with a kind of one's own
+    name: str = ""  # Heading of the page
+    fixed: dict[str, Any] = {}  # Values that all cases share
+    # Axes of which every combination is a case: a list of values, or `{first, count}`
     grid: dict[str, Any] = {}
+    # Axes that are drawn at random: `{uniform = [a, b]}`, `{log_uniform = [a, b]}`, `{integers =
+    # [a, b]}` (both ends included), `{choice = […]}`
     draw: dict[str, Any] = {}
-    draws: int | None = None
+    draws: int | None = None  # Draws of each combination of the grid
     draw_seed: int = 0
 
 
 def read_spec(path: Path) -> CampaignSpec:
-    """Read the file of a campaign.
-
-    Parameters
-    ----------
-    path : Path
-        TOML file.
-
-    Raises
-    ------
-    InputError
-        If it is missing or damaged, an axis is empty, of a wrong form or stands twice, or it makes
-        no case or too many.
-    """
+    """Read the file of a campaign."""
     spec = convert(
         read_toml(path, "write one, see docs/campaigns.md"), CampaignSpec, path,
         "is no campaign", "see docs/campaigns.md",
@@ -82,20 +54,7 @@ def read_spec(path: Path) -> CampaignSpec:
 
 
 def check_spec(spec: CampaignSpec, path: Path) -> CampaignSpec:
-    """Return a campaign whose axes can be used.
-
-    Parameters
-    ----------
-    spec : CampaignSpec
-        As read.
-    path : Path
-        For the message.
-
-    Raises
-    ------
-    InputError
-        As `read_spec`.
-    """
+    """Return a campaign whose axes can be used."""
     try:
         grid, draw = grid_axes(spec.grid), draw_axes(spec.draw)
     except ValueError as error:
@@ -151,13 +110,7 @@ def case_count(spec: CampaignSpec) -> int:
 
 
 def configurations(spec: CampaignSpec) -> Iterator[dict[str, Any]]:
-    """Configurations of the cases, the grid's last axis and then the draws changing fastest.
-
-    Parameters
-    ----------
-    spec : CampaignSpec
-        Of `read_spec`.
-    """
+    """Configurations of the cases, the grid's last axis and then the draws changing fastest."""
     grid, draw = grid_axes(spec.grid), draw_axes(spec.draw)
     for number, values in enumerate(itertools.product(*grid.values())):
         chosen = dict(zip(grid, values, strict=True))
@@ -175,18 +128,7 @@ def axis_names(spec: CampaignSpec) -> list[str]:
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Values of each axis of a grid.
-
-    Parameters
-    ----------
-    table : mapping
-        `[grid]` of the file.
-
-    Raises
-    ------
-    ValueError
-        If an axis is empty, or is no list.
-    """
+    """Values of each axis of a grid."""
     axes = {}
     for name, value in _leaves(table, lambda v: set(v) == _COUNT):
         if isinstance(value, dict):
@@ -205,18 +147,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def draw_axes(table: Mapping[str, Any]) -> dict[str, tuple[str, list[Any]]]:
-    """Distribution of each axis that is drawn.
-
-    Parameters
-    ----------
-    table : mapping
-        `[draw]` of the file.
-
-    Raises
-    ------
-    ValueError
-        If an axis has no distribution, or bounds that cannot be.
-    """
+    """Distribution of each axis that is drawn."""
     axes = {}
     for name, value in _leaves(table, lambda v: len(v) == 1 and next(iter(v)) in DISTRIBUTIONS):
         if not isinstance(value, dict):
@@ -240,20 +171,7 @@ def draw_axes(table: Mapping[str, Any]) -> dict[str, tuple[str, list[Any]]]:
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Values of nested tables and lists of tables by their dotted names.
-
-    Parameters
-    ----------
-    table : mapping
-        Nested.
-    prefix : str
-        In front of every name.
-
-    Examples
-    --------
-    >>> flat({"a": 1, "b": {"c": 2, "d": [{"e": 3}]}})
-    {'a': 1, 'b.c': 2, 'b.d.0.e': 3}
-    """
+    """Values of nested tables and lists of tables by their dotted names."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, dict):

@@ -24,33 +24,17 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class SummaryRow:
-    """One case of a summary.
+    """One case of a summary."""
 
-    Attributes
-    ----------
-    key, state, sentence : str
-        Key; "done", a kind of failure, or "missing"; why there is no result.
-    config, result : dict
-        Flat values of both.
-    """
-
-    key: str
+    key: str  # Key; "done", a kind of failure, or "missing"; why there is no result
     state: str
     sentence: str
-    config: dict[str, Value]
+    config: dict[str, Value]  # Flat values of both
     result: dict[str, Value]
 
 
 def summary_rows(cases: Sequence[CampaignCase], store: ResultStore) -> Iterator[SummaryRow]:
-    """Rows of the summary, read from the store one by one.
-
-    Parameters
-    ----------
-    cases : sequence of CampaignCase
-        Of the campaign.
-    store : ResultStore
-        Of its results.
-    """
+    """Rows of the summary, read from the store one by one."""
     for case in cases:
         config = _scalars(msgspec.to_builtins(case.config))
         if (record := store.read(case.key)) is not None:
@@ -62,17 +46,7 @@ def summary_rows(cases: Sequence[CampaignCase], store: ResultStore) -> Iterator[
 
 
 def write_summary(cases: Sequence[CampaignCase], store: ResultStore, path: Path) -> int:
-    """Write the summary; return its size in bytes.
-
-    Parameters
-    ----------
-    cases : sequence of CampaignCase
-        Of the campaign.
-    store : ResultStore
-        Of its results.
-    path : Path
-        File to write.
-    """
+    """Write the summary; return its size in bytes."""
     config: dict[str, None] = {}
     result: dict[str, None] = {}
     for row in summary_rows(cases, store):  # twice, since all rows may be too much for memory

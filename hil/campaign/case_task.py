@@ -12,90 +12,37 @@ State = Literal["done", "refused", "failed", "killed"]
 
 
 class CaseTask(msgspec.Struct, frozen=True, kw_only=True):
-    """One case as a worker gets it.
+    """One case as a worker gets it."""
 
-    Attributes
-    ----------
-    key : str
-        Hash of the full configuration and of the code's version.
-    kind : str
-        Module of the kind.
-    config : str
-        Configuration as JSON, paths of files absolute.
-    files : dict of str to str
-        SHA-256 of every file or directory that the case reads, by its path.
-    code : str
-        Version of the code that the campaign began with.
-    """
-
-    key: str
+    key: str  # Hash of the full configuration and of the code's version
     kind: str
-    config: str
-    files: dict[str, str]
-    code: str
+    config: str  # Configuration as JSON, paths of files absolute
+    files: dict[str, str]  # SHA-256 of every file or directory that the case reads, by its path
+    code: str  # Version of the code that the campaign began with
 
 
 class CaseCost(msgspec.Struct, frozen=True, kw_only=True):
-    """Measured cost of a case; no part of its result.
+    """Measured cost of a case; no part of its result."""
 
-    Attributes
-    ----------
-    wall_s, cpu_s : float
-        Time by the clock and of the processor, without the start of the worker.
-    memory_bytes : int
-        Largest memory of the worker so far.
-    worker : str
-        Host and process.
-    parts_s : dict of str to float
-        Durations of parts that the kind measures.
-    """
-
-    wall_s: float
+    wall_s: float  # Time by the clock and of the processor, without the start of the worker
     cpu_s: float
-    memory_bytes: int
+    memory_bytes: int  # Largest memory of the worker so far
     worker: str
-    parts_s: dict[str, float] = {}
+    parts_s: dict[str, float] = {}  # Durations of parts that the kind measures
 
 
 class TaskOutcome(msgspec.Struct, frozen=True, kw_only=True):
-    """End of a case.
-
-    Attributes
-    ----------
-    key : str
-        Of the case.
-    state : str
-        How it ended.
-    result : str
-        Result as canonical JSON; empty where there is none.
-    sentence : str
-        Why there is none.
-    log : str
-        Traceback and what the case printed, where there is no result.
-    cost : CaseCost or None
-        None where the worker died.
-    """
+    """End of a case."""
 
     key: str
     state: State
-    result: str = ""
-    sentence: str = ""
-    log: str = ""
-    cost: CaseCost | None = None
+    result: str = ""  # Result as canonical JSON; empty where there is none
+    sentence: str = ""  # Why there is none
+    log: str = ""  # Traceback and what the case printed, where there is no result
+    cost: CaseCost | None = None  # None where the worker died
 
 
 def canonical_json(value: Any) -> str:
-    """JSON with sorted keys and without spaces; numbers that are not finite become null.
-
-    Parameters
-    ----------
-    value : Any
-        Structs, mappings, sequences and numbers.
-
-    Examples
-    --------
-    >>> canonical_json({"b": 1.0, "a": float("nan")})
-    '{"a":null,"b":1.0}'
-    """
+    """JSON with sorted keys and without spaces; numbers that are not finite become null."""
     plain = msgspec.json.decode(msgspec.json.encode(value))  # msgspec writes NaN as null
     return json.dumps(plain, sort_keys=True, separators=(",", ":"), ensure_ascii=False)

@@ -35,13 +35,7 @@ _ONE_AT_A_TIME: Final = threading.Lock()
 
 
 def run_task(task: CaseTask) -> TaskOutcome:
-    """Run one case.
-
-    Parameters
-    ----------
-    task : CaseTask
-        The case.
-    """
+    """Run one case."""
     with _ONE_AT_A_TIME:
         return _run(task)
 

@@ -35,13 +35,7 @@ MOST_FILES: Final = 10_000
 
 @functools.cache
 def code_version(rooms: tuple[str, ...]) -> str:
-    """Version of the code of some rooms on this machine, 16 hexadecimal digits.
-
-    Parameters
-    ----------
-    rooms : tuple of str
-        Folders below the root of the checkout.
-    """
+    """Version of the code of some rooms on this machine, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for room in rooms:
         for path in _sources(ROOT / room):
@@ -71,19 +65,7 @@ def _version(library: str) -> str:
 
 @functools.lru_cache(maxsize=4096)
 def content_sha256(path: Path) -> str:
-    """SHA-256 of a file, or of the names and contents of all files of a directory.
-
-    Parameters
-    ----------
-    path : Path
-        File or directory; read once in a process.
-
-    Raises
-    ------
-    InputError
-        If it is neither, cannot be read, holds more than `MOST_FILES` files, or one that is too
-        large for a reader.
-    """
+    """SHA-256 of a file, or of the names and contents of all files of a directory."""
     remedy = "name a file or a directory that can be read"
     if not os.path.isdir(path):  # False, too, for a name that is too long
         return hashlib.sha256(read_bytes(path, remedy)).hexdigest()

@@ -32,45 +32,23 @@ TASK_BYTES: Final = 2500
 
 
 class CostPlan(Document, frozen=True, kw_only=True):
-    """Plan of a campaign.
-
-    Attributes
-    ----------
-    kind : str
-        Kind of the cases.
-    cases, workers : int
-        Numbers that the plan is for.
-    measured : int
-        Cases that it follows from.
-    cpu_s_per_case, cpu_s_p95 : float
-        Processor time of a case: mean, and 95th percentile.
-    start_s : float
-        Processor time of the start of a worker.
-    cpu_hours, wall_hours : float
-        Of all cases, and divided among the workers.
-    worker_bytes, workers_bytes, campaign_bytes : int
-        Memory of a worker, of all workers, and of the campaign's own process.
-    result_bytes, disk_bytes : int
-        Size of a result, and space of all on the disk, costs and summary included.
-    command : str
-        Command that runs it.
-    """
+    """Plan of a campaign."""
 
     MADE_BY: ClassVar[str] = "python -m hil campaign --plan"
 
     kind: str
     cases: int
     workers: int
-    measured: int
-    cpu_s_per_case: float
+    measured: int  # Cases that it follows from
+    cpu_s_per_case: float  # Processor time of a case: mean, and 95th percentile
     cpu_s_p95: float
-    start_s: float
-    cpu_hours: float
+    start_s: float  # Processor time of the start of a worker
+    cpu_hours: float  # Of all cases, and divided among the workers
     wall_hours: float
-    worker_bytes: int
+    worker_bytes: int  # Memory of a worker, of all workers, and of the campaign's own process
     workers_bytes: int
     campaign_bytes: int
-    result_bytes: int
+    result_bytes: int  # Size of a result, and space of all on the disk, costs and summary included
     disk_bytes: int
     command: str
 
@@ -79,26 +57,7 @@ def cost_plan(
     kind: str, costs: Sequence[Mapping[str, str]], cases: int, workers: int, start_s: float,
     command: str,
 ) -> CostPlan:  # fmt: skip
-    """Plan from measured costs.
-
-    Parameters
-    ----------
-    kind : str
-        Kind of the cases.
-    costs : sequence of mapping
-        Rows of `ResultStore.read_costs` of this code.
-    cases, workers : int
-        Numbers to plan for.
-    start_s : float
-        Of `worker_start_s`.
-    command : str
-        Command that runs it.
-
-    Raises
-    ------
-    InputError
-        If no case has a cost.
-    """
+    """Plan from measured costs."""
     done = [row for row in costs if row["state"] == "done"]
     if not done:
         raise InputError("--plan", "has no case that ended well to plan from", "see the failures")
@@ -134,13 +93,7 @@ def cost_plan(
 
 
 def worker_start_s(module: str) -> float:
-    """Processor time of a fresh process until it can begin a case of a kind.
-
-    Parameters
-    ----------
-    module : str
-        Module of the kind.
-    """
+    """Processor time of a fresh process until it can begin a case of a kind."""
     code = f"import hil.campaign.case_worker; import {module}"
     before, paths = os.times(), [str(ROOT), os.environ.get("PYTHONPATH", "")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
@@ -152,13 +105,7 @@ def worker_start_s(module: str) -> float:
 
 
 def describe_plan(plan: CostPlan) -> str:
-    """Return a plan as text.
-
-    Parameters
-    ----------
-    plan : CostPlan
-        The plan.
-    """
+    """Return a plan as text."""
     return "\n".join(
         [
             f"{plan.cases} cases of kind {plan.kind} on {plan.workers} workers, from "
@@ -190,13 +137,5 @@ def _size(count: int) -> str:
 
 
 def rows_of_code(rows: Sequence[Mapping[str, Any]], code: str) -> list[Mapping[str, Any]]:
-    """Rows of costs of one version of the code.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Of `ResultStore.read_costs`.
-    code : str
-        Version.
-    """
+    """Rows of costs of one version of the code."""
     return [row for row in rows if row["code"] == code]

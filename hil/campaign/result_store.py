@@ -37,23 +37,11 @@ COST_COLUMNS: Final = ("key", "code", "state", "wall_s", "cpu_s", "memory_bytes"
 
 
 class CaseRecord(Document, frozen=True, kw_only=True):
-    """Result of one case.
-
-    Attributes
-    ----------
-    sha256 : str
-        Hash of the rest of the document, as canonical JSON.
-    key, kind, code : str
-        Key of the case, its kind, and the version of the code.
-    config : dict
-        Full configuration.
-    result : dict
-        Result.
-    """
+    """Result of one case."""
 
     MADE_BY: ClassVar[str] = "python -m hil campaign"
 
-    sha256: str
+    sha256: str  # Hash of the rest of the document, as canonical JSON
     key: str
     kind: str
     code: str
@@ -62,46 +50,21 @@ class CaseRecord(Document, frozen=True, kw_only=True):
 
 
 class FailureRecord(Document, frozen=True, kw_only=True):
-    """Failure of one case.
-
-    Attributes
-    ----------
-    key, kind, code : str
-        Key of the case, its kind, and the version of the code.
-    state : str
-        "refused", "failed" or "killed".
-    sentence : str
-        Why there is no result.
-    log : str
-        What the case printed, and where its code failed.
-    config : dict
-        Full configuration.
-    """
+    """Failure of one case."""
 
     MADE_BY: ClassVar[str] = "python -m hil campaign"
 
-    key: str
+    key: str  # Key of the case, its kind, and the version of the code
     kind: str
     code: str
-    state: State
-    sentence: str
-    log: str
+    state: State  # "refused", "failed" or "killed"
+    sentence: str  # Why there is no result
+    log: str  # What the case printed, and where its code failed
     config: dict[str, Any]
 
 
 class ResultStore:
-    """Directory of a campaign.
-
-    Parameters
-    ----------
-    directory : Path
-        Made where it is missing.
-
-    Raises
-    ------
-    InputError
-        If it cannot be made or written to.
-    """
+    """Directory of a campaign."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -113,13 +76,7 @@ class ResultStore:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other campaigns out of the directory for as long as the block lasts.
-
-        Raises
-        ------
-        InputError
-            If another one is running there, or the directory cannot be written to.
-        """
+        """Keep other campaigns out of the directory for as long as the block lasts."""
         path = self.directory / ".lock"
         try:
             file = path.open("w")
@@ -143,13 +100,7 @@ class ResultStore:
         return self._results / key[:2] / f"{key}.json"
 
     def read(self, key: str) -> CaseRecord | None:
-        """Result of a case; None where it is missing, damaged or not of this case.
-
-        Parameters
-        ----------
-        key : str
-            Of the case.
-        """
+        """Result of a case; None where it is missing, damaged or not of this case."""
         try:
             record = msgspec.json.decode(self.path(key).read_bytes(), type=CaseRecord)
         except (OSError, ValueError, RecursionError):
@@ -158,17 +109,7 @@ class ResultStore:
         return record if whole and record.sha256 == _hash_of(record) else None
 
     def write(self, key: str, kind: str, code: str, config: Any, result: str) -> int:
-        """Write a result; return the size of its file.
-
-        Parameters
-        ----------
-        key, kind, code : str
-            See `CaseRecord`.
-        config : msgspec.Struct
-            Full configuration.
-        result : str
-            As JSON.
-        """
+        """Write a result; return the size of its file."""
         record = CaseRecord(
             schema=CaseRecord.VERSION, sha256="", key=key, kind=kind, code=code,
             config=msgspec.to_builtins(config), result=json.loads(result),
@@ -177,17 +118,7 @@ class ResultStore:
         return _write_whole(self.path(key), canonical_json(record) + "\n")
 
     def write_failure(self, kind: str, code: str, config: Any, outcome: TaskOutcome) -> None:
-        """Write a failure beside those that the case had before.
-
-        Parameters
-        ----------
-        kind, code : str
-            See `CaseRecord`.
-        config : msgspec.Struct
-            Full configuration.
-        outcome : TaskOutcome
-            End of the case.
-        """
+        """Write a failure beside those that the case had before."""
         record = FailureRecord(
             schema=FailureRecord.VERSION, key=outcome.key, kind=kind, code=code,
             state=outcome.state, sentence=outcome.sentence, log=outcome.log,
@@ -210,29 +141,13 @@ class ResultStore:
         return self._last_failures
 
     def last_failure(self, key: str) -> FailureRecord | None:
-        """Last failure of a case.
-
-        Parameters
-        ----------
-        key : str
-            Of the case.
-        """
+        """Last failure of a case."""
         if not (number := self._failed().get(key)):
             return None
         return read_document(self._failures / f"{key}-{number}.json", FailureRecord)
 
     def add_cost(self, code: str, outcome: TaskOutcome, result_bytes: int) -> None:
-        """Add the cost of a case to the table.
-
-        Parameters
-        ----------
-        code : str
-            Version of the code.
-        outcome : TaskOutcome
-            End of the case.
-        result_bytes : int
-            Size of its file.
-        """
+        """Add the cost of a case to the table."""
         if outcome.cost is None:
             return
         new, cost = not self.costs.exists(), outcome.cost
@@ -249,11 +164,6 @@ class ResultStore:
         """Rows of the table of costs; empty where there is none.
 
         A row that is damaged, or was cut off with its run, does not count.
-
-        Raises
-        ------
-        InputError
-            If the table cannot be read.
         """
         if not self.costs.exists():
             return []

@@ -104,17 +104,7 @@ def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -
 
 
 def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:
-    """Return the result as text: the cases that did not pass, then the counts.
-
-    Parameters
-    ----------
-    judged : sequence of CaseVerdict
-        Every case.
-    document : FaultsDocument
-        Contents of `faults.json`.
-    out : Path
-        Directory that it is in.
-    """
+    """Return the result as text: the cases that did not pass, then the counts."""
     lines = [
         f"{one.verdict}: {one.case.name}: {'; '.join(one.safety_violations + one.deviations)}"
         for one in judged

@@ -186,15 +186,7 @@ def _rig_source(args: argparse.Namespace) -> RigSource | None:
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:
-    """Return the result as text.
-
-    Parameters
-    ----------
-    timing : TimingDocument
-        The result.
-    out : Path
-        Directory that the other files are in.
-    """
+    """Return the result as text."""
     environment = timing.environment
     lines = [
         f"{timing.verdict}: {timing.reason}",

@@ -38,14 +38,7 @@ class Reply(NamedTuple):
 class EmulatedBus:
     """Servos on one bus, which carry out instructions.
 
-    Parameters
-    ----------
-    servos : sequence of EmulatedServo
-        In joint order.
-    physics : Physics
-        With as many joints.
-    on_sample : callable, optional
-        Called with the time whenever a servo's present position is read.
+    `on_sample`: called with the time whenever a servo's present position is read.
     """
 
     def __init__(
@@ -106,17 +99,7 @@ class EmulatedBus:
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
         """Carry out an instruction.
 
-        Parameters
-        ----------
-        packet : Packet
-            The instruction.
-        now_ns : int
-            Time at which the servos have received it.
-
-        Returns
-        -------
-        list of Reply
-            Status packets in the order of transmission.
+        Returns status packets in the order of transmission.
         """
         self.advance(now_ns)
         if packet.instruction == Instruction.STATUS:

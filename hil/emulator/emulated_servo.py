@@ -56,33 +56,7 @@ _RANGES: Final = {
 class EmulatedServo(RegisterMemory):
     """Servo on the bus.
 
-    Parameters
-    ----------
-    model : Model
-        Model of the servo.
-    servo_id : int
-        Its address on the bus.
-    baud : int
-        Its baud rate, one of `BAUD_OF_CODE`.
-    return_delay_s : float
-        Pause between instruction and status packet (factory setting 500 µs).
-
-    Attributes
-    ----------
-    id : int
-        Address on the bus.
-    baud : int
-        Bits per second that it sends with.
-    return_delay_ns : int
-        Pause in front of a status packet.
-    alert : int
-        Error bit of every status packet while there is a hardware error.
-    torque_on : bool
-        Whether the motor is driven.
-    watchdog_tripped : bool
-        Whether the bus watchdog has stopped the servo.
-    goal_rad : float
-        Angle that it drives to; its present angle where it may not drive.
+    `return_delay_s`: pause between instruction and status packet (factory setting 500 µs).
     """
 
     def __init__(
@@ -156,13 +130,7 @@ class EmulatedServo(RegisterMemory):
     # --- physics -------------------------------------------------------------------------------
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
-        """Write the plant's state into the present registers, quantised and clipped.
-
-        Parameters
-        ----------
-        angle_rad, velocity_rad_s, current_a : float
-            State at the servo's output.
-        """
+        """Write the plant's state into the present registers, quantised and clipped."""
         model = self.model
         self._angle_rad = angle_rad
         raws = (
@@ -222,20 +190,7 @@ class EmulatedServo(RegisterMemory):
     # --- registers as the bus sees them --------------------------------------------------------
 
     def write(self, address: int, data: bytes) -> int:
-        """Write whole registers in order; nothing changes where one is refused.
-
-        Parameters
-        ----------
-        address : int
-            First byte.
-        data : bytes
-            Content of one register or several.
-
-        Returns
-        -------
-        int
-            Error number, see `StatusError`.
-        """
+        """Write whole registers in order; nothing changes where one is refused."""
         fields = []
         indirect = self._table.indirect
         if indirect.address <= address < indirect.address + 2 * indirect.entries:

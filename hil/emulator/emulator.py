@@ -56,33 +56,13 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class EmulatorSpecification:
-    """Specification of line, servos and plant.
+    """Specification of line, servos and plant."""
 
-    Attributes
-    ----------
-    source : Path or RigSource
-        Twin to step, one joint per servo, or the rig.
-    model_number : int
-        Model of every servo.
-    ids : tuple of int
-        Their addresses, in joint order.
-    baud : int
-        Bits per second.
-    return_delay_s, latency_s : float
-        Of the servos and of the USB adapter.
-    payload_kg : float
-        At the tip.
-    faults : dict of str to float
-        Rates for `FaultPlan`.
-    seed : int
-        Of the faults.
-    """
-
-    source: Path | RigSource
+    source: Path | RigSource  # Twin to step, one joint per servo, or the rig
     model_number: int = 54024
-    ids: tuple[int, ...] = (1,)
+    ids: tuple[int, ...] = (1,)  # Their addresses, in joint order
     baud: int = 1_000_000
-    return_delay_s: float = 500e-6
+    return_delay_s: float = 500e-6  # Of the servos and of the USB adapter
     latency_s: float = 1e-3
     payload_kg: float = 0.0
     faults: dict[str, float] = field(default_factory=dict)
@@ -109,28 +89,14 @@ class EmulatorSpecification:
 
 
 class Truth(NamedTuple):
-    """True state of the plant, one row per measurement that the servos sent.
+    """True state of the plant, one row per measurement that the servos sent."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (n,)
-        When the servo sampled.
-    tip_m : ndarray, shape (n, 3)
-        True end effector then.
-    """
-
-    time_ns: NDArray[np.int64]
-    tip_m: NDArray[np.float64]
+    time_ns: NDArray[np.int64]  # (n,), when the servo sampled
+    tip_m: NDArray[np.float64]  # (n, 3), true end effector then
 
 
 class TruthLog:
-    """Record of the true tip at every reading of a present position.
-
-    Parameters
-    ----------
-    physics : Physics
-        Plant whose tip is recorded.
-    """
+    """Record of the true tip at every reading of a present position."""
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
@@ -149,22 +115,7 @@ class TruthLog:
 
 
 def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) -> Physics:
-    """Open the twin in a .fmu file, or a rig, in its initial state.
-
-    Parameters
-    ----------
-    source : Path or RigSource
-        FMU or rig.
-    dof : int
-        Number of joints that it must have.
-    payload_kg : float
-        Mass at the tip.
-
-    Raises
-    ------
-    InputError
-        If it cannot be used.
-    """
+    """Open the twin in a .fmu file, or a rig, in its initial state."""
     if isinstance(source, Path):
         return FmuPhysics(source, dof, payload_kg)
     from hil.emulator.rig_physics import RigPhysics  # imported here because it loads MuJoCo
@@ -175,20 +126,7 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
 def build_line(specification: EmulatorSpecification) -> tuple[Line, TruthLog]:
     """Build line, servos and plant; the plant is in its initial state at time zero.
 
-    Parameters
-    ----------
-    specification : EmulatorSpecification
-        Line, servos and plant.
-
-    Returns
-    -------
-    (Line, TruthLog)
-        The line, and the record of the true tip.
-
-    Raises
-    ------
-    InputError
-        If the plant cannot be used.
+    Returns the line, and the record of the true tip.
     """
     spec = specification
     physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
@@ -243,26 +181,7 @@ def _run(
 
 
 class Emulator:
-    """Emulated servos in a process of their own.
-
-    Parameters
-    ----------
-    specification : EmulatorSpecification
-        Line, servos and plant.
-    kind : {"pty", "socket"}
-        Kind of the port.
-    directory : Path
-        Directory of the socket.
-    cpu : int
-        Processor to pin the process to.
-
-    Attributes
-    ----------
-    name : str
-        Port name for `firmware_py.bus.transport.open_transport`.
-    pid : int
-        Process.
-    """
+    """Emulated servos in a process of their own."""
 
     def __init__(
         self,
@@ -311,21 +230,7 @@ def serve_forever(
 ) -> None:
     """Serve emulated servos in this process until it is interrupted.
 
-    Parameters
-    ----------
-    specification : EmulatorSpecification
-        Line, servos and plant.
-    kind : {"pty", "socket"}
-        Kind of the port.
-    path : Path
-        Name of the socket.
-    announce : callable
-        Called with the name of the port as soon as it is open.
-
-    Raises
-    ------
-    InputError
-        If the plant cannot be used.
+    `announce`: called with the name of the port as soon as it is open.
     """
     never, held = os.pipe()
     endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)

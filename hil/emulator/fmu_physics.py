@@ -17,23 +17,7 @@ Array = NDArray[np.float64]
 
 
 class FmuPhysics:
-    """Twin as `hil.emulator.physics.Physics`.
-
-    Parameters
-    ----------
-    path : Path
-        The .fmu file.
-    dof : int
-        Number of joints that it must have.
-    payload_kg : float
-        Mass at the tip.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used, is no twin or is one of other joints, or if the payload is
-        outside of its bounds.
-    """
+    """Twin as `hil.emulator.physics.Physics`."""
 
     def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
         self.fmu = FmuInstance(path)

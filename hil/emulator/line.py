@@ -60,15 +60,10 @@ class Arrival(NamedTuple):
 class Line:
     """Half-duplex line with a USB adapter at the host's end.
 
-    Parameters
-    ----------
-    bus : EmulatedBus
-        Servos at the other end; the first one's baud rate is the host's.
-    latency_s : float
-        Period of the adapter's latency timer; 0 hands every byte over at once.
-    faults : FaultPlan, optional
-        Faults of the packets, from the moment that a servo's torque is on: a line on which
-        no robot starts shows nothing about the loop.
+    `bus`: servos at the other end; the first one's baud rate is the host's.
+    `latency_s`: period of the adapter's latency timer; 0 hands every byte over at once.
+    `faults`: faults of the packets, from the moment that a servo's torque is on: a line on which no
+    robot starts shows nothing about the loop.
     """
 
     def __init__(self, bus: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None):
@@ -82,37 +77,7 @@ class Line:
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """Transmit bytes of the host and the answers to them.
 
-        Parameters
-        ----------
-        now_ns : int
-            Time at which the host writes.
-        data : bytes
-            What it writes.
-
-        Returns
-        -------
-        list of (int, bytes)
-            Time in ns at which the host may read, and the bytes.
-
-        Examples
-        --------
-        A ping has 10 bytes, its answer 14: at 1 Mbaud it is complete after 100 µs, the return
-        delay of 500 µs and 140 µs.
-
-        >>> from hil.emulator.emulated_servo import EmulatedServo
-        >>> from hil.emulator.packets import Instruction, encode_packet
-        >>> import numpy as np
-        >>> class AtRest:
-        ...     dof, angle_rad, current_a = 1, np.zeros(1), np.zeros(1)
-        ...     tip_m = np.zeros(3)
-        ...
-        ...     def advance(self, goal_rad, step_s):
-        ...         pass
-        >>> from firmware_py.bus.servo_models import MODELS
-        >>> line = Line(EmulatedBus([EmulatedServo(MODELS[54025])], AtRest()), latency_s=0.0)
-        >>> [(time_ns, answer)] = line.receive(0, encode_packet(1, Instruction.PING))
-        >>> time_ns, len(answer)
-        (740000, 14)
+        Returns time in ns at which the host may read, and the bytes.
         """
         heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.bus.servos[0].baud)
         self._free_ns = heard_ns
@@ -162,12 +127,7 @@ def _byte_ns(baud: int) -> int:
 class VirtualTransport:
     """Transport in memory on a simulated clock (see `firmware_py.bus.transport.Transport`).
 
-    Parameters
-    ----------
-    line : Line
-        The emulated line.
-    clock : SimClock
-        Shared with the loop; waiting for a reply moves it.
+    `clock`: shared with the loop; waiting for a reply moves it.
     """
 
     def __init__(self, line: Line, clock: SimClock) -> None:
@@ -183,15 +143,7 @@ class VirtualTransport:
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return the bytes that are readable by the deadline; the clock advances to them.
-
-        Parameters
-        ----------
-        size : int
-            Largest number of bytes.
-        deadline_ns : int
-            Time at which it gives up, with no bytes.
-        """
+        """Return the bytes that are readable by the deadline; the clock advances to them."""
         if not self._pending or self._pending[0][0] > deadline_ns:
             self._clock.sleep_until(deadline_ns)
             return b""
@@ -232,13 +184,6 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
     """A UNIX stream socket: its name, and a function that waits for a program to connect.
 
     The function returns None when `stop_fd` becomes readable instead.
-
-    Parameters
-    ----------
-    path : Path
-        Name of the socket.
-    stop_fd : int
-        Descriptor that ends the waiting.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(str(path))
@@ -265,21 +210,9 @@ def serve_line(
 ) -> bool:
     """Play the line in real time on a descriptor; the plant's time continues from now.
 
-    Parameters
-    ----------
-    line : Line
-        The emulated line.
-    fd : int
-        Where the host's bytes come from and go to.
-    stop_fd : int
-        Serving ends when this becomes readable.
-    on_release : callable, optional
-        Called with the time at which bytes were due and the time at which they were written.
-
-    Returns
-    -------
-    bool
-        True where the host hung up, False where `stop_fd` ended it.
+    `on_release`: called with the time at which bytes were due and the time at which they were
+    written.
+    Returns true where the host hung up, False where `stop_fd` ended it.
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0

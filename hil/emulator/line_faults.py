@@ -27,24 +27,7 @@ LATE_NS: Final = 12_000_000
 class FaultPlan:
     """Faults of the line, the same for the same seed and the same packets.
 
-    Parameters
-    ----------
-    rates : dict of str to float
-        Fraction of packets per kind; kinds left out do not occur.
-    seed : int
-        Start of the random sequence.
-
-    Attributes
-    ----------
-    injected : Counter
-        Number of faults so far, by kind.
-
-    Examples
-    --------
-    >>> FaultPlan({"lost": 1.0}).apply(b"frame")
-    []
-    >>> FaultPlan({"late": 1.0}).apply(b"frame")
-    [(12000000, b'frame')]
+    `rates`: fraction of packets per kind; kinds left out do not occur.
     """
 
     def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
@@ -75,13 +58,7 @@ class FaultPlan:
         return [(0, bytes(damaged))]
 
     def loses(self, packet: Packet) -> bool:
-        """Return whether no servo receives an instruction.
-
-        Parameters
-        ----------
-        packet : Packet
-            The instruction.
-        """
+        """Return whether no servo receives an instruction."""
         if self._unheard <= 0.0 or self._random.random() >= self._unheard:
             return False
         self.injected[UNHEARD] += 1
@@ -99,28 +76,7 @@ class FaultPlan:
 
 
 def parse_rates(words: Iterable[str]) -> dict[str, float]:
-    """Parse rates of faults.
-
-    Parameters
-    ----------
-    words : iterable of str
-        As on the command line: `lost=0.01 late=0.005 …`.
-
-    Returns
-    -------
-    dict of str to float
-        Rate by kind.
-
-    Raises
-    ------
-    InputError
-        If a kind is unknown, a rate is no fraction, or the rates add up to more than one.
-
-    Examples
-    --------
-    >>> parse_rates(["lost=0.01", "late=0.005"])
-    {'lost': 0.01, 'late': 0.005}
-    """
+    """Parse rates of faults."""
     rates: dict[str, float] = {}
     for word in words:
         kind, _, text = word.partition("=")

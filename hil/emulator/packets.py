@@ -76,24 +76,12 @@ class StatusError(IntEnum):
 
 
 class Packet(NamedTuple):
-    """Packet as received, unstuffed.
+    """Packet as received, unstuffed."""
 
-    Attributes
-    ----------
-    id : int
-        Servo that it is for, or (status) from.
-    instruction : int
-        See `Instruction`.
-    parameters : bytes
-        In a status packet the first one is the error byte.
-    intact : bool
-        False where the frame was whole but its CRC or stuffing was wrong.
-    """
-
-    id: int
+    id: int  # Servo that it is for, or (status) from
     instruction: int
-    parameters: bytes
-    intact: bool = True
+    parameters: bytes  # In a status packet the first one is the error byte
+    intact: bool = True  # False where the frame was whole but its CRC or stuffing was wrong
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -118,24 +106,12 @@ def crc16(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    r"""Insert an FD after every FF FF FD.
-
-    Examples
-    --------
-    >>> stuff(b"\xff\xff\xfd").hex(" ")
-    'ff ff fd fd'
-    """
+    r"""Insert an FD after every FF FF FD."""
     return body.replace(MARK, MARK + b"\xfd")
 
 
 def unstuff(body: bytes) -> bytes:
-    """Inverse of `stuff`.
-
-    Raises
-    ------
-    ValueError
-        If an FF FF FD is not followed by FD: no sender that keeps to the protocol wrote this.
-    """
+    """Inverse of `stuff`."""
     if MARK not in body:
         return body
     head, *rest = body.split(MARK)
@@ -145,41 +121,14 @@ def unstuff(body: bytes) -> bytes:
 
 
 def encode_packet(servo_id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """Frame a packet, with stuffing and CRC.
-
-    Parameters
-    ----------
-    servo_id : int
-        Address.
-    instruction : int
-        See `Instruction`.
-    parameters : bytes
-        Unstuffed.
-
-    Examples
-    --------
-    >>> encode_packet(1, Instruction.PING).hex(" ")  # the e-Manual's example
-    'ff ff fd 00 01 03 00 01 19 4e'
-    >>> PacketParser().feed(encode_packet(1, Instruction.PING))
-    [Packet(id=1, instruction=1, parameters=b'', intact=True)]
-    """
+    """Frame a packet, with stuffing and CRC."""
     body = stuff(bytes((instruction,)) + parameters)
     packet = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     return packet + crc16(packet).to_bytes(2, "little")
 
 
 def status_packet(servo_id: int, error: int = 0, parameters: bytes = b"") -> bytes:
-    """Frame a status packet.
-
-    Parameters
-    ----------
-    servo_id : int
-        Servo that answers.
-    error : int
-        Error byte.
-    parameters : bytes
-        Data, unstuffed.
-    """
+    """Frame a status packet."""
     return encode_packet(servo_id, Instruction.STATUS, bytes((error,)) + parameters)
 
 
@@ -188,44 +137,19 @@ def _words(*values: int) -> bytes:
 
 
 def read_packet(servo_id: int, address: int, length: int) -> bytes:
-    """Frame a read of one servo.
-
-    Parameters
-    ----------
-    servo_id : int
-        Servo.
-    address, length : int
-        First byte and number of bytes.
-    """
+    """Frame a read of one servo."""
     return encode_packet(servo_id, Instruction.READ, _words(address, length))
 
 
 def write_packet(servo_id: int, address: int, data: bytes) -> bytes:
-    """Frame a write to one servo.
-
-    Parameters
-    ----------
-    servo_id : int
-        Servo.
-    address : int
-        First byte.
-    data : bytes
-        Content.
-    """
+    """Frame a write to one servo."""
     return encode_packet(servo_id, Instruction.WRITE, _words(address) + data)
 
 
 def sync_read_packet(ids: Iterable[int], address: int, length: int, *, fast: bool = False) -> bytes:
     """Frame a read of the same registers of several servos.
 
-    Parameters
-    ----------
-    ids : iterable of int
-        Servos, in the order of their answers.
-    address, length : int
-        Registers.
-    fast : bool
-        Whether all servos answer in one packet, or each in its own.
+    `fast`: whether all servos answer in one packet, or each in its own.
     """
     instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
     return encode_packet(BROADCAST, instruction, _words(address, length) + bytes(ids))
@@ -237,12 +161,7 @@ def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> 
     The first servo sends the header, and its length field speaks for all; every servo then sends
     error, id, data and the CRC over everything in front of it. Nothing is stuffed.
 
-    Parameters
-    ----------
-    count : int
-        Servos that were asked.
-    blocks : iterable of (id, error, data)
-        Of those that answer: fewer than `count` where one is silent and so those behind it.
+    `blocks`: of those that answer: fewer than `count` where one is silent and so those behind it.
     """
     packet = b""
     for servo_id, error, data in blocks:
@@ -255,15 +174,7 @@ def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def sync_write_packet(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Frame a write of the same registers of several servos; none answers.
-
-    Parameters
-    ----------
-    address : int
-        First byte.
-    data : mapping of int to bytes
-        Content by servo, all of one length.
-    """
+    """Frame a write of the same registers of several servos; none answers."""
     length = len(next(iter(data.values())))
     blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
     return encode_packet(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
@@ -275,11 +186,6 @@ class PacketParser:
     A header inside the body of an unfinished packet shows that the packet was truncated: the
     parser drops it at once. After a wrong CRC it searches on after the false header, so that a
     whole packet is never lost to a broken one before it.
-
-    Attributes
-    ----------
-    skipped : int
-        Bytes dropped so far because they belonged to no packet.
     """
 
     def __init__(self) -> None:

@@ -13,20 +13,10 @@ Array = NDArray[np.float64]
 
 
 class Physics(Protocol):
-    """Plant behind the servos, their own closed loops included.
+    """Plant behind the servos, their own closed loops included."""
 
-    Attributes
-    ----------
-    dof : int
-        Number of joints, one servo each.
-    angle_rad, current_a : ndarray, shape (dof,)
-        State at the end of the last step.
-    tip_m : ndarray, shape (3,)
-        End effector in the world frame, which no servo can see.
-    """
-
-    dof: int
-    angle_rad: Array
+    dof: int  # Number of joints, one servo each
+    angle_rad: Array  # (dof,), state at the end of the last step
     current_a: Array
 
     @property
@@ -35,35 +25,17 @@ class Physics(Protocol):
         ...
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """Advance by a step with constant goals.
-
-        Parameters
-        ----------
-        goal_rad : sequence of float
-            Goal of each joint.
-        step_s : float
-            Duration.
-        """
+        """Advance by a step with constant goals."""
         ...
 
 
 @dataclass(frozen=True)
 class RigSource:
-    """Rig behind the servos.
+    """Rig behind the servos."""
 
-    Attributes
-    ----------
-    hidden : mapping of str to float
-        Effects added to its default ones, in the unit that `models.shared.catalogue` lists.
-    seed : int
-        Of the variation between trials and of the current's noise.
-    rig : str
-        Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`).
-    pressure_pa : float, optional
-        Declared pressure; that of the link by default.
-    """
-
+    # Effects added to its default ones, in the unit that `models.shared.catalogue` lists
     hidden: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0
+    seed: int = 0  # Of the variation between trials and of the current's noise
+    # Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`)
     rig: str = "default"
-    pressure_pa: float | None = None
+    pressure_pa: float | None = None  # Declared pressure; that of the link by default

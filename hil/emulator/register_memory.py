@@ -11,13 +11,7 @@ MEMORY_BYTES: Final = 1024
 
 
 class RegisterMemory:
-    """Bytes of a control table.
-
-    Parameters
-    ----------
-    table : ControlTable
-        Addresses, sizes and indirect addresses.
-    """
+    """Bytes of a control table."""
 
     def __init__(self, table: ControlTable) -> None:
         self._table = table
@@ -30,15 +24,7 @@ class RegisterMemory:
         return cell.decode(self._memory, cell.address) if cell else 0
 
     def put(self, register: Register, raw: int) -> None:
-        """Set a register regardless of access rights; no effect where the model lacks it.
-
-        Parameters
-        ----------
-        register : Register
-            Register to set.
-        raw : int
-            Its value.
-        """
+        """Set a register regardless of access rights; no effect where the model lacks it."""
         if register in self._table:
             self._store(self._table[register], raw)
 
@@ -55,15 +41,7 @@ class RegisterMemory:
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read registers.
 
-        Parameters
-        ----------
-        address, length : int
-            First byte and number of bytes.
-
-        Returns
-        -------
-        (int, bytes)
-            Error number and, where it is 0, the bytes.
+        Returns error number and, where it is 0, the bytes.
         """
         if length == 0:
             return StatusError.DATA_LENGTH, b""
@@ -75,15 +53,7 @@ class RegisterMemory:
         return StatusError.NONE, bytes([memory[a] for a in self._span(address, length)])
 
     def covers(self, address: int, length: int, register: Register) -> bool:
-        """Whether a span, read through the indirect addresses, contains a register's first byte.
-
-        Parameters
-        ----------
-        address, length : int
-            The span.
-        register : Register
-            The register.
-        """
+        """Whether a span, read through the indirect addresses, contains a register's first byte."""
         wanted = self._table[register].address
         if not self._is_redirected(address, length):
             return address <= wanted < address + length
@@ -94,17 +64,12 @@ class RegisterMemory:
         return address + length > data and address < data + self._table.indirect.entries
 
     def _write_indirect(self, address: int, data: bytes) -> None:
-        """Write indirect addresses."""
         self._memory[address : address + len(data)] = data
         self._spans.clear()
 
     def _span(self, address: int, length: int) -> list[int]:
-        """Addresses that a span refers to; kept, since a program reads the same one in every tick.
-
-        Parameters
-        ----------
-        address, length : int
-            First byte and number of bytes.
+        """Addresses that a span refers to; kept, since a program reads the same one in every
+        tick.
         """
         span = self._spans.get((address, length))
         if span is None:

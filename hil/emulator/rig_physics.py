@@ -30,20 +30,6 @@ class RigPhysics:
     It settles at zero and then runs in its own steps: angle, current and tip belong to one moment,
     the start of the last whole step, which is at most two steps ago. The tip is the true one; what
     is hidden in the motion capture does not change it.
-
-    Parameters
-    ----------
-    rig : RigSource
-        Rig, hidden effects and seed.
-    dof : int
-        Number of joints.
-    payload_kg : float
-        Declared mass at the tip.
-
-    Raises
-    ------
-    InputError
-        If an effect cannot be hidden, or, from `advance`, if the link folds.
     """
 
     def __init__(self, rig: RigSource, dof: int, payload_kg: float = 0.0) -> None:
@@ -89,13 +75,7 @@ class RigPhysics:
 
 
 def rig_conditions(rig: RigSource) -> dict[str, Any]:
-    """Conditions of a trial that the rig's link gives: size, pressure, markers, gravity.
-
-    Parameters
-    ----------
-    rig : RigSource
-        The rig.
-    """
+    """Conditions of a trial that the rig's link gives: size, pressure, markers, gravity."""
     p = rig_named(rig.rig)
     pressure = {} if rig.pressure_pa is None else {"pressure_pa": rig.pressure_pa}
     if p.link is not None:

@@ -15,21 +15,8 @@ from models.plant.plant import read_plant
 
 
 def build_twin(plant: Path, dof: int, directory: Path) -> Path:
-    """Build the twin of a plant file for this machine, without a predictor; return the .fmu file.
-
-    Parameters
-    ----------
-    plant : Path
-        Plant file.
-    dof : int
-        Number of joints.
-    directory : Path
-        Directory of the FMU.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be used, or no FMU can be built for this machine.
+    """Build the twin of a plant file for this machine, without a predictor; return the .fmu
+    file.
     """
     platforms = platform_names(platform_here())
     model = read_plant(plant).step_model(dof, "twin")

@@ -35,16 +35,7 @@ def cases_of(
 
     In real time a row runs once, on its first model; the virtual line varies the bits.
 
-    Parameters
-    ----------
-    dof : int
-        Joints of the robot.
-    lines : iterable of str
-        Lines to run on, keys of `RUNNERS`.
-    seeds : sequence of int
-        Seeds, of which only the first is used in real time.
-    rows : iterable of FaultRow
-        Rows to run.
+    `seeds`: seeds, of which only the first is used in real time.
     """
     cases = []
     for line in RUNNERS:
@@ -64,23 +55,7 @@ def run_campaign(
     cases: Sequence[FaultCase],
     keep: Callable[[Sequence[CaseVerdict]], None] = lambda judged: None,
 ) -> list[CaseVerdict]:
-    """Run and judge every case.
-
-    Parameters
-    ----------
-    robot : CaseRobot
-        Common part of the campaign.
-    cases : sequence of FaultCase
-        Cases, in order.
-    keep : callable
-        Called after each case with the verdicts so far.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        After Ctrl-C; `firmware_py.console.Terminated` after another signal that ends a program. The
-        case that it befell has no verdict.
-    """
+    """Run and judge every case."""
     progress = Progress("faults", len(cases))
     judged: list[CaseVerdict] = []
     with terminations_raised(), _signals_noted() as raise_noted:

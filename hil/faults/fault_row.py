@@ -18,36 +18,20 @@ TRUST_WORDS: Final = {
 
 @dataclass(frozen=True)
 class Expectation:
-    """Outcome that a fault must have.
+    """Outcome that a fault must have."""
 
-    Attributes
-    ----------
-    ended : str
-        "finished", "tripped", "signalled", "refused" (before the torque is on), "killed", or
-        "finished or tripped" where the seed decides.
-    within : int or None
-        Ticks in which the fault must show in the record; None where it need not.
-    lost : int or None
-        Ticks without fresh data, or missed, at most; None where the robot stops anyway.
-    reason : str
-        Words that the reason must hold; "|" parts alternatives.
-    replugs : int
-        Times that the robot must go on after its port was gone.
-    unlogged : bool
-        Whether the log must lack ticks, and nothing but the log.
-    on_time : bool
-        Whether no slot may be missed.
-    trust : str
-        Lowest trust in the estimated tip that must be seen (`TrustState`); empty for any.
-    """
-
+    # "finished", "tripped", "signalled", "refused" (before the torque is on), "killed", or
+    # "finished or tripped" where the seed decides
     ended: str
+    # Ticks in which the fault must show in the record; None where it need not
     within: int | None = None
+    # Ticks without fresh data, or missed, at most; None where the robot stops anyway
     lost: int | None = None
-    reason: str = ""
-    replugs: int = 0
-    unlogged: bool = False
-    on_time: bool = False
+    reason: str = ""  # Words that the reason must hold; "|" parts alternatives
+    replugs: int = 0  # Times that the robot must go on after its port was gone
+    unlogged: bool = False  # Whether the log must lack ticks, and nothing but the log
+    on_time: bool = False  # Whether no slot may be missed
+    # Lowest trust in the estimated tip that must be seen (`TrustState`); empty for any
     trust: str = ""
 
     def __str__(self) -> str:
@@ -73,80 +57,37 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Setup:
-    """Differences between a case and the usual robot; the defaults are the usual robot.
+    """Differences between a case and the usual robot; the defaults are the usual robot."""
 
-    Attributes
-    ----------
-    latency_s : float
-        Latency timer of the USB adapter.
-    return_delay_s : float
-        Return delay of the servos.
-    wrong_baud : bool
-        Whether the host sends at a baud rate that the servos do not use.
-    through_pulse : int or None
-        Goal in pulses that the motion reaches and leaves again, instead of the study's motion.
-    lean_rad : float or None
-        Angle at which the arm stands before the start.
-    hardware_error : int
-        Hardware error bits that the first servo has before the start.
-    rebooted : bool
-        Whether the first servo was rebooted after that error.
-    refuses_indirect : bool
-        Whether the servos refuse indirect addresses.
-    wrong_model : bool
-        Whether every servo is of another model than the configuration says.
-    setting : tuple of Register and int, or None
-        Register of the first servo that somebody has changed, and its value.
-    second_model : {"as the first", "declared", "undeclared"}
-        Whether servo 2 is of another model, and whether the configuration says so.
-    replug_s : float
-        `bus.replug_s` of the configuration; 0 stays stopped.
-    signal : int or None
-        Signal sent to the robot's process.
-    freeze_s : float
-        How long the robot's process is stopped (SIGSTOP).
-    recorder_signal : int or None
-        Signal sent to the recorder's process.
-    disk_full : bool
-        Whether the recorder can write no further byte.
-    bundle_swapped : bool
-        Whether every file of the bundle is overwritten on disk.
-    bundle_damage : str
-        Damage of the bundle before the start, a key of
-        `hil.faults.cases.damaged_bundle.BUNDLE_DAMAGES`; empty for none.
-    unplug_s : float or None
-        How long the port is gone.
-    port_renamed : bool
-        Whether the port comes back under another name.
-    feedback : {"none", "continue", "stop"}
-        Whether a plan with feedback of the tip runs in place of the motion, and what follows when
-        the estimate is not trusted.
-    outside : bool
-        Whether another program sends the goals.
-    """
-
-    latency_s: float = 1e-3
+    latency_s: float = 1e-3  # Latency timer of the USB adapter
     return_delay_s: float = 500e-6
-    wrong_baud: bool = False
+    wrong_baud: bool = False  # Whether the host sends at a baud rate that the servos do not use
+    # Goal in pulses that the motion reaches and leaves again, instead of the study's motion
     through_pulse: int | None = None
-    lean_rad: float | None = None
-    hardware_error: int = 0
-    rebooted: bool = False
-    refuses_indirect: bool = False
-    wrong_model: bool = False
+    lean_rad: float | None = None  # Angle at which the arm stands before the start
+    hardware_error: int = 0  # Hardware error bits that the first servo has before the start
+    rebooted: bool = False  # Whether the first servo was rebooted after that error
+    refuses_indirect: bool = False  # Whether the servos refuse indirect addresses
+    wrong_model: bool = False  # Whether every servo is of another model than the configuration says
+    # Register of the first servo that somebody has changed, and its value
     setting: tuple[Register, int] | None = None
+    # Whether servo 2 is of another model, and whether the configuration says so
     second_model: Literal["as the first", "declared", "undeclared"] = "as the first"
-    replug_s: float = 0.0
-    signal: int | None = None
-    freeze_s: float = 0.0
-    recorder_signal: int | None = None
-    disk_full: bool = False
-    bundle_swapped: bool = False
+    replug_s: float = 0.0  # `bus.replug_s` of the configuration; 0 stays stopped
+    signal: int | None = None  # Signal sent to the robot's process
+    freeze_s: float = 0.0  # How long the robot's process is stopped (SIGSTOP)
+    recorder_signal: int | None = None  # Signal sent to the recorder's process
+    disk_full: bool = False  # Whether the recorder can write no further byte
+    bundle_swapped: bool = False  # Whether every file of the bundle is overwritten on disk
+    # Damage of the bundle before the start, a key of
+    # `hil.faults.cases.damaged_bundle.BUNDLE_DAMAGES`; empty for none
     bundle_damage: str = ""
-    unplug_s: float | None = None
-    port_renamed: bool = False
+    unplug_s: float | None = None  # How long the port is gone
+    port_renamed: bool = False  # Whether the port comes back under another name
+    # Whether a plan with feedback of the tip runs in place of the motion, and what follows when the
+    # estimate is not trusted
     feedback: Literal["none", "continue", "stop"] = "none"
-    outside: bool = False
+    outside: bool = False  # Whether another program sends the goals
 
 
 USUAL = Setup()
@@ -154,31 +95,14 @@ USUAL = Setup()
 
 @dataclass(frozen=True)
 class FaultRow:
-    """One fault and how it is tried.
+    """One fault and how it is tried."""
 
-    Attributes
-    ----------
-    fault, how : str
-        Name of the fault; how often or how long.
-    must : Expectation
-        What must happen.
-    injections : tuple of Injection
-        The plan; empty where the set-up is the fault.
-    lines : tuple of str
-        "virtual", and "socket" where there is a timing side; "process" with real processes.
-    setup : Setup
-        What differs from the usual robot.
-    models : tuple of int
-        Model numbers to try.
-    joints : int
-        How many it needs at least.
-    """
-
-    fault: str
+    fault: str  # Name of the fault; how often or how long
     how: str
     must: Expectation
-    injections: tuple[Injection, ...] = ()
+    injections: tuple[Injection, ...] = ()  # The plan; empty where the set-up is the fault
+    # "virtual", and "socket" where there is a timing side; "process" with real processes
     lines: tuple[str, ...] = ("virtual",)
-    setup: Setup = USUAL
-    models: tuple[int, ...] = (54025, 54024)
-    joints: int = 1
+    setup: Setup = USUAL  # What differs from the usual robot
+    models: tuple[int, ...] = (54025, 54024)  # Model numbers to try
+    joints: int = 1  # How many it needs at least

@@ -32,24 +32,12 @@ HELD_RAD: Final = 0.2
 
 @dataclass(frozen=True)
 class FaultCase:
-    """One run of a row.
-
-    Attributes
-    ----------
-    row : FaultRow
-        Row of the table.
-    line : str
-        "virtual", "socket" or "process".
-    number : int
-        Model number of the servos.
-    seed : int
-        Of the time and of the bits.
-    """
+    """One run of a row."""
 
     row: FaultRow
-    line: str
-    number: int
-    seed: int
+    line: str  # "virtual", "socket" or "process"
+    number: int  # Model number of the servos
+    seed: int  # Of the time and of the bits
 
     @property
     def name(self) -> str:
@@ -60,20 +48,11 @@ class FaultCase:
 
 @dataclass(frozen=True)
 class CaseVerdict:
-    """A case, its observation and the complaints about it.
-
-    Attributes
-    ----------
-    case : FaultCase
-        What was run.
-    observation : CaseObservation
-        Observation of the run.
-    safety_violations, deviations : list of str
-        Complaints about safety, and about the course, which must be as the row says.
-    """
+    """A case, its observation and the complaints about it."""
 
     case: FaultCase
     observation: CaseObservation
+    # Complaints about safety, and about the course, which must be as the row says
     safety_violations: list[str]
     deviations: list[str]
 
@@ -95,14 +74,7 @@ class CaseVerdict:
 def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseVerdict:
     """Compare an observation with its row of the table.
 
-    Parameters
-    ----------
-    case : FaultCase
-        The case.
-    seen : CaseObservation
-        What was observed.
-    period_s : float
-        Control period, which sets the time of the servos' watchdog.
+    `period_s`: control period, which sets the time of the servos' watchdog.
     """
     return CaseVerdict(case, seen, _safety_violations(seen, period_s), _deviations(case.row, seen))
 
@@ -161,12 +133,7 @@ def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
 def faults_junit(judged: Sequence[CaseVerdict], not_run: int = 0) -> bytes:
     """Return the verdicts as JUnit XML, one test case each.
 
-    Parameters
-    ----------
-    judged : sequence of CaseVerdict
-        Every case that was run.
-    not_run : int
-        Cases that were planned and not run; where there are any, one test case is skipped.
+    `not_run`: cases that were planned and not run; where there are any, one test case is skipped.
     """
     words = f"incomplete: {not_run} cases were not run"
     missing = [JUnitCase("all cases run", Verdict.INCONCLUSIVE, words, "must: every case is run")]

@@ -20,79 +20,37 @@ __all__ = ["CaseResult", "FaultsDocument", "faults_document", "read_faults", "wr
 
 
 class CaseResult(CaseObservation, frozen=True, kw_only=True):
-    """A case, its verdict and what was observed.
+    """A case, its verdict and what was observed."""
 
-    Attributes
-    ----------
-    fault, how : str
-        Row of the fault table.
-    line : str
-        "virtual", "socket" or "process".
-    model : str
-        Servos.
-    seed : int
-        Of the time and of the bits.
-    must : str
-        What must happen.
-    verdict : Verdict
-        Result.
-    complaints : tuple of str
-        Where the observation differs from what must happen, safety first.
-    """
-
-    fault: str
+    fault: str  # Row of the fault table
     how: str
-    line: str
+    line: str  # "virtual", "socket" or "process"
     model: str
-    seed: int
+    seed: int  # Of the time and of the bits
     must: str
     verdict: Verdict
-    complaints: tuple[str, ...]
+    complaints: tuple[str, ...]  # Where the observation differs from what must happen, safety first
 
 
 class FaultsDocument(Document, frozen=True, kw_only=True):
-    """Contents of `faults.json`.
-
-    Attributes
-    ----------
-    verdict : Verdict
-        The worst of the cases; inconclusive where cases were not run and none failed.
-    counts : dict of Verdict to int
-        Cases by verdict.
-    dof : int
-        Joints of the robot.
-    period_s : float
-        Control period.
-    watchdog_s : float
-        Time after which the servos' bus watchdog stops them.
-    faults, rows : int
-        Number of faults, and of ways to try them.
-    models : tuple of str
-        Servo models that were tried.
-    seeds : tuple of int
-        Seeds that were tried.
-    environment : HostEnvironment
-        Machine.
-    cases : tuple of CaseResult
-        Every case that was run.
-    not_run : int
-        Cases that were planned and not run: the campaign was ended before. 0 where it is complete.
-    """
+    """Contents of `faults.json`."""
 
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "python -m hil faults"
 
+    # The worst of the cases; inconclusive where cases were not run and none failed
     verdict: Verdict
     counts: dict[Verdict, int]
-    dof: int
+    dof: int  # Joints of the robot
     period_s: float
-    watchdog_s: float
-    faults: int
+    watchdog_s: float  # Time after which the servos' bus watchdog stops them
+    faults: int  # Number of faults, and of ways to try them
     rows: int
-    models: tuple[str, ...]
-    seeds: tuple[int, ...]
+    models: tuple[str, ...]  # Servo models that were tried
+    seeds: tuple[int, ...]  # Seeds that were tried
     environment: HostEnvironment
     cases: tuple[CaseResult, ...]
+    # Cases that were planned and not run: the campaign was ended before. 0 where it is complete.
     not_run: int = 0
 
 
@@ -102,15 +60,6 @@ def faults_document(
     """Return the contents of `faults.json`.
 
     Where cases were not run and none failed, the verdict is inconclusive.
-
-    Parameters
-    ----------
-    manifest : Manifest
-        Of the bundle that the robot ran.
-    judged : sequence of CaseVerdict
-        Every case that was run.
-    not_run : int
-        Cases that were planned and not run.
     """
     counts = {verdict: sum(one.verdict is verdict for one in judged) for verdict in Verdict}
     otherwise = Verdict.INCONCLUSIVE if not_run else Verdict.PASS
@@ -150,16 +99,8 @@ def _result(one: CaseVerdict) -> CaseResult:
 
 
 def read_faults(path: Path) -> FaultsDocument:
-    """Read a faults document.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged, or of another version.
-    """
     return read_document(path, FaultsDocument)
 
 
 def write_faults(path: Path, document: FaultsDocument) -> None:
-    """Write a faults document."""
     write_document(path, document)

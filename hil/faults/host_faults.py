@@ -26,28 +26,7 @@ _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
 
 
 class HostFaults:
-    """Schedule of the host's faults.
-
-    Parameters
-    ----------
-    script : FaultSchedule
-        Schedule, for its times.
-    injections : sequence of Injection
-        Those that act on the host are used.
-    now_ns : callable
-        Clock.
-    take : callable
-        Lets a time in s pass.
-
-    Attributes
-    ----------
-    tick : int
-        Number of the tick that runs, 0 before the first.
-    began_ns : int or None
-        When the first fault began.
-    request_stop : callable
-        Requests a controlled stop of the loop.
-    """
+    """Schedule of the host's faults."""
 
     def __init__(
         self,
@@ -88,15 +67,7 @@ def _request_nothing(reason: str) -> None:
 
 
 class FaultyEstimator:
-    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks.
-
-    Parameters
-    ----------
-    inner : DeformationEstimator
-        Estimator of the bundle.
-    host : HostFaults
-        Schedule of the faults.
-    """
+    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks."""
 
     waits_for_fresh: ClassVar[bool] = False  # it must be called in every tick
 
@@ -130,15 +101,7 @@ def _litter() -> None:
 
 
 class FaultyPredictor:
-    """Predictor that is slow or returns a wrong value.
-
-    Parameters
-    ----------
-    inner : Predictor
-        Predictor of the bundle.
-    host : HostFaults
-        Schedule of the faults.
-    """
+    """Predictor that is slow or returns a wrong value."""
 
     def __init__(self, inner: Predictor, host: HostFaults) -> None:
         self._inner, self._host = inner, host
@@ -164,13 +127,7 @@ class FaultyPredictor:
 
 
 class FaultyFeedback(TipFeedback):
-    """Feedback of the tip that sees a wrong innovation.
-
-    Attributes
-    ----------
-    host : HostFaults or None
-        Schedule of the faults.
-    """
+    """Feedback of the tip that sees a wrong innovation."""
 
     host: HostFaults | None = None
 
@@ -181,15 +138,7 @@ class FaultyFeedback(TipFeedback):
 
 
 class SteppedClock(SimClock):
-    """Simulated clock that is set forward or back in a scheduled tick.
-
-    Attributes
-    ----------
-    true : SimClock
-        Time of the servos.
-    host : HostFaults or None
-        Schedule of the step.
-    """
+    """Simulated clock that is set forward or back in a scheduled tick."""
 
     def __init__(self, true: SimClock) -> None:
         super().__init__()
@@ -216,17 +165,7 @@ class SteppedClock(SimClock):
 
 
 class FaultyTransport:
-    """Transport in true time under a stepped clock, which can be unplugged.
-
-    Parameters
-    ----------
-    inner : Transport
-        Transport in true time.
-    clock : SteppedClock
-        Clock of the loop.
-    host : HostFaults
-        Schedule that says when it is unplugged.
-    """
+    """Transport in true time under a stepped clock, which can be unplugged."""
 
     def __init__(self, inner: Transport, clock: SteppedClock, host: HostFaults) -> None:
         self._inner, self._clock, self._host = inner, clock, host

@@ -129,27 +129,15 @@ FAULT_KINDS: Final[dict[str, FaultKind]] = {
 
 @dataclass(frozen=True)
 class Injection:
-    """One fault of a plan.
-
-    Attributes
-    ----------
-    kind : str
-        Key of `FAULT_KINDS`.
-    times : int
-        Exchanges in a row; of a fault of the host, ticks; of `UNHEARD`, writes to each servo.
-    value : float
-        Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind.
-    joint : int or None
-        Joint with the fault, from 0; None for all.
-    after : int
-        Exchanges between the first of the plan and the first of this one.
-    """
+    """One fault of a plan."""
 
     kind: str
+    # Exchanges in a row; of a fault of the host, ticks; of `UNHEARD`, writes to each servo
     times: int = 1
+    # Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind
     value: float = 0.0
-    joint: int | None = None
-    after: int = 0
+    joint: int | None = None  # Joint with the fault, from 0; None for all
+    after: int = 0  # Exchanges between the first of the plan and the first of this one
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -157,24 +145,7 @@ class Injection:
 
 
 class FaultSchedule(FaultPlan):
-    """Seeded schedule of injections: faults of a `Line` and of the servos on a `LoggedBus`.
-
-    Parameters
-    ----------
-    injections : sequence of Injection
-        The plan.
-    seed : int
-        Of its time and of its bits.
-
-    Attributes
-    ----------
-    start : int
-        Exchange in which the plan begins.
-    exchange : int
-        Number of the exchange that runs, 0 before the first.
-    began_ns : int or None
-        When the first fault of the line or of a servo acted.
-    """
+    """Seeded schedule of injections: faults of a `Line` and of the servos on a `LoggedBus`."""
 
     def __init__(self, injections: Sequence[Injection], seed: int) -> None:
         super().__init__(seed=seed)
@@ -194,28 +165,12 @@ class FaultSchedule(FaultPlan):
         return self.start + injection.after
 
     def active(self, injection: Injection, exchange: int) -> bool:
-        """Whether an injection is active in an exchange.
-
-        Parameters
-        ----------
-        injection : Injection
-            One of the plan.
-        exchange : int
-            Number of the exchange.
-        """
+        """Whether an injection is active in an exchange."""
         first = self.first(injection)
         return first <= exchange < first + injection.times
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the servo faults of the next exchange.
-
-        Parameters
-        ----------
-        servos : sequence of LoggedServo
-            Servos in joint order.
-        now_ns : int
-            Time of the exchange.
-        """
+        """Begin and end the servo faults of the next exchange."""
         self.exchange += 1
         self._now_ns = now_ns
         for injection, change in self._servos:

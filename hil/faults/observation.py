@@ -25,101 +25,47 @@ _READS_PER_TICK: Final = 2
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """End of a run, as its process reported it.
+    """End of a run, as its process reported it."""
 
-    Attributes
-    ----------
-    ended, reason : str
-        As in `RunSummary`, and "refused" and "killed".
-    replugs, telemetry_drops : int
-        As in `RunSummary`.
-    misses : dict of str to int
-        Slots missed by cause.
-    unlogged_stale : int
-        Ticks without fresh data in a run with an incomplete log.
-    held_up_ticks : int
-        As in `RunSummary`.
-    """
-
-    ended: str
+    ended: str  # As in `RunSummary`, and "refused" and "killed"
     reason: str
     replugs: int = 0
     telemetry_drops: int = 0
-    misses: dict[str, int] = field(default_factory=dict)
-    unlogged_stale: int = 0
+    misses: dict[str, int] = field(default_factory=dict)  # Slots missed by cause
+    unlogged_stale: int = 0  # Ticks without fresh data in a run with an incomplete log
     held_up_ticks: int = 0
 
 
 class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Observation of a case; its fields are those of `faults.json`.
+    """Observation of a case; its fields are those of `faults.json`."""
 
-    Attributes
-    ----------
-    ended, reason : str
-        How the run ended.
-    injected : bool
-        Whether the fault occurred at all.
-    detected_ticks : int or None
-        Tick after the fault in which the record showed it, 1 for the same one.
-    state : str
-        Highest state of the supervisor before the run was over.
-    told : str
-        Commands that the servos received from then on, in words.
-    recovered_ticks : int or None
-        Ticks from the first sign to the last; None where there was none, or no recovery.
-    lost_ticks : int
-        Slots from the fault on without fresh data, missed ones included.
-    unlogged_ticks : int
-        Ticks missing in the log.
-    replugs : int
-        Times that the robot went on after its port was gone.
-    misses : dict of str to int
-        Slots missed by cause.
-    unheard_ns : int
-        Longest time for which a servo was driven without an instruction.
-    watched : bool
-        Whether the servos have a watchdog.
-    live : bool
-        Whether one is still driven at the end.
-    drift_rad : float
-        Largest movement of one after its last instruction.
-    goal_jump_rad : float
-        By how much a step of a goal exceeded what the rate limit allows; 0 where none did.
-    stale_as_fresh : int
-        Ticks that took data as fresh which the servos had not sent in them.
-    late_replies : int
-        Replies that the host let the servos' process send late.
-    held_up_replies : int
-        Replies before which the host had held the servos' process up.
-    held_up_ticks : int
-        Ticks without fresh data in which the host held up the loop's thread.
-    trust : str
-        Lowest trust in the estimated tip, see `firmware_py.safety.estimate_trust`.
-    fade_ticks : int or None
-        Ticks from the first loss of trust until the corrections were gone.
-    """
-
-    ended: str
+    ended: str  # How the run ended
     reason: str
-    injected: bool = True
+    injected: bool = True  # Whether the fault occurred at all
+    # Tick after the fault in which the record showed it, 1 for the same one
     detected_ticks: int | None = None
+    # Highest state of the supervisor before the run was over
     state: str = SafetyState.STARTING.name
-    told: str = TOLD_NOTHING
+    told: str = TOLD_NOTHING  # Commands that the servos received from then on, in words
+    # Ticks from the first sign to the last; None where there was none, or no recovery
     recovered_ticks: int | None = None
-    lost_ticks: int = 0
-    unlogged_ticks: int = 0
-    replugs: int = 0
-    misses: dict[str, int] = msgspec.field(default_factory=dict)
-    unheard_ns: int = 0
-    watched: bool = True
-    live: bool = False
-    drift_rad: float = 0.0
+    lost_ticks: int = 0  # Slots from the fault on without fresh data, missed ones included
+    unlogged_ticks: int = 0  # Ticks missing in the log
+    replugs: int = 0  # Times that the robot went on after its port was gone
+    misses: dict[str, int] = msgspec.field(default_factory=dict)  # Slots missed by cause
+    unheard_ns: int = 0  # Longest time for which a servo was driven without an instruction
+    watched: bool = True  # Whether the servos have a watchdog
+    live: bool = False  # Whether one is still driven at the end
+    drift_rad: float = 0.0  # Largest movement of one after its last instruction
+    # By how much a step of a goal exceeded what the rate limit allows; 0 where none did
     goal_jump_rad: float = 0.0
-    stale_as_fresh: int = 0
-    late_replies: int = 0
-    held_up_replies: int = 0
-    held_up_ticks: int = 0
+    stale_as_fresh: int = 0  # Ticks that took data as fresh which the servos had not sent in them
+    late_replies: int = 0  # Replies that the host let the servos' process send late
+    held_up_replies: int = 0  # Replies before which the host had held the servos' process up
+    held_up_ticks: int = 0  # Ticks without fresh data in which the host held up the loop's thread
+    # Lowest trust in the estimated tip, see `firmware_py.safety.estimate_trust`
     trust: str = TrustState.NONE.name
+    # Ticks from the first loss of trust until the corrections were gone
     fade_ticks: int | None = None
 
 
@@ -136,22 +82,8 @@ def observe_case(
 ) -> CaseObservation:
     """Combine the loop's record and the servos' log.
 
-    Parameters
-    ----------
-    outcome : CaseOutcome
-        How the run ended.
-    columns : mapping of str to ndarray
-        The ticks by column.
-    servo_log : ServoLog
-        The servos' log.
-    began_ns : int or None
-        When the first fault began.
-    slots : int
-        Slots of the motion; the stop at its end follows them.
-    period_s, rate_rad_s : float
-        Control period, and limit of the goals' rate.
-    stepped_in_tick : int or None
-        Tick, from 1, in which the record's clock left the servos'.
+    `slots`: slots of the motion; the stop at its end follows them.
+    `stepped_in_tick`: tick, from 1, in which the record's clock left the servos'.
     """
     facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
     if len(columns.get("tick", ())):

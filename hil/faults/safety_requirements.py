@@ -14,30 +14,16 @@ from hil.faults.fault_table import ROWS
 
 
 class SafetyRequirement(NamedTuple):
-    """Sentence that must hold, and its verification.
+    """Sentence that must hold, and its verification."""
 
-    Attributes
-    ----------
-    identifier : str
-        "SR-" and a number, as in the page.
-    sentence : str
-        What must hold.
-    tests : tuple of str
-        File under `tests/`, `::` and the test's name; several of a file after commas.
-    mutants : tuple of str
-        Modules of which `make mutate` changes every comparison, constant and operator.
-    faults : tuple of str
-        Rows of the fault table by their name; `*` stands for any ending.
-    no_fault : str
-        Why no row of the fault table can verify it; empty where one does.
-    """
-
-    identifier: str
+    identifier: str  # "SR-" and a number, as in the page
     sentence: str
+    # File under `tests/`, `::` and the test's name; several of a file after commas
     tests: tuple[str, ...] = ()
+    # Modules of which `make mutate` changes every comparison, constant and operator
     mutants: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-    no_fault: str = ""
+    faults: tuple[str, ...] = ()  # Rows of the fault table by their name; `*` stands for any ending
+    no_fault: str = ""  # Why no row of the fault table can verify it; empty where one does
 
 
 _SAFETY: Final = "firmware_py.safety"
@@ -334,13 +320,7 @@ REQUIREMENTS: Final = (
 
 
 def rows_of(requirement: SafetyRequirement) -> Iterator[str]:
-    """Yield the names of the faults that verify a requirement.
-
-    Parameters
-    ----------
-    requirement : SafetyRequirement
-        The requirement.
-    """
+    """Yield the names of the faults that verify a requirement."""
     names = dict.fromkeys(row.fault for row in ROWS)
     for pattern in requirement.faults:
         yield from (name for name in names if fnmatchcase(name, pattern))

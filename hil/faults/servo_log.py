@@ -30,17 +30,7 @@ _READS: Final = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 
 
 class LoggedServo(EmulatedServo):
-    """Emulated servo that can be disturbed.
-
-    Attributes
-    ----------
-    angle_error_rad, current_error_a : float
-        Errors added to its measurements.
-    refuses_indirect : bool
-        Whether it keeps its indirect addresses as they are.
-    unheard_ns : int
-        Longest time for which it was driven without an instruction.
-    """
+    """Emulated servo that can be disturbed."""
 
     angle_error_rad = 0.0
     current_error_a = 0.0
@@ -82,7 +72,6 @@ class LoggedServo(EmulatedServo):
 
     @property
     def reported_rad(self) -> float:
-        """Angle that it reports."""
         return self.model.angle_rad(self.get(Register.PRESENT_POSITION))
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
@@ -119,74 +108,37 @@ class ServoFaults(Protocol):
     began_ns: int | None
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the faults of the next exchange.
-
-        Parameters
-        ----------
-        servos : sequence of LoggedServo
-            Servos in joint order.
-        now_ns : int
-            Time of the exchange.
-        """
+        """Begin and end the faults of the next exchange."""
         ...
 
 
 @dataclass(frozen=True)
 class ServoLog:
-    """Record of one run, kept by the servos.
+    """Record of one run, kept by the servos."""
 
-    Attributes
-    ----------
-    began_ns : int or None
-        When the first fault of line or servo began.
-    sample_ns, sample_rad : ndarray, shapes (n,), (n, dof)
-        Angles that they reported to the loop, and when.
-    goal_ns, goal_rad, stand_rad : ndarray, shapes (m,), (m, dof), (m, dof)
-        Goals that they received, when, and their angles then: NaN for a servo that did not accept
-        it, a row of infinities where the torque went off.
-    watched : bool
-        Whether they have a bus watchdog.
-    unheard_ns : int
-        Longest time for which one was driven without an instruction.
-    live, stopped_by_watchdog : bool
-        Whether one is still driven at the end; whether one was stopped by its watchdog.
-    drift_rad : float
-        Largest movement of one after its last instruction.
-    late_replies : int
-        Replies that left more than `LATE_NS` after they were due, because the host held their
-        process up; 0 in simulated time.
-    held_up_replies : int
-        Replies before which the host had held their process up for more than `LATE_NS` since the
-        last one, maybe before it read the instruction; 0 in simulated time.
-    """
-
-    began_ns: int | None
-    sample_ns: NDArray[np.int64]
+    began_ns: int | None  # When the first fault of line or servo began
+    sample_ns: NDArray[np.int64]  # Angles that they reported to the loop, and when
     sample_rad: Array
+    # Goals that they received, when, and their angles then: NaN for a servo that did not accept it,
+    # a row of infinities where the torque went off
     goal_ns: NDArray[np.int64]
     goal_rad: Array
     stand_rad: Array
-    watched: bool
-    unheard_ns: int
-    live: bool
+    watched: bool  # Whether they have a bus watchdog
+    unheard_ns: int  # Longest time for which one was driven without an instruction
+    live: bool  # Whether one is still driven at the end; whether one was stopped by its watchdog
     stopped_by_watchdog: bool
-    drift_rad: float
+    drift_rad: float  # Largest movement of one after its last instruction
+    # Replies that left more than `LATE_NS` after they were due, because the host held their process
+    # up; 0 in simulated time
     late_replies: int
+    # Replies before which the host had held their process up for more than `LATE_NS` since the last
+    # one, maybe before it read the instruction; 0 in simulated time
     held_up_replies: int = 0
 
 
 class LoggedBus(EmulatedBus):
-    """An emulated bus that records its traffic and applies scheduled faults.
-
-    Parameters
-    ----------
-    servos : sequence of LoggedServo
-        In joint order.
-    physics : Physics
-        With as many joints.
-    faults : ServoFaults
-        Called at every exchange of the running robot.
-    """
+    """An emulated bus that records its traffic and applies scheduled faults."""
 
     def __init__(
         self, servos: Sequence[LoggedServo], physics: Physics, faults: ServoFaults
@@ -235,12 +187,7 @@ class LoggedBus(EmulatedBus):
     def note_release(self, due_ns: int, written_ns: int, delay_ns: int = 0) -> None:
         """Account for a reply, in real time.
 
-        Parameters
-        ----------
-        due_ns, written_ns : int
-            When it was due, and when it left.
-        delay_ns : int
-            Time for which the host has held the process up since its start.
+        `delay_ns`: time for which the host has held the process up since its start.
         """
         self._held_up_replies += self.driven and delay_ns - self._delay_ns > LATE_NS
         self._delay_ns = delay_ns

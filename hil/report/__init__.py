@@ -26,57 +26,19 @@ __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
 
 def write_report(build: Path, out: Path) -> int:
-    """Write the report of a build directory; returns its size in bytes.
-
-    Parameters
-    ----------
-    build : Path
-        What `make demo` wrote, or a part of it.
-    out : Path
-        Page to write.
-
-    Raises
-    ------
-    InputError
-        If the directory is missing or a file in it is damaged.
-    """
+    """Write the report of a build directory; returns its size in bytes."""
     return _write(report_page(read_build(build)), out)
 
 
 def write_fault_report(document: FaultsDocument, out: Path) -> int:
-    """Write the page of a fault campaign; returns its size in bytes.
-
-    Parameters
-    ----------
-    document : FaultsDocument
-        Results of the campaign.
-    out : Path
-        Page to write.
-    """
+    """Write the page of a fault campaign; returns its size in bytes."""
     return _write(fault_page(document), out)
 
 
 def write_gap_report(
     directory: Path, plant: Path, hidden: Mapping[str, float], out: Path
 ) -> tuple[dict[str, Any], str]:
-    """Write the page of a gap; returns its figures for machines and for people.
-
-    Parameters
-    ----------
-    directory : Path
-        What was built around the diagnosis (see `hil.report.gap.gap_inputs`).
-    plant : Path
-        Plant that the diagnosis began with.
-    hidden : mapping of str to float
-        Effects that were hidden, each with its strength.
-    out : Path
-        Page to write.
-
-    Raises
-    ------
-    InputError
-        If something is missing or damaged.
-    """
+    """Write the page of a gap; returns its figures for machines and for people."""
     inputs = read_gap(directory, plant)
     data = before_after(inputs, hidden)
     _write(before_after_page(inputs, data, hidden), out)

@@ -38,80 +38,40 @@ _NAMED: Final = {"plant": "plant.json", "evaluation": "evaluate*.json", "check":
 
 @dataclass(frozen=True)
 class StudyFiles:
-    """Studies of a build directory.
+    """Studies of a build directory."""
 
-    Attributes
-    ----------
-    of_robot : dict of int to StudyDocument
-        By number of joints: the one that the robot's bundle holds.
-    apart : dict of int to StudyDocument
-        Of two joints and one phase each, by that phase in degrees.
-    left_out : list of str
-        Directories whose study has no place.
-    """
-
+    # By number of joints: the one that the robot's bundle holds
     of_robot: dict[int, StudyDocument] = field(default_factory=dict)
+    # Of two joints and one phase each, by that phase in degrees
     apart: dict[int, StudyDocument] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)  # Directories whose study has no place
 
 
 @dataclass(frozen=True)
 class BuildFiles:
-    """JSON files and directories of a build directory.
-
-    Attributes
-    ----------
-    plant : Path or None
-        The plant.
-    evaluations, checks : list of Path
-        Outputs of `models evaluate` and `fmu check`.
-    left_out : list of str
-        Plants beside the one that is taken.
-    """
+    """JSON files and directories of a build directory."""
 
     plant: Path | None
-    evaluations: list[Path]
+    evaluations: list[Path]  # Outputs of `models evaluate` and `fmu check`
     checks: list[Path]
-    left_out: list[str]
+    left_out: list[str]  # Plants beside the one that is taken
 
 
 def directories_with(directory: Path, name: str, usual: Sequence[str] = ()) -> list[Path]:
-    """Directories that hold a file: the one given and those in it, usual names first.
-
-    Parameters
-    ----------
-    directory : Path
-        Build directory.
-    name : str
-        Name of the file.
-    usual : sequence of str
-        Beginnings of names that come first.
-    """
+    """Directories that hold a file: the one given and those in it, usual names first."""
     found = [p for p in (directory, *directory.iterdir()) if (p / name).is_file()]
     return sorted(found, key=lambda p: (not p.name.startswith(tuple(usual)), p.name))
 
 
 def is_bundle(directory: Path) -> bool:
-    """Whether a directory holds the robot's bundle; one written for its study alone is none.
-
-    Parameters
-    ----------
-    directory : Path
-        With a study.
-    """
+    """Whether a directory holds the robot's bundle; one written for its study alone is none."""
     if directory.name.startswith(("bundle_", "study_")):
         return directory.name.startswith("bundle_")
     return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
 
 
 def find_files(directory: Path) -> BuildFiles:
-    """Sort the JSON files of a build directory.
-
-    Parameters
-    ----------
-    directory : Path
-        Build directory.
-    """
+    """Sort the JSON files of a build directory."""
     found: dict[str, list[Path]] = {kind: [] for kind in _KEYS}
     for path in sorted(directory.glob("*.json")):
         kind = next((k for k, pattern in _NAMED.items() if path.match(pattern)), _kind(path))
@@ -125,18 +85,7 @@ def find_files(directory: Path) -> BuildFiles:
 
 
 def find_studies(directory: Path) -> StudyFiles:
-    """Read the studies of a build directory.
-
-    Parameters
-    ----------
-    directory : Path
-        Build directory.
-
-    Raises
-    ------
-    InputError
-        If one is damaged.
-    """
+    """Read the studies of a build directory."""
     found = StudyFiles()
     for path in directories_with(directory, "study.json", ("bundle_",)):
         study = read_study(path / "study.json")

@@ -59,58 +59,27 @@ class CheckRow(msgspec.Struct, frozen=True):
 
 
 class FmuCheckOutput(msgspec.Struct, frozen=True):
-    """Output of `python -m fmu check --json`.
+    """Output of `python -m fmu check --json`."""
 
-    Attributes
-    ----------
-    fmi : int
-        Version of the standard.
-    bytes : int
-        Size of the file.
-    passed : bool
-        Whether every check passed.
-    checks : tuple of CheckRow
-        The checks.
-    parity : dict of str to float
-        Largest difference from the interpreted model by output, SI units.
-    parity_limit : float
-        Largest difference allowed.
-    step_us : dict of str to float
-        Time of a step in µs, by how it was called.
-    """
-
-    fmi: int
-    bytes: int
+    fmi: int  # Version of the standard
+    bytes: int  # Size of the file
     passed: bool
     checks: tuple[CheckRow, ...]
-    parity: dict[str, float]
+    parity: dict[str, float]  # Largest difference from the interpreted model by output, SI units
     parity_limit: float
-    step_us: dict[str, float]
+    step_us: dict[str, float]  # Time of a step in µs, by how it was called
 
 
 @dataclass(frozen=True)
 class LoopRun:
-    """Run of the control loop with its timing verdict.
+    """Run of the control loop with its timing verdict."""
 
-    Attributes
-    ----------
-    name : str
-        Directory that it came from.
-    timing : TimingDocument
-        `timing.json`.
-    ticks : dict of str to ndarray, or None
-        The recorded ticks by column, if the run kept them.
-    true_tip_m : ndarray, shape (n, 3), or None
-        True tip in each recorded tick.
-    phase_2_rad : float
-        Lead of joint 2.
-    """
-
-    name: str
+    name: str  # Directory that it came from
     timing: TimingDocument
+    # The recorded ticks by column, if the run kept them
     ticks: dict[str, NDArray[np.float64]] | None
-    true_tip_m: NDArray[np.float64] | None = None
-    phase_2_rad: float = 0.0
+    true_tip_m: NDArray[np.float64] | None = None  # (n, 3), true tip in each recorded tick
+    phase_2_rad: float = 0.0  # Lead of joint 2
 
     @property
     def dof(self) -> int | None:
@@ -133,43 +102,22 @@ class LoopRun:
 
 @dataclass(frozen=True)
 class BuildInputs:
-    """Content of a build directory.
+    """Content of a build directory."""
 
-    Attributes
-    ----------
-    studies, manifests : dict of int
-        Of the bundles, by dof.
-    motions : dict of str to StudyDocument
-        Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" if the phases
-        have no studies of their own.
-    plant : Plant or None
-        The identified plant.
-    evaluations : dict of str to Evaluation
-        Of the plant, by the trials that it was compared with.
-    checks : dict of str to FmuCheckOutput
-        Of FMUs, by name.
-    loops : list of LoopRun
-        Runs in real time first.
-    commands : list of str
-        Commands that wrote the directory.
-    faults : FaultsDocument or None
-        Fault campaign (`faults.json`).
-    predictors : dict of int to PredictorsDocument
-        Candidates for the robot's predictor, by dof, where they were compared.
-    left_out : list of str
-        What was found and has no place in the report, with the reason.
-    """
-
-    studies: dict[int, StudyDocument]
+    studies: dict[int, StudyDocument]  # Of the bundles, by dof
+    # Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" if the phases have no
+    # studies of their own
     motions: dict[str, StudyDocument]
     manifests: dict[int, Manifest]
     plant: Plant | None
-    evaluations: dict[str, Evaluation]
+    evaluations: dict[str, Evaluation]  # Of the plant, by the trials that it was compared with
     checks: dict[str, FmuCheckOutput]
-    loops: list[LoopRun]
-    commands: list[str]
+    loops: list[LoopRun]  # Runs in real time first
+    commands: list[str]  # Commands that wrote the directory
     faults: FaultsDocument | None = None
+    # Candidates for the robot's predictor, by dof, where they were compared
     predictors: dict[int, PredictorsDocument] = field(default_factory=dict)
+    # What was found and has no place in the report, with the reason
     left_out: list[str] = field(default_factory=list)
 
     @property
@@ -180,18 +128,6 @@ class BuildInputs:
 
 
 def read_build(directory: Path) -> BuildInputs:
-    """Read a build directory.
-
-    Parameters
-    ----------
-    directory : Path
-        What `make demo` wrote, or a part of it.
-
-    Raises
-    ------
-    InputError
-        If the directory is missing or a file in it is damaged.
-    """
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "run 'make demo' first")
     files, studies = find_files(directory), find_studies(directory)
@@ -236,20 +172,7 @@ def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
 
 
 def read_output(path: Path, kind: type[T]) -> T:
-    """Read what a command printed with --json.
-
-    Parameters
-    ----------
-    path : Path
-        File with the output.
-    kind : type
-        Struct that it holds.
-
-    Raises
-    ------
-    InputError
-        If it holds something else.
-    """
+    """Read what a command printed with --json."""
     remedy = "write it again"
     return convert(read_json(path, remedy), kind, path, "cannot be read", remedy)
 
@@ -280,10 +203,7 @@ def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation
 def read_loop(directory: Path) -> LoopRun:
     """Read the output directory of `hil sil`.
 
-    Parameters
-    ----------
-    directory : Path
-        With timing.json, and ticks.mcap and trial/ if the run kept them.
+    `directory`: with timing.json, and ticks.mcap and trial/ if the run kept them.
     """
     timing = read_timing(directory / "timing.json")
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
@@ -300,13 +220,7 @@ def read_loop(directory: Path) -> LoopRun:
 
 
 def read_commands(path: Path) -> list[str]:
-    """Read the commands of the last run, each once, in order.
-
-    Parameters
-    ----------
-    path : Path
-        Log of `make demo`; may be missing.
-    """
+    """Read the commands of the last run, each once, in order."""
     if not path.is_file():
         return []
     lines = [line.strip() for line in read_text(path, "make it again").splitlines()]

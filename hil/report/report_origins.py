@@ -41,13 +41,7 @@ def origin_table(inputs: BuildInputs) -> Table | None:
 
 
 def study_badges(studies: Mapping[str, StudyDocument]) -> dict[str, str]:
-    """Name of each study with the kind of its trials: "1DOF, simulated".
-
-    Parameters
-    ----------
-    studies : mapping of str to StudyDocument
-        By what they were trained on.
-    """
+    """Name of each study with the kind of its trials: "1DOF, simulated"."""
     kinds = {name: kind_of_origins(study_origins(study)) for name, study in studies.items()}
     return {name: f"{name}, {KIND_WORDS[kind].lower()}" for name, kind in kinds.items()}
 

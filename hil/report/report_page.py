@@ -49,13 +49,7 @@ LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", 
 
 
 def report_page(inputs: BuildInputs) -> str:
-    """The whole report as HTML.
-
-    Parameters
-    ----------
-    inputs : BuildInputs
-        Content of a build directory.
-    """
+    """The whole report as HTML."""
     lead = Paragraph(
         "Results for an inflatable drop-stitch link on one or two servos: the published study, "
         "predictors without motion capture, the identified plant and its FMUs, and the control "
@@ -79,13 +73,7 @@ def report_page(inputs: BuildInputs) -> str:
 
 
 def fault_page(document: FaultsDocument) -> str:
-    """The page of a fault campaign as HTML.
-
-    Parameters
-    ----------
-    document : FaultsDocument
-        Content of `faults.json`.
-    """
+    """The page of a fault campaign as HTML."""
     lead = Paragraph(
         "Faults of bus, servo, host and process, injected by name and seed while the arm moves: "
         "the required reaction beside the one observed.",

@@ -125,13 +125,7 @@ def _real_time_loop(inputs: BuildInputs, dof: int) -> LoopRun | None:
 
 
 def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
-    """Mean distance at the chosen degree over payloads; by phase if there are several.
-
-    Parameters
-    ----------
-    studies : mapping of str to StudyDocument
-        By what they were trained on.
-    """
+    """Mean distance at the chosen degree over payloads; by phase if there are several."""
     rows = []
     for name, study in studies.items():
         degree = str(study.chosen_degree)
@@ -164,13 +158,7 @@ def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
 
 
 def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
-    """Accuracy of the three estimators of DI on every test.
-
-    Parameters
-    ----------
-    studies : mapping of int to StudyDocument
-        By number of joints.
-    """
+    """Accuracy of the three estimators of DI on every test."""
     rows = []
     for dof, study in studies.items():
         for test, by_source in study.estimators.items():
@@ -196,13 +184,7 @@ def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """Errors of the identified plant by signal, with rigid kinematics for comparison.
-
-    Parameters
-    ----------
-    evaluations : mapping of str to Evaluation
-        By the trials that the plant was compared with.
-    """
+    """Errors of the identified plant by signal, with rigid kinematics for comparison."""
     parts = {
         f"{title}, {dof}DOF": part
         for title, evaluation in evaluations.items()
@@ -256,13 +238,7 @@ def parameter_table(plant: Plant) -> Table | None:
 
 
 def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
-    """Checks of every FMU, and the parity of every output.
-
-    Parameters
-    ----------
-    checks : mapping of str to FmuCheckOutput
-        By name of the FMU.
-    """
+    """Checks of every FMU, and the parity of every output."""
     kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
     rows: list[list[Cell]] = []
     for kind in kinds:

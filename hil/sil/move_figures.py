@@ -20,12 +20,8 @@ REST_FRACTION: Final = 0.2
 def move_figures(tip_m: Array, plan: TipPlan) -> tuple[MoveFigures, ...]:
     """Figures of each move in one run of a plan.
 
-    Parameters
-    ----------
-    tip_m : ndarray, shape (n, dof)
-        True tip at each row; NaN where it was not measured.
-    plan : TipPlan
-        That was run.
+    Shapes: `tip_m` (n, dof).
+    `tip_m`: true tip at each row; NaN where it was not measured.
     """
     found = []
     for first, over, after in plan.moves:

@@ -17,19 +17,7 @@ Array = NDArray[np.float64]
 def tip_of_runs_m(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> Array:
     """True tip at each row of a plan, one table per whole run, shape (runs, n, dof).
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype
-        Every tick.
-    truth : Truth
-        Record of the plant.
-    plan : TipPlan
-        That was run.
-
-    Returns
-    -------
-    ndarray, shape (runs, n, dof)
-        NaN where there was no fresh measurement.
+    Returns shape (runs, n, dof), naN where there was no fresh measurement.
     """
     tip = true_tip_m(records, truth)[:, : plan.dof]
     slot = records["tick"].astype(np.int64)
@@ -42,13 +30,7 @@ def tip_of_runs_m(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> Arr
 
 
 def path_errors(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> tuple[PathError, ...]:
-    """Error of each whole run of a plan.
-
-    Parameters
-    ----------
-    records, truth, plan
-        As for `tip_of_runs_m`.
-    """
+    """Error of each whole run of a plan."""
     desired, found = plan.desired_tip_m(), []
     for table in tip_of_runs_m(records, truth, plan):
         away = np.linalg.norm(table - desired, axis=1)

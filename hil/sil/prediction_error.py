@@ -27,18 +27,9 @@ NO_ERRORS: Final = TipErrors(
 def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
     """Tip at the moment that each tick measured, the second time where it read twice.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        Every tick.
-    truth : Truth
-        Record of the plant.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        NaN where no servo was asked or the answer is older than the tick: there the robot had no
-        fresh measurement to predict from.
+    Shapes: `records` (n,).
+    Returns shape (n, 3), naN where no servo was asked or the answer is older than the tick: there
+    the robot had no fresh measurement to predict from.
     """
     tip = np.full((len(records), 3), np.nan)
     if len(truth.time_ns) == 0:
@@ -58,12 +49,7 @@ def predicted_tip_m(records: NDArray[np.void]) -> Array:
 def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
     """Part of the programme that each time falls into.
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-        Times since the start.
-    programme : mapping of str to float
-        Durations of the parts in s, which repeat.
+    Shapes: `time_s` (n,).
     """
     ends_s = np.cumsum(list(programme.values()))
     # Half a microsecond: a slot's time is its number times the period, rounded.
@@ -76,15 +62,9 @@ def prediction_error(
 ) -> PredictionError:
     """Distance between the robot's prediction and the plant's tip over all fresh ticks.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        Every tick.
-    truth : Truth
-        Record of the plant.
-    programme : mapping of str to float, optional
-        Durations of the parts that the run repeats: the error by these parts is added, with the
-        controlled stop as a part of its own.
+    Shapes: `records` (n,).
+    `programme`: durations of the parts that the run repeats: the error by these parts is added,
+    with the controlled stop as a part of its own.
     """
     error_m = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.asarray(np.isfinite(error_m).all(axis=1))

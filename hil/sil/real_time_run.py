@@ -32,19 +32,7 @@ def run_in_real_time(
     specification: EmulatorSpecification,
     scratch: Path,
 ) -> SilResult:
-    """Run the loop in this process against an emulator in another.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    kind : {"pty", "socket"}
-        Port between the two.
-    specification : EmulatorSpecification
-        Servos, line and plant.
-    scratch : Path
-        Directory for the socket and for intermediate files.
-    """
+    """Run the loop in this process against an emulator in another."""
     loop_cpu, other_cpus = assign_processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()

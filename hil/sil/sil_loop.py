@@ -87,15 +87,7 @@ def build_sil_loop(
     telemetry: Telemetry,
     counters: Counters,
 ) -> ControlLoop:
-    """Return the robot's loop, which keeps every tick of the run.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    config, bus, clock, telemetry, counters
-        See `firmware_py.robot.build_loop`.
-    """
+    """Return the robot's loop, which keeps every tick of the run."""
     slots = options.slots
     options.bundle.assume_payload(config.payload_kg)
     goals: GoalSource | None = options.goals
@@ -112,15 +104,7 @@ def build_sil_loop(
 
 @contextlib.contextmanager
 def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
-    """Run the robot's recorder for as long as the block lasts.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    config : RobotConfig
-        Configuration of the robot, which the log repeats.
-    """
+    """Run the robot's recorder for as long as the block lasts."""
     # The observer is not told the payload, but whoever imports the log may know it.
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg),
@@ -140,17 +124,7 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
 
 
 def sil_environment(options: SilOptions, scheduler: str, **more: Any) -> SilEnvironment:
-    """Describe the machine and the line of a run.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    scheduler : str
-        Policy and priority of the loop.
-    **more
-        Fields that only some lines have.
-    """
+    """Describe the machine and the line of a run."""
     return SilEnvironment(
         **msgspec.structs.asdict(host_environment()),
         line=options.line,

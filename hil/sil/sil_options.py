@@ -147,17 +147,7 @@ class SilOptions:
 
 
 def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
-    """Return the configuration that the robot would have.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    port : str
-        Port that the robot opens.
-    cpu : int, optional
-        Processor to pin the loop to.
-    """
+    """Return the configuration that the robot would have."""
     link = options.link
     limits = Limits()  # the study's
     return RobotConfig(

@@ -16,17 +16,7 @@ from models.shared.svg_drawing import FILE_STYLE
 
 
 def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
-    """Draw the run as SVG.
-
-    Parameters
-    ----------
-    result : SilResult
-        The run.
-    timing : TimingVerdict
-        Its verdict.
-    path : Path
-        File to write.
-    """
+    """Draw the run as SVG."""
     records, truth = result.records, true_tip_m(result.records, result.outcome.truth)
     time_s, predicted = records["time_s"], predicted_tip_m(records)
     busy_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])

@@ -27,20 +27,7 @@ from models.trials.trial_files import write_trial
 
 
 def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
-    """Judge a run and write everything but the log, which the recorder wrote.
-
-    Parameters
-    ----------
-    result : SilResult
-        The run.
-    options : SilOptions
-        Its options; the files go to `options.out`.
-
-    Returns
-    -------
-    TimingDocument
-        Contents of `timing.json`.
-    """
+    """Judge a run and write everything but the log, which the recorder wrote."""
     out = options.out
     timing = timing_document(result, options)
     write_timing(out / "timing.json", timing)
@@ -54,15 +41,7 @@ def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
 
 
 def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
-    """Judge a run; return the contents of `timing.json`.
-
-    Parameters
-    ----------
-    result : SilResult
-        The run.
-    options : SilOptions
-        Its options.
-    """
+    """Judge a run; return the contents of `timing.json`."""
     summary, programme = result.summary, programme_s(options)
     stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
     verdict = judge_timing(

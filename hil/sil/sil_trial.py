@@ -22,13 +22,6 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
 
     The emulator has no markers: their cells stay empty. Slots that were skipped and ticks without
     fresh data are interpolated, and the notes count them, since a trial has a uniform time step.
-
-    Parameters
-    ----------
-    result : SilResult
-        The run.
-    options : SilOptions
-        Its options; its plant must be a link.
     """
     records = result.records
     tip = true_tip_m(records, result.outcome.truth)

@@ -17,15 +17,7 @@ from hil.timing.cpu_accounts import ProbeRecord, Releases
 
 
 def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecification) -> SilResult:
-    """Run the loop and the emulated servos on one simulated clock.
-
-    Parameters
-    ----------
-    options : SilOptions
-        Options of the run.
-    specification : EmulatorSpecification
-        Servos, line and plant.
-    """
+    """Run the loop and the emulated servos on one simulated clock."""
     clock = SimClock()
     line, truth = build_line(specification)
     config = sil_config(options, "virtual")

@@ -23,26 +23,17 @@ _NONE = np.zeros(0, np.int64)
 
 @dataclass(frozen=True)
 class ProbeRecord:
-    """Wake-ups of a probe on one processor.
+    """Wake-ups of a probe on one processor."""
 
-    Attributes
-    ----------
-    wake_ns, lateness_ns : ndarray, shape (n,)
-        Of the probe: when it woke and how long after its deadline.
-    own_ns : ndarray, shape (n,)
-        Processor time, since the wake-up before, of those processes of this program (the probe
-        among them) that may run on this processor beside the one that is observed.
-    period_ns : int
-        Of the probe.
-    privileged : bool
-        Whether the probe had its priority. Without it, it may have waited behind this program,
-        and proves nothing.
-    """
-
+    # (n,), of the probe: when it woke and how long after its deadline
     wake_ns: Nanoseconds = field(default_factory=_NONE.copy)
     lateness_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    # (n,), processor time, since the wake-up before, of those processes of this program (the probe
+    # among them) that may run on this processor beside the one that is observed
     own_ns: Nanoseconds = field(default_factory=_NONE.copy)
     period_ns: int = PROBE_PERIOD_NS
+    # Whether the probe had its priority. Without it, it may have waited behind this program, and
+    # proves nothing.
     privileged: bool = True
 
     @property
@@ -53,16 +44,8 @@ class ProbeRecord:
     def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Time within a window for which the processor stood still, in one stall or several.
 
-        Parameters
-        ----------
-        start_ns, end_ns : int
-            The window.
-
-        Returns
-        -------
-        (int, int)
-            What is certain: from the probe's deadline to its wake-up; and what is possible: from
-            its wake-up before, since when it saw nothing.
+        Returns what is certain: from the probe's deadline to its wake-up; and what is possible:
+        from its wake-up before, since when it saw nothing.
         """
         if not self.proves:
             return 0, 0
@@ -78,40 +61,22 @@ class ProbeRecord:
         return int(certain), int(possible)
 
     def own_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Processor time of this program that may fall into a window.
-
-        Parameters
-        ----------
-        start_ns, end_ns : int
-            The window.
-        """
+        """Processor time of this program that may fall into a window."""
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns))
         return int(self.own_ns[first : last + 1].sum())
 
 
 @dataclass(frozen=True)
 class Releases:
-    """Punctuality of the emulator, one row per packet.
+    """Punctuality of the emulator, one row per packet."""
 
-    Attributes
-    ----------
-    due_ns, written_ns : ndarray, shape (n,)
-        When the bytes were due at the host's end and when they were written there.
-    run_delay_ns : ndarray, shape (n,)
-        Run-queue delay of the emulator since the packet before.
-    """
-
+    # (n,), when the bytes were due at the host's end and when they were written there
     due_ns: Nanoseconds = field(default_factory=_NONE.copy)
     written_ns: Nanoseconds = field(default_factory=_NONE.copy)
+    # (n,), run-queue delay of the emulator since the packet before
     run_delay_ns: Nanoseconds = field(default_factory=_NONE.copy)
 
     def run_delay_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Run-queue delay of the emulator that may fall into a window.
-
-        Parameters
-        ----------
-        start_ns, end_ns : int
-            The window.
-        """
+        """Run-queue delay of the emulator that may fall into a window."""
         first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
         return int(self.run_delay_ns[first : last + 1].sum())

@@ -50,26 +50,14 @@ _OF_A_HOST: Final = {Fault.DATA, Fault.SLOTS}
 
 
 class Miss(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A tick that ended after its slot.
+    """A tick that ended after its slot."""
 
-    Attributes
-    ----------
-    tick : int
-        Number of its slot.
-    slots : int
-        Slots lost by it.
-    excess_ns, host_ns, bus_wait_ns : int
-        Time by which it was too slow; host time in it; its wait for the bus.
-    cause : Cause
-        Largest part of it.
-    """
-
-    tick: int
+    tick: int  # Number of its slot
     slots: int
-    excess_ns: int
+    excess_ns: int  # Time by which it was too slow; host time in it; its wait for the bus
     host_ns: int
     bus_wait_ns: int
-    cause: Cause
+    cause: Cause  # Largest part of it
 
 
 def host_time_ns(
@@ -77,19 +65,9 @@ def host_time_ns(
 ) -> tuple[Nanoseconds, Nanoseconds]:
     """Time of each tick in which the host had a processor that the loop was waiting for.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    loop_cpu, line_cpu : ProbeRecord
-        Probes on the processors of loop and emulator; may be empty.
-    releases : Releases
-        The emulator's own record; may be empty.
-
-    Returns
-    -------
-    (ndarray, ndarray), each of shape (n,)
-        Certain and possible time.
+    Shapes: `records` (n,).
+    `loop_cpu`, `line_cpu`: probes on the processors of loop and emulator; may be empty.
+    Returns shape (n,), certain and possible time.
     """
     host = np.zeros((len(records), 2), np.int64)
     waits = records["bus_wait_ns"]
@@ -116,14 +94,7 @@ def host_time_ns(
 def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int) -> list[Miss]:
     """Every tick that ended after its slot, with its cause.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    host_ns : ndarray, shape (n,)
-        Possible host time of each tick, see `host_time_ns`.
-    period_ns : int
-        Control period.
+    Shapes: `records` (n,), `host_ns` (n,).
     """
     excess = records["lateness_ns"] + records["busy_ns"] - period_ns
     skipped = np.append(records["missed"][1:], 0)  # by the tick in front of the gap
@@ -159,14 +130,8 @@ def stopped_by_host(
     before it, or where the wait for its data, less the host time, is no longer than that of a tick
     which got them.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        A run none of whose missed slots is the loop's own.
-    host_ns : ndarray, shape (n,)
-        Possible host time of each tick, see `host_time_ns`.
-    faults : collection of Fault
-        Kinds of fault that the supervisor saw.
+    Shapes: `records` (n,), `host_ns` (n,).
+    `records`: A run none of whose missed slots is the loop's own.
     """
     stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
     fresh = records["stale_ticks"] == 0

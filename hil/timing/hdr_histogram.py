@@ -23,23 +23,7 @@ _UNIT_NS: Final = 1_000
 def write_hgrm(path: Path, durations_ns: NDArray[np.int64]) -> None:
     """Write the percentiles of one series; an empty series gives an empty distribution.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    durations_ns : ndarray of int, shape (n,)
-        The series; negative durations count as zero.
-
-    Examples
-    --------
-    >>> write_hgrm(Path("tick.hgrm"), np.array([1_000, 2_000, 4_000]))
-    >>> print(Path("tick.hgrm").read_text())
-           Value     Percentile TotalCount 1/(1-Percentile)
-    ...
-           4.000 1.000000000000          3
-    #[Mean    =        2.333, StdDeviation   =        1.247]
-    #[Max     =        4.000, Total count    =            3]
-    #[Buckets =            1, SubBuckets     =            3]
+    Shapes: `durations_ns` (n,).
     """
     values = np.sort(np.maximum(durations_ns, 0))
     lines = [

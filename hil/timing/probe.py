@@ -35,12 +35,8 @@ _SPAWN = multiprocessing.get_context("spawn")
 class Probe:
     """Probe on one processor, running from its creation until `stop`.
 
-    Parameters
-    ----------
-    cpu : int
-        Processor to pin it to.
-    neighbours : sequence of int
-        Processes of this program that may run on the same processor beside the observed one.
+    `neighbours`: processes of this program that may run on the same processor beside the observed
+    one.
     """
 
     def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:

@@ -17,38 +17,20 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class HostEnvironment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Facts about a machine that a timing depends on.
-
-    Attributes
-    ----------
-    kernel, machine, python : str
-        Versions and architecture.
-    processors : int
-        Number of processors.
-    clock_source, governor, load_average : str
-        As the kernel reports them; "unknown" where it does not.
-    """
+    """Facts about a machine that a timing depends on."""
 
     kernel: str
     machine: str
     processors: int
     python: str
-    clock_source: str
+    clock_source: str  # As the kernel reports them; "unknown" where it does not
     governor: str
     load_average: str
 
 
 @contextlib.contextmanager
 def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
-    """Keep processors busy for as long as the block lasts.
-
-    Parameters
-    ----------
-    count : int
-        Processes of normal priority to run.
-    cpus : set of int
-        Processors that they may use.
-    """
+    """Keep processors busy for as long as the block lasts."""
     processes = [_SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
     for process in processes:
         process.start()

@@ -25,34 +25,18 @@ _PATIENCE_S: Final = 5.0
 
 
 class ReferenceJitter(Percentiles, frozen=True, kw_only=True):
-    """Lateness of a process that does nothing but wake, on the loop's processor.
+    """Lateness of a process that does nothing but wake, on the loop's processor."""
 
-    Attributes
-    ----------
-    period_ns : int
-        How often it wakes.
-    method : str
-        How it was measured.
-    above_the_loop : bool
-        Whether its priority was above the loop's.
-    """
-
-    period_ns: int
-    method: str
-    above_the_loop: bool
+    period_ns: int  # How often it wakes
+    method: str  # How it was measured
+    above_the_loop: bool  # Whether its priority was above the loop's
 
 
 class Cyclictest:
     """Running cyclictest, or none where it is not installed or may not run.
 
-    Parameters
-    ----------
-    cpu : int
-        Processor to pin it to.
-    period_s : float
-        How often it wakes: as often as the loop, so that both meet the same stalls of the host.
-    scratch : Path
-        Directory for its result.
+    `period_s`: how often it wakes: as often as the loop, so that both meet the same stalls of the
+    host.
     """
 
     def __init__(self, cpu: int, period_s: float, scratch: Path) -> None:
@@ -101,19 +85,8 @@ class Cyclictest:
 def histogram_percentiles(counts: dict[int, int], cycles: int, max_us: int) -> Percentiles:
     """Return the percentiles of a histogram in µs.
 
-    Parameters
-    ----------
-    counts : dict of int to int
-        Wake-ups by lateness in µs; those beyond its end are left out.
-    cycles : int
-        Wake-ups in all.
-    max_us : int
-        Largest lateness, which also stands for those beyond the histogram's end.
-
-    Examples
-    --------
-    >>> histogram_percentiles({10: 98}, 100, 70_000).p99_ns
-    70000000
+    `counts`: wake-ups by lateness in µs; those beyond its end are left out.
+    `max_us`: largest lateness, which also stands for those beyond the histogram's end.
     """
     found: dict[str, int] = {}
     seen, wanted = 0, dict(FRACTIONS)
@@ -138,13 +111,7 @@ def probe_jitter(probe: ProbeRecord) -> ReferenceJitter:
 
 @contextlib.contextmanager
 def cyclictest(cpu: int, period_s: float, scratch: Path) -> Iterator[Cyclictest]:
-    """Run one for as long as the block lasts.
-
-    Parameters
-    ----------
-    cpu, period_s, scratch
-        See `Cyclictest`.
-    """
+    """Run one for as long as the block lasts."""
     running = Cyclictest(cpu, period_s, scratch)
     try:
         yield running

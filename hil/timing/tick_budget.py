@@ -40,18 +40,10 @@ LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
 
 
 class PlanTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Times of one tick that follow from the bus plan.
-
-    Attributes
-    ----------
-    plan : str
-        Name of the plan.
-    transmission_ns, servo_ns, write_ns : int
-        Bits of the read; return delays of the servos; bits of the write.
-    """
+    """Times of one tick that follow from the bus plan."""
 
     plan: str
-    transmission_ns: int
+    transmission_ns: int  # Bits of the read; return delays of the servos; bits of the write
     servo_ns: int
     write_ns: int
 
@@ -81,54 +73,27 @@ class TickCost(Percentiles, frozen=True, kw_only=True):
 
 
 class ExchangeTime(Percentiles, frozen=True, kw_only=True):
-    """Read and write together, against the time that the plan gives them.
-
-    Attributes
-    ----------
-    plan_ns : int
-        Time by the plan.
-    ratio_p50 : float
-        Median against it.
-    until_goals_arrived_ratio_p50 : float
-        The same with the transmission of the goals, which the loop does not wait for.
-    """
+    """Read and write together, against the time that the plan gives them."""
 
     plan_ns: int
     ratio_p50: float
+    # The same with the transmission of the goals, which the loop does not wait for
     until_goals_arrived_ratio_p50: float
 
 
 class TickBudget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Time of the ticks of a run, by where it went.
+    """Time of the ticks of a run, by where it went."""
 
-    Attributes
-    ----------
-    budget : dict of str to StageBudget
-        By stage; the read without its wait.
-    read : dict of str to Percentiles
-        Parts of the read: own, transmission, servo, wait.
-    slack : Slack
-        What is left of the period.
-    high_water_mark_ns : int
-        Longest tick, its lateness included.
-    read_again, without_data : TickCost
-        Ticks in which a second read replaced a lost or damaged answer, and in which it did not.
-    cpu_fraction : float
-        Fraction of the time in which the loop computes.
-    exchange : ExchangeTime
-        Read and write.
-    lateness_against_reference : dict of str to float
-        Ratio of the loop's lateness to the reference jitter, by percentile.
-    """
-
-    budget: dict[str, StageBudget]
-    read: dict[str, Percentiles]
-    slack: Slack
-    high_water_mark_ns: int
+    budget: dict[str, StageBudget]  # By stage; the read without its wait
+    read: dict[str, Percentiles]  # Parts of the read: own, transmission, servo, wait
+    slack: Slack  # What is left of the period
+    high_water_mark_ns: int  # Longest tick, its lateness included
+    # Ticks in which a second read replaced a lost or damaged answer, and in which it did not
     read_again: TickCost
     without_data: TickCost
-    cpu_fraction: float
+    cpu_fraction: float  # Fraction of the time in which the loop computes
     exchange: ExchangeTime
+    # Ratio of the loop's lateness to the reference jitter, by percentile
     lateness_against_reference: dict[str, float]
 
 
@@ -147,16 +112,7 @@ def measure_budget(
 ) -> TickBudget:
     """Account for the time of every tick.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    period_s : float
-        Control period.
-    plan : PlanTimes
-        Times that follow from the bus plan.
-    reference : Percentiles
-        Reference jitter beside the run.
+    Shapes: `records` (n,).
     """
     period_ns = round(period_s * 1e9)
     own_ns = records["busy_ns"] - records["bus_wait_ns"]

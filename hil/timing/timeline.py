@@ -31,16 +31,7 @@ def write_timeline(
 ) -> None:
     """Write the trace of a run.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    loop_cpu : ProbeRecord
-        The probe on the loop's processor.
-    period_ns : int
-        Control period.
+    Shapes: `records` (n,).
     """
     shown = select_ticks(records, period_ns)
     origin_ns = int(records["deadline_ns"][0]) if len(records) else 0
@@ -56,12 +47,7 @@ def write_timeline(
 def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
     """Mask of the ticks to show: all of a short run, the longest and missed ones of a long one.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        The run.
-    period_ns : int
-        Control period.
+    Shapes: `records` (n,).
     """
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)

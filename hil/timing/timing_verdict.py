@@ -40,21 +40,13 @@ PREEMPTED_FRACTION: Final = 0.01
 
 
 class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits and targets that a run is held against.
-
-    Attributes
-    ----------
-    period_ns : int
-        Control period.
-    own_cost_p50_ns, own_cost_p99_ns : int
-        Targets for a tick without its wait for the bus; reported, not judged.
-    preempted_fraction : float
-        Fraction of preempted ticks above which the run is inconclusive.
-    """
+    """Limits and targets that a run is held against."""
 
     period_ns: int
+    # Targets for a tick without its wait for the bus; reported, not judged
     own_cost_p50_ns: int = OWN_COST_P50_NS
     own_cost_p99_ns: int = OWN_COST_P99_NS
+    # Fraction of preempted ticks above which the run is inconclusive
     preempted_fraction: float = PREEMPTED_FRACTION
 
 
@@ -72,59 +64,31 @@ class HostTime(Percentiles, frozen=True, kw_only=True):
 
 
 class TimingVerdict(Document, frozen=True, kw_only=True):
-    """Verdict on the timing of a run; the first part of `timing.json`.
-
-    Attributes
-    ----------
-    verdict, reason : Verdict, str
-        Result, and one sentence that explains it.
-    stopped : str
-        Reason for which the safety supervisor stopped the robot; empty where it did not.
-    interrupted : str
-        Signal that ended the run early, and after how many slots; empty where none did.
-    budget : TimingTargets
-        Limits and targets.
-    slots, ticks : int
-        Slots of the run, lost ones included; ticks that ran.
-    stages : dict of str to Percentiles
-        By stage of the tick.
-    tick, own_cost, bus_wait, lateness : Percentiles
-        Whole tick; tick without its wait for the bus; that wait; lateness of the wake-up.
-    host : HostTime
-        Certain host time.
-    misses, own_misses : int
-        Slots lost; those not attributed to the host.
-    longest_run_of_misses : int
-        Slots lost in a row.
-    causes : dict of Cause to int
-        Slots lost by cause.
-    missed : tuple of Miss
-        Every tick that ended after its slot.
-    miss_rate_upper_bound_95, own_miss_rate_upper_bound_95 : float
-        Upper bounds on the miss rates with 95 % confidence.
-    """
+    """Verdict on the timing of a run; the first part of `timing.json`."""
 
     VERSION: ClassVar[int] = 2
 
-    verdict: Verdict
+    verdict: Verdict  # Result, and one sentence that explains it
     reason: str
-    stopped: str
+    stopped: str  # Reason for which the safety supervisor stopped the robot; empty where it did not
+    # Signal that ended the run early, and after how many slots; empty where none did
     interrupted: str = ""
     budget: TimingTargets
-    slots: int
+    slots: int  # Slots of the run, lost ones included; ticks that ran
     ticks: int
-    stages: dict[str, Percentiles]
+    stages: dict[str, Percentiles]  # By stage of the tick
+    # Whole tick; tick without its wait for the bus; that wait; lateness of the wake-up
     tick: Percentiles
     own_cost: OwnCost
     bus_wait: Percentiles
     lateness: Percentiles
     host: HostTime
-    misses: int
+    misses: int  # Slots lost; those not attributed to the host
     own_misses: int
-    longest_run_of_misses: int
-    causes: dict[Cause, int]
-    missed: tuple[Miss, ...]
-    miss_rate_upper_bound_95: float
+    longest_run_of_misses: int  # Slots lost in a row
+    causes: dict[Cause, int]  # Slots lost by cause
+    missed: tuple[Miss, ...]  # Every tick that ended after its slot
+    miss_rate_upper_bound_95: float  # Upper bounds on the miss rates with 95 % confidence
     own_miss_rate_upper_bound_95: float
 
 
@@ -140,22 +104,9 @@ def judge_timing(
 ) -> TimingVerdict:
     """Judge the timing of a run.
 
-    Parameters
-    ----------
-    records : ndarray of tick_dtype, shape (n,)
-        Every tick of the run, in order.
-    period_s : float
-        Control period.
-    loop_cpu, line_cpu : ProbeRecord, optional
-        Probes on the processors of loop and emulator.
-    releases : Releases, optional
-        The emulator's own record.
-    stopped : str
-        Why the safety supervisor stopped the robot; empty where it did not.
-    faults : collection of Fault
-        Kinds of fault that it saw.
-    interrupted : str
-        Signal that ended the run early, and after how many slots; empty where none did.
+    Shapes: `records` (n,).
+    `stopped`: why the safety supervisor stopped the robot; empty where it did not.
+    `interrupted`: signal that ended the run early, and after how many slots; empty where none did.
     """
     targets = TimingTargets(period_ns=round(period_s * 1e9))
     certain_ns, possible_ns = host_time_ns(
@@ -234,15 +185,7 @@ def _decide(
 
 
 def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
-    """Return the verdict as JUnit XML: one case per question.
-
-    Parameters
-    ----------
-    timing : TimingVerdict
-        The verdict.
-    facts : mapping, optional
-        Facts about machine and line, added as properties.
-    """
+    """Return the verdict as JUnit XML: one case per question."""
     own = [miss for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
     inconclusive = timing.verdict is Verdict.INCONCLUSIVE
     stopped = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL

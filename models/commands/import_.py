@@ -74,14 +74,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import every take and check the written trials as any other.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used, the import of a single take is refused, an option belongs to one
-        take only, or a trial would replace a file that is read.
-    """
+    """Import every take and check the written trials as any other."""
     mapping = read_mapping(args.map)
     takes = find_takes(args.file, args.kind, mapping)
     single = args.name or takes[0].file.stem
@@ -223,7 +216,6 @@ def _with_log(
 
 
 def _described(result: dict[str, Any]) -> str:
-    """Result for people."""
     text = (
         f"{result['trial']}: {result['rows']} rows of "
         f"{DURATION.factor * result['step_s']:.3g} ms, {result['rest_samples']} at rest"

@@ -46,24 +46,12 @@ PAYLOAD_STEP_KG: Final = 0.05
 
 
 class _Question(NamedTuple):
-    """What is asked for one option.
-
-    Attributes
-    ----------
-    words : str
-        The question.
-    empty : object
-        What an empty answer takes, shown in brackets.
-    kind : callable
-        Converts an answer; raises ValueError.
-    choices : tuple
-        Answers that there are; empty for any.
-    """
+    """What is asked for one option."""
 
     words: str
-    empty: Any
-    kind: Callable[[str], Any] = float
-    choices: tuple[Any, ...] = ()
+    empty: Any  # What an empty answer takes, shown in brackets
+    kind: Callable[[str], Any] = float  # Converts an answer; raises ValueError
+    choices: tuple[Any, ...] = ()  # Answers that there are; empty for any
 
 
 _QUESTIONS: Final = {
@@ -111,13 +99,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask where nothing is given, check, write, and say what follows from it.
-
-    Raises
-    ------
-    InputError
-        If the file exists, or a value cannot be.
-    """
+    """Ask where nothing is given, check, write, and say what follows from it."""
     if args.link.exists() and not args.force:
         raise InputError(args.link, "exists", "name another file, or add --force")
     given = any(getattr(args, key) is not None for key in _QUESTIONS)

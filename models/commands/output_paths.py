@@ -12,22 +12,8 @@ from firmware_py.errors import InputError
 def check_output_directory(
     path: Path, names: Iterable[str] = (), inputs: Iterable[Path] = ()
 ) -> None:
-    """Refuse a directory that cannot be written, or in which a file that is read would be replaced.
-
-    Parameters
-    ----------
-    path : Path
-        Directory; made later if need be.
-    names : iterable of str
-        Files that the command writes there.
-    inputs : iterable of Path
-        Files that the command reads.
-
-    Raises
-    ------
-    InputError
-        If it is a file, lies under one or in a directory that may not be written, or would get a
-        file that is one of the inputs.
+    """Refuse a directory that cannot be written, or in which a file that is read would be
+    replaced.
     """
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
@@ -41,21 +27,7 @@ def check_output_directory(
 
 
 def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
-    """Refuse a file that cannot be written, or that the command reads.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    inputs : iterable of Path
-        Files that the command reads.
-
-    Raises
-    ------
-    InputError
-        If it is a directory or one of the inputs, or lies under a file or in a directory that may
-        not be written.
-    """
+    """Refuse a file that cannot be written, or that the command reads."""
     if path.is_dir():
         raise InputError(f"--out {path}", "is a directory", "name a file")
     if any(is_same_file(path, own) for own in inputs):
@@ -64,13 +36,7 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def is_same_file(a: Path, b: Path) -> bool:
-    """Whether two paths lead to one file or directory, also where a link or the case differs.
-
-    Parameters
-    ----------
-    a, b : Path
-        Of a file that is there, or not yet.
-    """
+    """Whether two paths lead to one file or directory, also where a link or the case differs."""
     return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
 
 

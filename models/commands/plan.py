@@ -236,15 +236,7 @@ def _result(plan: TipPlan, out: Path) -> dict[str, Any]:
 
 
 def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
-    """What a plan holds, as text.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    out, picture : Path
-        Its files.
-    """
+    """What a plan holds, as text."""
     lines = [
         f"{out}: {plan.path}, {plan.method}, {plan.duration_s:.1f} s with rest and ways, "
         f"{plan.dof}DOF",

@@ -43,13 +43,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the bundle, sign its manifest, print the public key.
-
-    Raises
-    ------
-    InputError
-        If the bundle is refused, or the key is missing, exists already or is of another kind.
-    """
+    """Check the bundle, sign its manifest, print the public key."""
     ModelBundle.load(args.bundle)  # nobody signs what the robot would refuse
     key = make_key(args.key) if args.new_key else read_key(args.key)
     public = sign_bundle(args.bundle, key)
@@ -63,15 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def sign_bundle(directory: Path, key: Ed25519PrivateKey) -> str:
-    """Sign the manifest of a bundle; return the public key.
-
-    Parameters
-    ----------
-    directory : Path
-        The bundle.
-    key : Ed25519PrivateKey
-        Private key.
-    """
+    """Sign the manifest of a bundle; return the public key."""
     manifest = content_of(directory / MANIFEST)
     public = key_text(key.public_key().public_bytes_raw())
     signature = base64.b64encode(key.sign(signed_message(manifest))).decode()
@@ -83,18 +69,7 @@ def sign_bundle(directory: Path, key: Ed25519PrivateKey) -> str:
 
 
 def make_key(path: Path) -> Ed25519PrivateKey:
-    """Make a private key that only its owner can read.
-
-    Parameters
-    ----------
-    path : Path
-        File to write, PKCS #8 in PEM, not encrypted.
-
-    Raises
-    ------
-    InputError
-        If the file exists or cannot be written.
-    """
+    """Make a private key that only its owner can read."""
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -126,18 +101,7 @@ def _passphrase(path: Path) -> str:
 
 
 def read_key(path: Path) -> Ed25519PrivateKey:
-    """Read a private key; one that is encrypted asks for its passphrase.
-
-    Parameters
-    ----------
-    path : Path
-        PEM (PKCS #8) or OpenSSH.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is no private key or one of another kind.
-    """
+    """Read a private key; one that is encrypted asks for its passphrase."""
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import (

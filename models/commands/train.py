@@ -167,20 +167,7 @@ def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
 
 
 def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:
-    """Refuse a test trial that the robot's predictor is trained on.
-
-    Parameters
-    ----------
-    training : sequence of Trial
-        Of further motions.
-    tests : sequence of Trial
-        All tests.
-
-    Raises
-    ------
-    InputError
-        If a trial is in both, under whatever name.
-    """
+    """Refuse a test trial that the robot's predictor is trained on."""
     trained = {t.sha256() for t in training}
     for t in tests:
         if t.sha256() in trained:
@@ -190,22 +177,6 @@ def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:
 
 
 def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
-    """Return the trials of one dof.
-
-    Parameters
-    ----------
-    trials : TrialSet
-        Trials of any dof.
-    dof : int
-        Number of joints.
-    where : Path
-        Directory of the trials, for the message.
-
-    Raises
-    ------
-    InputError
-        If there is none.
-    """
     chosen = trials.where(lambda t: t.meta.dof == dof)
     if not chosen:
         raise InputError(where, f"holds no trial of {dof}DOF", f"simulate with --dof {dof}")
@@ -215,19 +186,7 @@ def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
 def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path) -> TrialSet:
     """Return all 1DOF trials, and the 2DOF trials at the given phases of joint 2.
 
-    Parameters
-    ----------
-    trials : TrialSet
-        Trials of any dof.
-    phases_deg : sequence of float or None
-        Phases in degrees; None keeps every trial.
-    where : Path
-        Directory of the trials, for the message.
-
-    Raises
-    ------
-    InputError
-        If no trial has one of the phases.
+    `phases_deg`: phases in degrees; None keeps every trial.
     """
     if not phases_deg:
         return trials
@@ -247,18 +206,7 @@ def phase_deg(trial: Trial) -> int:
 
 
 def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
-    """Refuse trials of different time steps: the predictor has one period.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Training and test trials.
-
-    Raises
-    ------
-    InputError
-        If a trial has another time step than the first.
-    """
+    """Refuse trials of different time steps: the predictor has one period."""
     step_s = trials[0].step_s
     for t in trials:
         if abs(t.step_s - step_s) > STEP_TOLERANCE * step_s:
@@ -271,18 +219,8 @@ def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
 def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, TrialSet]:
     """Sort held-out trials into named tests.
 
-    Parameters
-    ----------
-    training : TrialSet
-        Trials that the predictors are trained on.
-    held_out : tuple of Trial
-        All other trials.
-
-    Returns
-    -------
-    dict of str to TrialSet
-        "trial_2" (repetition of the training motion), "unseen_20deg" (another amplitude),
-        "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
+    Returns "trial_2" (repetition of the training motion), "unseen_20deg" (another amplitude),
+    "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
     """
 
     def is_one_motion(a: Trial, b: Trial) -> bool:
@@ -305,19 +243,7 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
 def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str, TrialSet]) -> None:
     """Refuse an unseen trial that the plant, or a plant before it, was fitted to.
 
-    Parameters
-    ----------
-    provenance : Provenance
-        Of the plant.
-    where : Path or str
-        Plant document, for the message.
-    tests : mapping of str to TrialSet
-        As `name_tests` sorts them; those whose name begins with "unseen" are checked.
-
-    Raises
-    ------
-    InputError
-        If the provenance holds the hash of such a trial, under whatever name.
+    `tests`: as `name_tests` sorts them; those whose name begins with "unseen" are checked.
     """
     for name, trials in tests.items():
         for t in trials if name.startswith("unseen") else ():

@@ -282,19 +282,7 @@ def all_fit_parameters(
     catalogue: Sequence[str],
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> list[FitParameter]:
-    """Fit parameters of nuisance, trial variation and every effect of a catalogue.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    trials : sequence of Trial
-        Of one number of joints.
-    catalogue : sequence of str
-        Effects.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Fit parameters of nuisance, trial variation and every effect of a catalogue."""
     own = trials[0].meta.dof, settings.separate_joints
     effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, *own)]
     return nuisance_and_variation(plant, trials, settings) + effects
@@ -304,13 +292,6 @@ def plant_is_known(plant: Plant, trials: TrialSet) -> bool:
     """Whether a plant of another load than the link was identified, and on none of some trials.
 
     The values of the link may change from day to day, within priors of their own.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    trials : TrialSet
-        As recorded.
     """
     provenance = plant.provenance
     elsewhere = provenance.fitted_trials and not any(map(provenance.was_fitted_to, trials))

@@ -18,33 +18,15 @@ PATH: Final = Path(__file__).with_name("equation_error.json")
 
 
 class EquationError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Root mean square error of strengths beyond chance, as a fraction of the strength.
+    """Root mean square error of strengths beyond chance, as a fraction of the strength."""
 
-    Attributes
-    ----------
-    strengths : int
-        Rightly named effects that it was measured on.
-    general : float
-        Of all of them.
-    port : dict of str to float
-        Of the effects of one port.
-    effect : dict of str to float
-        Of single effects.
-    """
-
-    strengths: int
+    strengths: int  # Rightly named effects that it was measured on
     general: float
     port: dict[str, float]
     effect: dict[str, float]
 
     def fraction(self, effect: str) -> float:
-        """Error of an effect's strength: its own, that of its port, or that of all.
-
-        Parameters
-        ----------
-        effect : str
-            Name in the catalogue.
-        """
+        """Error of an effect's strength: its own, that of its port, or that of all."""
         return self.effect.get(effect, self.port.get(EFFECTS[effect].port, self.general))
 
 

@@ -20,37 +20,12 @@ MENU: Final[dict[str, Kind]] = {
 
 
 def motion_like(meta: TrialMeta, kind: Kind) -> Motion:
-    """Motion of a kind, with amplitude, period and phase of a trial.
-
-    Parameters
-    ----------
-    meta : TrialMeta
-        Conditions of that trial.
-    kind : str
-        Of the motion.
-
-    Raises
-    ------
-    InputError
-        If these are outside what a motion may have.
-    """
+    """Motion of a kind, with amplitude, period and phase of a trial."""
     return Motion(kind, meta.amplitude_rad, meta.period_s, meta.phase_2_rad, meta.dof)
 
 
 def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: int) -> Trial:
-    """Trial of a motion before it is run: conditions and goals; the angles are the goals.
-
-    Parameters
-    ----------
-    like : Trial
-        Of the same robot.
-    motion : Motion
-        To run.
-    payload_kg : float
-        Payload.
-    rest_samples : int
-        Rows at rest before it.
-    """
+    """Trial of a motion before it is run: conditions and goals; the angles are the goals."""
     goal_rad = motion.table_rad(rest_samples=rest_samples)
     columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
     for j in range(motion.dof):

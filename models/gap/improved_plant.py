@@ -33,20 +33,7 @@ def improved_plant(
     Where nothing was named and the link did not change, or what was named may not be written, the
     values stay as they are. Of several named effects those that were fitted there are written.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run.
-    point : FitPoint
-        Accepted fit.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted there.
-    trials : TrialSet
-        Where the gap was looked for.
+    Shapes: `free` (p,).
     """
     origin = plant.provenance
     written = bool(np.any(free))
@@ -76,16 +63,7 @@ def written_values(
 ) -> dict[str, float]:
     """Value of every parameter of a plant that was fitted for all trials.
 
-    Parameters
-    ----------
-    full : Plant
-        As given, with the named effects.
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    values : ndarray, shape (p,)
-        Their values.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted.
+    Shapes: `values` (p,), `free` (p,).
     """
     changed: dict[str, float] = {}
     for k, name, weight in _moved(full, fit_parameters, free):

@@ -10,40 +10,22 @@ from models.gap.search.candidate import SearchResult
 
 @dataclass(frozen=True)
 class Inclusion:
-    """One turn of the effect search that included something.
+    """One turn of the effect search that included something."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        One effect, or a pair; of a pair of which one was taken out again the other one.
-    kept : bool
-        Whether they are named in the end.
-    separation, least : float
-        Their d′, and the least that they need.
-    held_out_gain, held_out_error : float
-        Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors,
-        and what it must exceed.
-    look_alikes : tuple of LookAlike
-        Effects that these trials cannot tell from them.
-    """
-
+    # One effect, or a pair; of a pair of which one was taken out again the other one
     effects: tuple[str, ...]
-    kept: bool
-    separation: float
+    kept: bool  # Whether they are named in the end
+    separation: float  # Their d′, and the least that they need
     least: float
+    # Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors, and
+    # what it must exceed
     held_out_gain: float
     held_out_error: float
-    look_alikes: tuple[LookAlike, ...]
+    look_alikes: tuple[LookAlike, ...]  # Effects that these trials cannot tell from them
 
 
 def inclusions_of(result: SearchResult) -> tuple[Inclusion, ...]:
-    """Inclusions of an effect search, in order.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the whole search.
-    """
+    """Inclusions of an effect search, in order."""
     return tuple(_inclusion(result, turn) for turn in range(len(result.chosen)))
 
 

@@ -34,21 +34,11 @@ taken up as their median at first: what varies is a fraction of the larger value
 
 @dataclass(frozen=True)
 class VariationDifference:
-    """Difference of two repetitions in one kind of variation.
-
-    Attributes
-    ----------
-    trials : tuple of int
-        Their indices.
-    variation : str
-        Kind, see `models.gap.residuals.fit_parameters.trial_fit_parameters`.
-    standard_deviations : float
-        Its size in standard deviations of such a difference.
-    """
+    """Difference of two repetitions in one kind of variation."""
 
     trials: tuple[int, int]
     variation: str
-    standard_deviations: float
+    standard_deviations: float  # Its size in standard deviations of such a difference
 
 
 def disturbed_trials(
@@ -56,12 +46,7 @@ def disturbed_trials(
 ) -> tuple[OddTrial, ...]:
     """Trials that are no matter of the robot: by what is left of them, else by how they vary.
 
-    Parameters
-    ----------
-    estimator, point
-        As for `models.gap.odd_trials.odd_trials`.
-    floor : NoiseFloor
-        Of these trials, without what was added for the gap.
+    `floor`: of these trials, without what was added for the gap.
     """
     odd = odd_trials(estimator, point)
     return odd or odd_repetitions(estimator.residuals, point.values, floor)
@@ -70,14 +55,8 @@ def disturbed_trials(
 def odd_repetitions(residuals: Residuals, values: Array, floor: NoiseFloor) -> tuple[OddTrial, ...]:
     """Disturbed one of the two repetitions that differ most; none where all differ as usual.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the trials.
-    values : ndarray, shape (p,)
-        Of all fit parameters, with link, set-up and variation refitted.
-    floor : NoiseFloor
-        Of these trials.
+    Shapes: `values` (p,).
+    `values`: of all fit parameters, with link, set-up and variation refitted.
     """
     settings, trials = residuals.settings, residuals.trials
     found = differing_repetitions(residuals, values)
@@ -95,13 +74,7 @@ def odd_repetitions(residuals: Residuals, values: Array, floor: NoiseFloor) -> t
 
 
 def differing_repetitions(residuals: Residuals, values: Array) -> list[VariationDifference]:
-    """Largest difference of every two repetitions, the largest of all first.
-
-    Parameters
-    ----------
-    residuals, values
-        As for `odd_repetitions`.
-    """
+    """Largest difference of every two repetitions, the largest of all first."""
     by_trial: list[dict[str, float]] = [{} for _ in residuals.trials]
     rows = list(zip(residuals.fit_parameters, values.tolist(), strict=True))
     for q, value in rows:

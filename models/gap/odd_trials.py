@@ -21,28 +21,18 @@ from models.trials.trial import TrialSet
 
 @dataclass(frozen=True)
 class OddTrial:
-    """A trial that is left out of a diagnosis.
-
-    Attributes
-    ----------
-    name, path : str
-        Of the trial, and of its file.
-    payload_kg : float
-        As its conditions say.
-    floors, floors_of_comparable : float
-        Root mean square of its difference from the plant in noise floors, and that of its
-        repetitions, or of the other trials of its motion where there are none; 0 where its
-        variation is odd.
-    variation, standard_deviations : str, float
-        Kind of variation in which it differs from its repetition, and by how many standard
-        deviations (`models.gap.odd_repetitions`); none where its difference from the plant is odd.
-    """
+    """A trial that is left out of a diagnosis."""
 
     name: str
     path: str
-    payload_kg: float
+    payload_kg: float  # As its conditions say
+    # Root mean square of its difference from the plant in noise floors, and that of its
+    # repetitions, or of the other trials of its motion where there are none; 0 where its variation
+    # is odd
     floors: float = 0.0
     floors_of_comparable: float = 0.0
+    # Kind of variation in which it differs from its repetition, and by how many standard deviations
+    # (`models.gap.odd_repetitions`); none where its difference from the plant is odd
     variation: str = ""
     standard_deviations: float = 0.0
 
@@ -52,13 +42,6 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
 
     By `GapSettings.odd_repetition_ratio` above their repetitions, else by `odd_trial_ratio`. At
     most a third of a motion's trials can be odd; these are the ones that differ most.
-
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    point : FitPoint
-        With link and set-up refitted.
     """
     trials, settings = estimator.residuals.trials, estimator.settings
     found: list[OddTrial] = []

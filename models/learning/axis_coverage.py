@@ -20,53 +20,22 @@ COVERS: Final = "interval covers in %, mean / worst axis"
 
 
 class AxisCoverage(NamedTuple):
-    """Fraction of the rows inside an interval.
+    """Fraction of the rows inside an interval."""
 
-    Attributes
-    ----------
-    mean : float
-        Over the axes that move.
-    least : float
-        On the worst of these axes.
-    """
-
-    mean: float
-    least: float
+    mean: float  # Over the axes that move
+    least: float  # On the worst of these axes
 
 
 def axis_coverage(inside: NDArray[np.bool_], dof: int) -> AxisCoverage:
     """Return mean and least coverage over the axes that move.
 
-    Parameters
-    ----------
-    inside : ndarray of bool, shape (n, 3)
-        Whether each row is covered, by axis; at least one row.
-    dof : int
-        Number of joints.
-
-    Examples
-    --------
-    >>> inside = np.array([[True, True, False], [False, True, True], [True, True, False]])
-    >>> axis_coverage(inside, dof=1)
-    AxisCoverage(mean=0.5, least=0.3333333333333333)
+    Shapes: `inside` (n, 3).
+    `inside`: whether each row is covered, by axis; at least one row.
     """
     by_axis = inside[:, list(MOVING_AXES[dof])].mean(axis=0)
     return AxisCoverage(float(by_axis.mean()), float(by_axis.min()))
 
 
 def coverage_text(mean: float, least: float) -> str:
-    """Return both in %, as the tables show them.
-
-    Parameters
-    ----------
-    mean : float
-        Over the axes that move.
-    least : float
-        On the worst of them.
-
-    Examples
-    --------
-    >>> coverage_text(0.895, 0.77)
-    '89.5 / 77.0'
-    """
+    """Return both in %, as the tables show them."""
     return f"{FRACTION.number(mean, 1)} / {FRACTION.number(least, 1)}"

@@ -18,13 +18,7 @@ OPSET: Final = 13
 
 
 class GraphWriter:
-    """Writer of nodes and constants into skl2onnx's container, under stable, unique names.
-
-    Parameters
-    ----------
-    scope, container
-        Of a skl2onnx converter.
-    """
+    """Writer of nodes and constants into skl2onnx's container, under stable, unique names."""
 
     def __init__(self, scope: Any, container: Any) -> None:
         self.scope, self.container = scope, container

@@ -31,24 +31,11 @@ def lagged_features(
 ) -> Array:
     """Stack angles and currents of several lags as columns.
 
-    Parameters
-    ----------
-    angle_rad, current_a : ndarray, shape (n, dof)
-        A run from its first sample on; that sample also stands for the time before it.
-    lag_ticks : sequence of int
-        Lags in ticks.
-
-    Returns
-    -------
-    ndarray, shape (n, len(lag_ticks) * 2 * dof)
-        For each lag angles, then currents; the input of `lagged.onnx`.
-
-    Examples
-    --------
-    >>> angle_rad, current_a = np.array([[0.1], [0.2]]), np.array([[1.0], [2.0]])
-    >>> lagged_features(angle_rad, current_a, lag_ticks=(0, 1))
-    array([[0.1, 1. , 0.1, 1. ],
-           [0.2, 2. , 0.1, 1. ]])
+    Shapes: `angle_rad`, `current_a` (n, dof).
+    `angle_rad`, `current_a`: A run from its first sample on; that sample also stands for the time
+    before it.
+    Returns shape (n, len(lag_ticks) * 2 * dof), for each lag angles, then currents; the input of
+    `lagged.onnx`.
     """
     signals = np.hstack([angle_rad, current_a])
     row = np.arange(len(signals))
@@ -57,30 +44,17 @@ def lagged_features(
 
 @dataclass(frozen=True)
 class LaggedRegressor:
-    """Fitted lagged regressor.
+    """Fitted lagged regressor."""
 
-    Attributes
-    ----------
-    pipeline : sklearn Pipeline
-        Quadratic in the lagged features, output DI.
-    lower, upper : ndarray
-        Training box in SI units; inputs are clipped to it.
-    """
-
-    pipeline: Pipeline
-    lower: Array
+    pipeline: Pipeline  # Quadratic in the lagged features, output DI
+    lower: Array  # Training box in SI units; inputs are clipped to it
     upper: Array
 
     @classmethod
     def fit(cls, trials: Sequence[Trial], di: Sequence[Array]) -> LaggedRegressor:
         """Fit on the moving rows of trials whose DI is known.
 
-        Parameters
-        ----------
-        trials : sequence of Trial
-            Training trials.
-        di : sequence of ndarray
-            True DI of every row of each trial; NaN rows are left out.
+        `di`: true DI of every row of each trial; NaN rows are left out.
         """
         features = np.vstack([lagged_features(t.angle_rad, t.current_a)[t.moving] for t in trials])
         target = np.concatenate([d[t.moving] for t, d in zip(trials, di, strict=True)])

@@ -41,20 +41,11 @@ IR_VERSION: Final = 7
 
 @dataclass(frozen=True)
 class PolynomialGraph:
-    """Fitted `polynomial_pipeline` that is converted by itself.
-
-    Attributes
-    ----------
-    pipeline : sklearn Pipeline
-        Fitted.
-    output : str
-        Name of the graph's output.
-    box : tuple of two ndarray, shape (n,), optional
-        Lower and upper bounds that the inputs are clipped to; by default they are not clipped.
-    """
+    """Fitted `polynomial_pipeline` that is converted by itself."""
 
     pipeline: Pipeline
-    output: str
+    output: str  # Name of the graph's output
+    # (n,), lower and upper bounds that the inputs are clipped to; by default they are not clipped
     box: tuple[Array, Array] | None = None
 
 
@@ -101,17 +92,7 @@ def register_model(
     convert: Callable[[Any, Any, Any], None],
     outputs: Callable[[Any], Mapping[str, int]],
 ) -> None:
-    """Register a model with skl2onnx, so that `to_onnx` takes it.
-
-    Parameters
-    ----------
-    kind : type
-        Class of the model.
-    convert : callable
-        Converter of skl2onnx.
-    outputs : callable
-        Names and widths of a model's outputs.
-    """
+    """Register a model with skl2onnx, so that `to_onnx` takes it."""
 
     def parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
         operator = scope.declare_local_operator(f"Dropstitch{kind.__name__}", model)
@@ -154,37 +135,9 @@ def to_onnx(
 ) -> onnx.ModelProto:
     """Convert a model to an ONNX graph.
 
-    Parameters
-    ----------
-    model : object
-        Fitted; of a class that was given to `register_model`.
-    inputs : int
-        Number of features.
-    input_name : str
-        Name of the graph's input, float64 [1, inputs].
-    metadata : mapping, optional
-        Written to `metadata_props`, each value as JSON. onnxruntime exposes names, units and
-        ranges in no other way.
-
-    Returns
-    -------
-    onnx.ModelProto
-        The same bytes for the same model.
-
-    Examples
-    --------
-    The graph of y = 1 + 2 x evaluates to 7 at x = 3:
-
-    >>> import numpy as np
-    >>> import onnxruntime
-    >>> from models.learning.predictors import polynomial_pipeline
-    >>> x = np.array([[0.0], [1.0], [2.0]])
-    >>> pipeline = polynomial_pipeline(1).fit(x, 1.0 + 2.0 * x)
-    >>> graph = to_onnx(PolynomialGraph(pipeline, "y"), inputs=1, input_name="x")
-    >>> session = onnxruntime.InferenceSession(graph.SerializeToString())
-    >>> y = session.run(["y"], {"x": np.array([[3.0]])})[0]
-    >>> round(float(y[0, 0]), 9)
-    7.0
+    `metadata`: written to `metadata_props`, each value as JSON. onnxruntime exposes names, units
+    and ranges in no other way.
+    Returns the same bytes for the same model.
     """
     graph = convert_sklearn(
         model,

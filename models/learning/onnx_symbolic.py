@@ -21,17 +21,7 @@ __all__ = ["predictor_function", "predictor_inputs"]
 def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
     """Return the names of a graph's input columns, by its metadata.
 
-    Parameters
-    ----------
-    path : Path or str
-        `predictor.onnx` or `polynomial.onnx` of a bundle.
-    dof : int
-        Number of joints; a graph that names nothing takes angles, currents and DI.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    `dof`: number of joints; a graph that names nothing takes angles, currents and DI.
     """
     try:
         metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
@@ -43,25 +33,6 @@ def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
 def predictor_function(path: Path | str) -> ca.Function:
     """Import a graph as a symbolic function for differentiation and code generation.
 
-    Parameters
-    ----------
-    path : Path or str
-        `predictor.onnx` or `lagged.onnx` of a bundle.
-
-    Returns
-    -------
-    casadi.Function
-        Of column vectors, with the graph's names: features (n,) -> tip_m (3,), in_range (1,),
-        half_width_m (3,). Matrix operations are kept (expanded to scalars, 5 inputs and degree
-        6 make 1.4 MB of C, docs/sources.md, "ONNX").
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or CasADi cannot import it.
-
-    Notes
-    -----
     Agrees with onnxruntime to 1e-12 except for tip_m of an input that is NaN: there CasADi's
     fmin and fmax return the bound and onnxruntime NaN. in_range is 0 in both.
     """

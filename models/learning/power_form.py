@@ -20,37 +20,13 @@ OVERSAMPLING: Final = 1.3
 def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
     """Write a polynomial as a sum of powers of linear forms of the features in SI units.
 
-    Parameters
-    ----------
-    polynomial : Polynomial
-        Of n features and any number of outputs.
+    Returns `rows` (n, forms); `bias` (forms,); `weights` (forms, outputs): y = ((x @ rows + bias)
+    ** degree) @ weights.
 
-    Returns
-    -------
-    rows : ndarray, shape (n, forms)
-        Linear parts.
-    bias : ndarray, shape (forms,)
-        Constant parts.
-    weights : ndarray, shape (forms, outputs)
-        y = ((x @ rows + bias) ** degree) @ weights.
-
-    Notes
-    -----
     With z0 = 1 in front every monomial has degree d, and (w·z)^d = Σ_α m_α w^α z^α with the
     multinomial coefficients m_α. Comparing coefficients gives m_α Σ_r c_r w_r^α = β_α: M
     equations for the weights of 1.3 M random unit vectors w_r, solved for the least norm in the
     Bombieri scaling (rows divided by √m_α), which keeps rounding near 1e-14.
-
-    Examples
-    --------
-    x² + x of one feature, at x = 3:
-
-    >>> exponents, coefficients = np.array([[0], [1], [2]]), np.array([[0.0], [1.0], [1.0]])
-    >>> polynomial = Polynomial(np.ones(1), np.zeros(1), exponents, coefficients)
-    >>> rows, bias, weights = power_form(polynomial)
-    >>> y = ((np.array([[3.0]]) @ rows + bias) ** polynomial.degree) @ weights
-    >>> round(float(y[0, 0]), 9)
-    12.0
     """
     degree = polynomial.degree
     n = polynomial.exponents.shape[1]

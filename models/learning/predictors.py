@@ -49,19 +49,7 @@ def polynomial_pipeline(degree: int) -> Pipeline:
     The constant is the intercept of the regression, not a bias column: with a bias column skl2onnx
     writes a float64 graph that onnxruntime refuses (docs/sources.md, "ONNX").
 
-    Parameters
-    ----------
-    degree : int
-        Largest total degree of the monomials (paper, eq. 2 and 3).
-
-    Examples
-    --------
-    A quadratic through exact data of y = 2 x²:
-
-    >>> x = np.linspace(-1.0, 3.0, 9)[:, None]
-    >>> pipeline = polynomial_pipeline(2).fit(x, 2.0 * x**2)
-    >>> predict(pipeline, np.array([[2.0]])).round(9)
-    array([[8.]])
+    `degree`: largest total degree of the monomials (paper, eq. 2 and 3).
     """
     return make_pipeline(
         MinMaxScaler(feature_range=(-1.0, 1.0)),
@@ -73,12 +61,7 @@ def polynomial_pipeline(degree: int) -> Pipeline:
 def predict(pipeline: Pipeline, features: Array) -> Array:
     """Return the outputs of a fitted pipeline, shape (n, outputs).
 
-    Parameters
-    ----------
-    pipeline : sklearn Pipeline
-        Fitted.
-    features : ndarray, shape (n, inputs)
-        In SI units.
+    Shapes: `features` (n, inputs).
     """
     return np.asarray(pipeline.predict(features), dtype=np.float64)
 
@@ -90,16 +73,7 @@ def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -
     Without the clip a block that holds the only start of a motion is extrapolated, with errors of
     metres.
 
-    Parameters
-    ----------
-    degree : int
-        Of the polynomial.
-    features : ndarray, shape (n, inputs)
-        In SI units.
-    targets : ndarray, shape (n, outputs)
-        In SI units.
-    fold : tuple of two ndarray of int
-        Rows to train on and rows to test on.
+    Shapes: `features` (n, inputs), `targets` (n, outputs).
     """
     train, test = fold
     seen = features[train]
@@ -109,22 +83,13 @@ def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -
 
 @dataclass(frozen=True)
 class Polynomial:
-    """Polynomial in z = scale * x + offset, as read from a fitted pipeline.
+    """Polynomial in z = scale * x + offset, as read from a fitted pipeline."""
 
-    Attributes
-    ----------
-    scale, offset : ndarray, shape (n,)
-        Map from features in SI units to the box [-1, 1]^n.
-    exponents : ndarray of int, shape (monomials, n)
-        Rows are the monomials; the first is the constant.
-    coefficients : ndarray, shape (monomials, outputs)
-        Of the monomials in z.
-    """
-
-    scale: Array
+    scale: Array  # (n,), map from features in SI units to the box [-1, 1]^n
     offset: Array
+    # (monomials, n), rows are the monomials; the first is the constant
     exponents: NDArray[np.int64]
-    coefficients: Array
+    coefficients: Array  # (monomials, outputs)
 
     @property
     def degree(self) -> int:
@@ -157,10 +122,7 @@ class Polynomial:
         They are for display. At high degree large coefficients of both signs cancel, so a
         computation must use the scaled form.
 
-        Returns
-        -------
-        dict of tuple of int to ndarray, shape (outputs,)
-            Exponents to coefficients, by total degree.
+        Returns shape (outputs,), exponents to coefficients, by total degree.
         """
         n = len(self.scale)
         factor = [_powers_of_affine(self.scale[i], self.offset[i], self.degree) for i in range(n)]
@@ -197,24 +159,13 @@ class GuardedPredictor:
     outside the training data. q is the quantile of the out-of-fold residuals divided by the same
     root, per output: a cross-conformal interval, which assumes no distribution (Vovk, Ann. Math.
     Artif. Intell. 74, 2015).
-
-    Attributes
-    ----------
-    pipeline : sklearn Pipeline
-        Fitted `polynomial_pipeline`.
-    lower, upper : ndarray, shape (n,)
-        Training box in SI units, wider than the training rows by `EDGE`.
-    leverage : Polynomial
-        Quartic in the scaled inputs, one output.
-    quantile : ndarray, shape (outputs,)
-        q, in the unit of the outputs.
     """
 
     pipeline: Pipeline
-    lower: Array
+    lower: Array  # (n,), training box in SI units, wider than the training rows by `EDGE`
     upper: Array
-    leverage: Polynomial
-    quantile: Array
+    leverage: Polynomial  # Quartic in the scaled inputs, one output
+    quantile: Array  # (outputs,), q, in the unit of the outputs
 
     @classmethod
     def fit(
@@ -222,17 +173,9 @@ class GuardedPredictor:
     ) -> GuardedPredictor:
         """Fit on all rows; the interval is calibrated on the rows that each fold holds out.
 
-        Parameters
-        ----------
-        degree : int
-            Of the polynomial.
-        features : ndarray, shape (n, inputs)
-            In SI units, finite.
-        targets : ndarray, shape (n, outputs)
-            In SI units.
-        folds : iterable of (train rows, test rows)
-            Folds of whole runs, as `models.learning.validation.payload_folds` gives them: rows of
-            one run are correlated.
+        Shapes: `features` (n, inputs), `targets` (n, outputs).
+        `folds`: folds of whole runs, as `models.learning.validation.payload_folds` gives them: rows
+        of one run are correlated.
         """
         pipeline = polynomial_pipeline(degree).fit(features, targets)
         leverage = _leverage(features)

@@ -33,33 +33,16 @@ class Samples:
 
     A row without any marker has no true DI. It is left out for every source, so that all
     predictors are compared on the same rows.
-
-    Attributes
-    ----------
-    trials : tuple of Trial
-        Trials that the rows come from.
-    kept : tuple of ndarray of bool
-        Rows of each trial that are kept.
-    run : ndarray of int, shape (n,)
-        Number of the trial in `trials`.
-    time_s, payload_kg : ndarray, shape (n,)
-        Time in the trial; conditions.
-    signals : ndarray, shape (n, 2 * dof)
-        Angles, then currents.
-    tip_m : ndarray, shape (n, 3)
-        End effector by motion capture.
-    di : dict of str to ndarray, shape (n,)
-        DI by source.
     """
 
-    trials: tuple[Trial, ...]
-    kept: tuple[NDArray[np.bool_], ...]
-    run: NDArray[np.intp]
-    time_s: Array
+    trials: tuple[Trial, ...]  # Trials that the rows come from
+    kept: tuple[NDArray[np.bool_], ...]  # Rows of each trial that are kept
+    run: NDArray[np.intp]  # (n,), number of the trial in `trials`
+    time_s: Array  # (n,), time in the trial; conditions
     payload_kg: Array
-    signals: Array
-    tip_m: Array
-    di: dict[str, Array]
+    signals: Array  # (n, 2 * dof)
+    tip_m: Array  # (n, 3), end effector by motion capture
+    di: dict[str, Array]  # (n,)
 
     def __len__(self) -> int:
         return len(self.run)
@@ -67,11 +50,8 @@ class Samples:
     def features(self, source: Source) -> Array:
         """Return the inputs of a predictor: angles, currents and DI.
 
-        Parameters
-        ----------
-        source : str
-            Source of DI. "none" leaves the column out, which fits the same functions as the
-            paper's DI = 0.
+        `source`: source of DI. "none" leaves the column out, which fits the same functions as the
+        paper's DI = 0.
         """
         if source == "none":
             return self.signals
@@ -80,10 +60,7 @@ class Samples:
     def rows_of(self, arrays: Sequence[Array]) -> Array:
         """Return the kept rows of arrays, stacked.
 
-        Parameters
-        ----------
-        arrays : sequence of ndarray
-            One per trial, with one row per row of the trial.
+        `arrays`: one per trial, with one row per row of the trial.
         """
         return _stack(arrays, self.kept)
 
@@ -101,17 +78,7 @@ class Samples:
 def collect_samples(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
     """Stack the moving rows of trials.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        At least one, all of one dof.
-    di : mapping of source to one array per trial
-        DI of every row, rest rows included; must hold "true".
-
-    Raises
-    ------
-    InputError
-        If a trial has no moving row whose DI is known.
+    `di`: DI of every row, rest rows included; must hold "true".
     """
     kept = []
     for trial, true in zip(trials, di["true"], strict=True):

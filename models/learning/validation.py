@@ -28,12 +28,7 @@ nearly equal, so without a gap a block would be tested on its own training data.
 def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
     """Return folds of five contiguous blocks of each run, with 1 s gaps around the held-out block.
 
-    Parameters
-    ----------
-    run : ndarray of int, shape (n,)
-        Number of the trial that each row comes from.
-    time_s : ndarray, shape (n,)
-        Time of each row in its trial.
+    Shapes: `run` (n,), `time_s` (n,).
     """
     runs = [np.flatnonzero(run == r) for r in np.unique(run)]
     edges = {
@@ -54,17 +49,7 @@ def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
 def payload_folds(payload_kg: Array) -> list[Fold]:
     """Return one fold per payload, which that fold holds out.
 
-    Parameters
-    ----------
-    payload_kg : ndarray, shape (n,)
-        Payload of each row.
-
-    Examples
-    --------
-    >>> for train, test in payload_folds(np.array([0.0, 0.0, 1.0])):
-    ...     print(train, test)
-    [2] [0 1]
-    [0 1] [2]
+    Shapes: `payload_kg` (n,).
     """
     return [
         (np.flatnonzero(payload_kg != kg), np.flatnonzero(payload_kg == kg))
@@ -75,15 +60,7 @@ def payload_folds(payload_kg: Array) -> list[Fold]:
 def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
     """Return the distance between end effectors in m, row by row (paper, eq. 4 to 7), shape (n,).
 
-    Parameters
-    ----------
-    actual_m, predicted_m : ndarray, shape (n, 3)
-        Positions in one frame.
-
-    Examples
-    --------
-    >>> euclidean_distance_m(np.array([[0.0, 0.0, 1.0]]), np.array([[0.003, 0.004, 1.0]]))
-    array([0.005])
+    Shapes: `actual_m`, `predicted_m` (n, 3).
     """
     return np.asarray(np.linalg.norm(actual_m - predicted_m, axis=1), dtype=np.float64)
 
@@ -91,16 +68,9 @@ def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
 def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bool_]]:
     """Return the rows of each part of a table.
 
-    Parameters
-    ----------
-    payload_kg, phase_2_rad : ndarray, shape (n,)
-        Conditions of each row.
-
-    Returns
-    -------
-    dict of str to ndarray of bool, shape (n,)
-        "pooled" for all; "0", "0.5", … for one payload in kg; "phase_90deg", … for one phase of
-        joint 2 where the rows hold several.
+    Shapes: `payload_kg`, `phase_2_rad` (n,).
+    Returns shape (n,), "pooled" for all; "0", "0.5", … for one payload in kg; "phase_90deg", … for
+    one phase of joint 2 where the rows hold several.
     """
     parts = {"pooled": np.ones(len(payload_kg), dtype=bool)}
     for kg in np.unique(payload_kg):
@@ -119,14 +89,6 @@ def payload_key(payload_kg: float) -> str:
 def r_squared(actual: Array, estimate: Array) -> float:
     """Return the coefficient of determination R²; negative where worse than the mean.
 
-    Parameters
-    ----------
-    actual, estimate : ndarray, shape (n,)
-        Values and their estimates.
-
-    Examples
-    --------
-    >>> r_squared(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 2.0]))
-    0.5
+    Shapes: `actual`, `estimate` (n,).
     """
     return float(1.0 - np.sum((actual - estimate) ** 2) / np.sum((actual - actual.mean()) ** 2))

@@ -29,13 +29,7 @@ it several runs at one payload make the equations singular."""
 
 
 def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:
-    """Correlation of goals and of the plant's error at payloads, shape (a, b).
-
-    Parameters
-    ----------
-    a_kg, b_kg : array_like, shapes (a,) and (b,)
-        Masses at the tip.
-    """
+    """Correlation of goals and of the plant's error at payloads, shape (a, b)."""
     apart = np.subtract.outer(np.asarray(a_kg), np.asarray(b_kg)) / PAYLOAD_REACH_KG
     return np.asarray(np.exp(-0.5 * apart**2))
 
@@ -43,14 +37,7 @@ def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:
 def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> Array:
     """RMS error at payloads that neither the twin nor the recorded runs tell, shape (p,).
 
-    Parameters
-    ----------
-    plan : TipPlan
-        Before it learns from the run.
-    run : RecordedRun
-        The latest run.
-    payloads_kg : array_like, shape (p,)
-        Masses at the tip.
+    Shapes: `payloads_kg` (p,).
     """
     off_m = float(np.sqrt(np.mean(np.sum((run.tip_m - plan.desired_tip_m()) ** 2, axis=1))))
     plant_m = plan.plant_error_rms_m or 0.0

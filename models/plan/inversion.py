@@ -42,39 +42,18 @@ ENOUGH: Final = 0.97
 
 @dataclass(frozen=True)
 class Inverse:
-    """Goals for one payload.
-
-    Attributes
-    ----------
-    payload_kg : float
-        Mass at the tip.
-    goals_rad : ndarray, shape (n, dof)
-        One row per control period.
-    outputs : ndarray, shape (n, outputs)
-        Of the twin with these goals.
-    residual_rms_m : float
-        Distance of its tip from the path.
-    """
+    """Goals for one payload."""
 
     payload_kg: float
-    goals_rad: Array
-    outputs: Array
-    residual_rms_m: float
+    goals_rad: Array  # (n, dof), one row per control period
+    outputs: Array  # (n, outputs), of the twin with these goals
+    residual_rms_m: float  # Distance of its tip from the path
 
 
 class Inverter:
     """Inversion of a twin along a timeline.
 
-    Parameters
-    ----------
-    twin : TipTwin
-        The twin.
-    line : Timeline
-        Desired tip.
-    reach_m : float
-        Length of the rigid link from the joint axes, for the start.
-    report : callable
-        Called with one phrase after each payload.
+    `reach_m`: length of the rigid link from the joint axes, for the start.
     """
 
     def __init__(
@@ -90,13 +69,7 @@ class Inverter:
         self._slopes: Array | None = None
 
     def rigid(self, payload_kg: float) -> Inverse:
-        """Goals of rigid kinematics: the joints point at the desired tip.
-
-        Parameters
-        ----------
-        payload_kg : float
-            Mass at the tip.
-        """
+        """Goals of rigid kinematics: the joints point at the desired tip."""
         return self.found(self.pointing_rad(), payload_kg)
 
     def pointing_rad(self) -> Array:
@@ -112,11 +85,6 @@ class Inverter:
 
         The search begins with the payload in the middle and goes outwards, each from what the
         payloads before it found.
-
-        Parameters
-        ----------
-        payloads_kg : sequence of float
-            Rising.
         """
         middle = len(payloads_kg) // 2
         found: dict[int, Array] = {}
@@ -138,13 +106,7 @@ class Inverter:
         return [self.found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
 
     def on(self, twin: TipTwin) -> Inverter:
-        """Inversion of another twin of the same plant, with the derivatives that there are.
-
-        Parameters
-        ----------
-        twin : TipTwin
-            The other twin.
-        """
+        """Inversion of another twin of the same plant, with the derivatives that there are."""
         other = copy.copy(self)
         other._twin = twin
         return other
@@ -153,11 +115,6 @@ class Inverter:
         """Goals for the payload of goals that nearly follow the path already.
 
         The derivatives are renewed once at most: a link that is a fifth stiffer needs no more.
-
-        Parameters
-        ----------
-        found : Inverse
-            Where the search begins.
         """
         start = np.asarray(
             np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
@@ -171,12 +128,7 @@ class Inverter:
     def found(self, goals_rad: Array, payload_kg: float) -> Inverse:
         """What the twin does with given goals.
 
-        Parameters
-        ----------
-        goals_rad : ndarray, shape (n, dof)
-            One row per control period.
-        payload_kg : float
-            Mass at the tip.
+        Shapes: `goals_rad` (n, dof).
         """
         y = self._twin.run(goals_rad, payload_kg)
         error = self._twin.tip_m(y) - self._line.desired_m
@@ -218,15 +170,7 @@ class Inverter:
 
 
 def goal_splines(line: Timeline, period_s: float) -> tuple[Array, Array]:
-    """Cubic B-splines after the rest, and their second derivatives, shapes (n, count).
-
-    Parameters
-    ----------
-    line : Timeline
-        Rest and rows of the plan.
-    period_s : float
-        Control period.
-    """
+    """Cubic B-splines after the rest, and their second derivatives, shapes (n, count)."""
     rows = len(line.desired_m)
     begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
     count = max(4, round((end_s - begin_s) / KNOT_S)) - 3

@@ -24,20 +24,8 @@ MOST_PATH_BYTES: Final = 10_000_000
 def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     """Read a path: a line of names (time_s, x_m, and y_m with two joints), then rising times.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file.
-    dof : int
-        Joints of the robot.
-    period_s : float
-        Control period, to which the path is interpolated. Where the path ends between two
-        periods, the nearer one counts; past the end the tip goes on at its speed there.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, has other columns or a value that cannot be; it names the row.
+    `period_s`: control period, to which the path is interpolated. Where the path ends between two
+    periods, the nearer one counts; past the end the tip goes on at its speed there.
     """
     names = ["time_s", "x_m", "y_m"][: dof + 1]
     remedy = f"give the columns {','.join(names)} in s and m"

@@ -37,85 +37,34 @@ FOR_ONE_JOINT: Final = ("line", "hold", "point_to_point")
 
 @dataclass(frozen=True)
 class DesiredPath:
-    """Path of the tip, sampled with the control period.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    tip_m : ndarray, shape (n, dof)
-        Desired tip: x, and y with two joints.
-    drawn : tuple of (int, int)
-        Rows that are drawn, first and after the last.
-    moves : tuple of (int, int)
-        Moves from rest to rest: first row, and the row after the rest that follows.
-    """
+    """Path of the tip, sampled with the control period."""
 
     name: str
-    tip_m: Array
-    drawn: tuple[tuple[int, int], ...]
+    tip_m: Array  # (n, dof), desired tip: x, and y with two joints
+    drawn: tuple[tuple[int, int], ...]  # Rows that are drawn, first and after the last
+    # Moves from rest to rest: first row, and the row after the rest that follows
     moves: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
 class PathOptions:
-    """Size, place and time of a built-in path.
+    """Size, place and time of a built-in path."""
 
-    Attributes
-    ----------
-    size_m : float
-        Half of the largest extent.
-    centre_m : tuple of float
-        Centre; what is not given is 0.
-    seconds : float
-        Duration of one turn, of a text the whole.
-    turns : int
-        Times that it is passed.
-    angle_rad : float
-        Direction of a line in the plane, from x towards y.
-    move_s : float
-        Duration of a move of `point_to_point`; 0 is a quarter of a turn.
-    """
-
-    size_m: float = DEFAULT_SIZE_M
+    size_m: float = DEFAULT_SIZE_M  # Half of the largest extent
     centre_m: tuple[float, ...] = ()
-    seconds: float = 8.0
-    turns: int = 1
-    angle_rad: float = 0.0
-    move_s: float = 0.0
+    seconds: float = 8.0  # Duration of one turn, of a text the whole
+    turns: int = 1  # Times that it is passed
+    angle_rad: float = 0.0  # Direction of a line in the plane, from x towards y
+    move_s: float = 0.0  # Duration of a move of `point_to_point`; 0 is a quarter of a turn
 
 
 def quintic(x: Array) -> Array:
-    """Quintic from 0 to 1, at rest at both ends (Flash and Hogan, J. Neuroscience 5, 1985).
-
-    Parameters
-    ----------
-    x : ndarray
-        Fraction of the time; clipped to 0 to 1.
-    """
+    """Quintic from 0 to 1, at rest at both ends (Flash and Hogan, J. Neuroscience 5, 1985)."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
 
 
 def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) -> DesiredPath:
-    """Return a built-in path.
-
-    Parameters
-    ----------
-    name : str
-        One of `SHAPES`, or `text:` and letters.
-    dof : int
-        Joints of the robot.
-    period_s : float
-        Control period.
-    options : PathOptions
-        Size, place and time.
-
-    Raises
-    ------
-    InputError
-        If the name is unknown, the path needs another joint, or an option is out of range.
-    """
     _check_options(options, dof)
     file = Path(name)
     if name not in SHAPES and file.is_file():

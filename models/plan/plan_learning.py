@@ -64,42 +64,17 @@ LEAST_DELAY_PERIODS: Final = 0.25
 
 @dataclass(frozen=True)
 class Improvement:
-    """Improved plan, and what it was made of.
-
-    Attributes
-    ----------
-    plan : TipPlan
-        The next plan.
-    run : LearnedRun
-        What was learned from.
-    went_back : bool
-        Whether the recorded run was worse than the best before it.
-    """
+    """Improved plan, and what it was made of."""
 
     plan: TipPlan
     run: LearnedRun
-    went_back: bool
+    went_back: bool  # Whether the recorded run was worse than the best before it
 
 
 def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) -> Improvement:
     """Improve a plan by a recorded run of it.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        That was run.
-    run : RecordedRun
-        The run.
-    plant : Plant
-        Its twin gives the derivatives; it may be another than that which was inverted.
-    limits : Limits
-        Limits of the robot, as in force.
-
-    Raises
-    ------
-    InputError
-        If the run was learned from before, the plant is not the link, the observer's tip would
-        undo what motion capture has told, or every change breaks a limit.
+    `plant`: its twin gives the derivatives; it may be another than that which was inverted.
     """
     _check(plan, run, plant)
     if run.source == "mocap":

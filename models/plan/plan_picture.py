@@ -22,15 +22,7 @@ FLATTEST: Final = 0.3
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
-    """Draw a plan as SVG.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    path : Path
-        File to write.
-    """
+    """Draw a plan as SVG."""
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     ramp = mpl.colormaps["viridis"](np.linspace(0.1, 0.85, len(plan.payloads)))
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):

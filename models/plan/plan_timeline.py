@@ -26,41 +26,21 @@ WAY_SPEED_M_S: Final = 0.3
 
 @dataclass(frozen=True)
 class Timeline:
-    """Desired tip over a whole plan.
+    """Desired tip over a whole plan."""
 
-    Attributes
-    ----------
-    desired_m : ndarray, shape (n, dof)
-        One row per control period.
-    rest_rows : int
-        Rows of the rest in front.
-    start_row, end_row : int
-        First row of the path, and the first after it.
-    drawn : tuple of (int, int)
-        Rows that are drawn.
-    moves : tuple of (int, int)
-        Moves from rest to rest, the rest after them included.
-    """
-
-    desired_m: Array
+    desired_m: Array  # (n, dof), one row per control period
     rest_rows: int
-    start_row: int
+    start_row: int  # First row of the path, and the first after it
     end_row: int
     drawn: tuple[tuple[int, int], ...]
-    moves: tuple[tuple[int, int], ...] = ()
+    moves: tuple[tuple[int, int], ...] = ()  # Moves from rest to rest, the rest after them included
 
 
 def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
     """Put rest and ways around a path.
 
-    Parameters
-    ----------
-    path : DesiredPath
-        Sampled with the control period.
-    rest_tip_m : ndarray, shape (dof,)
-        Tip at rest with all goals zero: a link is not quite straight.
-    period_s : float
-        Control period.
+    Shapes: `rest_tip_m` (dof,).
+    `rest_tip_m`: tip at rest with all goals zero: a link is not quite straight.
     """
     rest, lead, settle = (round(s / period_s) for s in (REST_S, LEAD_S, SETTLE_S))
     there = _way(rest_tip_m, path.tip_m[0], _speed(path.tip_m[:2], period_s), period_s)

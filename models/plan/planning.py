@@ -48,62 +48,25 @@ _REMEDY: Final = "make the path slower or smaller, or widen the limit"
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What a plan is made for.
-
-    Attributes
-    ----------
-    plant : Plant
-        Plant to invert.
-    dof : int
-        Joints.
-    period_s : float
-        Control period.
-    limits : Limits
-        Limits of the robot, as in force.
-    payloads_kg : sequence of float
-        Grid, rising.
-    bundle_sha256 : str
-        Hash of the manifest of the robot's bundle.
-    method : {"inverse", "rigid", "zvd"}
-        Inversion of the twin; the link taken as rigid, where moves from rest to rest are as fast as
-        the limits permit; the latter with ZVD shaping of the moves.
-    feedback : bool
-        Whether the inverse gets feedback of the estimated tip.
-    probe : bool
-        Whether a motion that tells stiffness and payload precedes the first run; it needs feedback.
-    """
+    """What a plan is made for."""
 
     plant: Plant
     dof: int
     period_s: float
-    limits: Limits
+    limits: Limits  # Limits of the robot, as in force
     payloads_kg: Sequence[float] = PAYLOADS_KG
-    bundle_sha256: str = ""
+    bundle_sha256: str = ""  # Hash of the manifest of the robot's bundle
+    # {"inverse", "rigid", "zvd"}, Inversion of the twin; the link taken as rigid, where moves from
+    # rest to rest are as fast as the limits permit; the latter with ZVD shaping of the moves
     method: Method = "inverse"
-    feedback: bool = True
+    feedback: bool = True  # Whether the inverse gets feedback of the estimated tip
+    # Whether a motion that tells stiffness and payload precedes the first run; it needs feedback
     probe: bool = False
 
 
 def plan_path(
     path: DesiredPath, request: PlanRequest, report: Callable[[str], None] = lambda text: None
 ) -> TipPlan:
-    """Plan a path.
-
-    Parameters
-    ----------
-    path : DesiredPath
-        Sampled with the control period.
-    request : PlanRequest
-        Plant, robot and payloads.
-    report : callable
-        Called with one phrase after each step.
-
-    Raises
-    ------
-    InputError
-        If the plant is not the link, the payloads do not rise, the tip cannot reach the path, or
-        the plan breaks a limit.
-    """
     check_request(request)
     plant, payloads = request.plant, request.payloads_kg
     twin = TipTwin(plant.step_model(request.dof), request.dof, request.period_s)
@@ -185,21 +148,8 @@ def comparison_goals(
 ) -> list[Array]:
     """Goals of a rigid link whose moves are as fast as the limits permit, for each payload.
 
-    Parameters
-    ----------
-    pointing_rad : ndarray, shape (n, dof)
-        Goals at which the rigid link points at the desired tip.
-    line : Timeline
-        With its moves.
-    twin : TipTwin
-        For the modes, where the moves are shaped.
-    request : PlanRequest
-        Method, limits and payloads.
-
-    Raises
-    ------
-    InputError
-        If the rest after a move is too short for it.
+    Shapes: `pointing_rad` (n, dof).
+    `pointing_rad`: goals at which the rigid link points at the desired tip.
     """
     period_s, tables = request.period_s, []
     for payload_kg in request.payloads_kg:
@@ -238,17 +188,7 @@ def _moves(line: Timeline, tables: Sequence[Array] | None) -> tuple[tuple[int, i
 def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanRequest) -> float:
     """Shortest duration of a move whose plans keep every limit and leave little error.
 
-    Parameters
-    ----------
-    path_of : callable
-        Path with moves of a duration in s.
-    request : PlanRequest
-        Plant, robot and payloads; the lightest and the heaviest are tried.
-
-    Raises
-    ------
-    InputError
-        If not even the longest duration keeps the limits.
+    `request`: plant, robot and payloads; the lightest and the heaviest are tried.
     """
     ends = tuple(sorted({request.payloads_kg[0], request.payloads_kg[-1]}))
     tried = replace(request, payloads_kg=ends, feedback=False)
@@ -271,18 +211,7 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
 
 
 def check_request(request: PlanRequest) -> None:
-    """Refuse a plant that is not the link, and payloads that cannot be.
-
-    Parameters
-    ----------
-    request : PlanRequest
-        Plant and payloads.
-
-    Raises
-    ------
-    InputError
-        Naming what is wrong.
-    """
+    """Refuse a plant that is not the link, and payloads that cannot be."""
     payloads = list(request.payloads_kg)
     if request.plant.load != "link":
         raise InputError(

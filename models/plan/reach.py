@@ -31,25 +31,6 @@ def check_reach(
 
     The path is judged first, then the ways there and back: they swing out where it is fast at its
     ends.
-
-    Parameters
-    ----------
-    twin : TipTwin
-        The twin.
-    line : Timeline
-        Desired tip.
-    payloads_kg : sequence of float
-        Of the plan.
-    limits : Limits
-        Limits of the robot.
-    where : str
-        Subject of the message.
-
-    Raises
-    ------
-    InputError
-        If a point is out of reach; it names the first of the farthest, and the nearest that the
-        tip can reach.
     """
     path = slice(line.start_row, line.end_row)
     for part, what, remedy in (
@@ -72,16 +53,7 @@ def check_reach(
 def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Limits) -> Array:
     """Place nearest to a wanted one at which the tip can rest, shape (dof,).
 
-    Parameters
-    ----------
-    twin : TipTwin
-        The twin.
-    wanted_m : ndarray, shape (dof,)
-        Wanted place.
-    payload_kg : float
-        Mass at the tip.
-    limits : Limits
-        Limits of the robot: the range of the goals.
+    Shapes: `wanted_m` (dof,).
     """
     low, high = limits.angle_rad
     goal = np.zeros(twin.dof)

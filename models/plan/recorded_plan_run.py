@@ -48,47 +48,22 @@ goals of a trial [assumed]: half the step of the default grid."""
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """One run of a plan.
+    """One run of a plan."""
 
-    Attributes
-    ----------
-    goals_rad, angle_rad : ndarray, shape (n, dof)
-        Goals sent and angles measured at each row.
-    tip_m : ndarray, shape (n, dof)
-        Tip at each row.
-    payload_kg : float
-        Mass at the tip: that of the trial, or what the robot was told or estimated.
-    goals_payload_kg : float
-        Payload between whose plans the goals were interpolated, within the grid.
-    source : {"mocap", "observer"}
-        What measured the tip.
-    sha256 : str
-        Hash of the file.
-    """
-
-    goals_rad: Array
+    goals_rad: Array  # (n, dof), goals sent and angles measured at each row
     angle_rad: Array
-    tip_m: Array
-    payload_kg: float
+    tip_m: Array  # (n, dof)
+    payload_kg: float  # Mass at the tip: that of the trial, or what the robot was told or estimated
+    # Payload between whose plans the goals were interpolated, within the grid
     goals_payload_kg: float
-    source: str
-    sha256: str
+    source: str  # {"mocap", "observer"}, What measured the tip
+    sha256: str  # Hash of the file
 
 
 def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
     """Read the last whole run of a plan from a trial or a log.
 
-    Parameters
-    ----------
-    path : Path
-        `.csv` of a trial, with the tip by motion capture; or `.mcap` of the robot.
-    plan : TipPlan
-        That was run.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or holds no whole run of this plan.
+    `path`: `.csv` of a trial, with the tip by motion capture; or `.mcap` of the robot.
     """
     _check_size(f"plan {plan.path}", plan.goals_rad())
     if path.suffix == ".csv":
@@ -111,28 +86,12 @@ def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
 
 
 def interpolated(plan: TipPlan, payload_kg: float) -> Array:
-    """Goals of a plan for a payload, as the robot interpolates them, shape (n, dof).
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    payload_kg : float
-        Within its grid.
-    """
+    """Goals of a plan for a payload, as the robot interpolates them, shape (n, dof)."""
     return np.asarray(np.einsum("p,pnj->nj", payload_weights(plan, payload_kg), plan.goals_rad()))
 
 
 def payload_weights(plan: TipPlan, payload_kg: float) -> Array:
-    """Weight of the goals for each payload of the grid in the interpolation, shape (p,).
-
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    payload_kg : float
-        Beyond the grid its nearest end.
-    """
+    """Weight of the goals for each payload of the grid in the interpolation, shape (p,)."""
     grid = plan.grid_kg
     return np.array([np.interp(payload_kg, grid, row) for row in np.eye(len(grid))])
 
@@ -140,12 +99,7 @@ def payload_weights(plan: TipPlan, payload_kg: float) -> Array:
 def fitting_payload(plan: TipPlan, goals_rad: Array) -> tuple[float, float]:
     """Payload whose interpolated goals are nearest to those sent, and their RMS difference.
 
-    Parameters
-    ----------
-    plan : TipPlan
-        The plan.
-    goals_rad : ndarray, shape (n, dof)
-        That were sent.
+    Shapes: `goals_rad` (n, dof).
     """
     tables, grid = plan.goals_rad(), plan.grid_kg
     candidates = []

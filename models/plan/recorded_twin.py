@@ -43,18 +43,7 @@ def recorded_twin(
 ) -> tuple[TipTwin, float, float]:
     """Fit stiffness and damping of the link; return the twin and both factors.
 
-    Parameters
-    ----------
-    twin : TipTwin
-        Of the plant.
-    plant : Plant
-        Its parameters.
-    goals_rad : ndarray, shape (n, dof)
-        Goals that the twin is to get.
-    tip_m : ndarray, shape (n, dof)
-        Recorded tip.
-    payload_kg : float
-        Mass at the tip.
+    Shapes: `goals_rad` (n, dof), `tip_m` (n, dof).
     """
     sd = np.array([STIFFNESS_SD, DAMPING_SD])
     weight = np.sqrt(twin.period_s / CORRELATED_S) / NOISE_M

@@ -45,25 +45,7 @@ ROUND_LETTERS: Final = {"O": (2.0, 3.0), "0": (2.0, 3.0), "Q": (2.0, 3.0)}
 def text_strokes(text: str) -> list[Array]:
     """Strokes of a text, centred, its largest extent 2.
 
-    Parameters
-    ----------
-    text : str
-        Small letters are written as capitals.
-
-    Returns
-    -------
-    list of ndarray, shape (points, 2)
-        In the order of writing.
-
-    Raises
-    ------
-    InputError
-        If the text is empty, or a character is not in the font.
-
-    Examples
-    --------
-    >>> [stroke.tolist() for stroke in text_strokes("L")]
-    [[[-0.6666666666666666, 1.0], [-0.6666666666666666, -1.0], [0.6666666666666666, -1.0]]]
+    Returns shape (points, 2), in the order of writing.
     """
     unknown = sorted({c for c in text.upper() if c not in GLYPHS})
     if unknown or not text.strip():

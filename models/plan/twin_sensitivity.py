@@ -26,21 +26,8 @@ Array = NDArray[np.float64]
 class TipTwin:
     """The twin of a plant, driven by goals, with its tip in the horizontal plane.
 
-    Parameters
-    ----------
-    model : StepModel
-        Twin with the inputs `goal_j_rad` and `payload_kg` and the outputs `tip_x_m`, `tip_y_m`.
-    dof : int
-        Joints; with one only x is planned.
-    period_s : float
-        Control period.
-
-    Attributes
-    ----------
-    dof : int
-        As given.
-    period_s : float
-        As given.
+    `model`: twin with the inputs `goal_j_rad` and `payload_kg` and the outputs `tip_x_m`,
+    `tip_y_m`.
     """
 
     def __init__(self, model: StepModel, dof: int, period_s: float) -> None:
@@ -55,13 +42,7 @@ class TipTwin:
         self._stepper: SensitiveModel | None = None
 
     def changed(self, values: Mapping[str, float]) -> TipTwin:
-        """Twin with other values of parameters; names that it does not have are left out.
-
-        Parameters
-        ----------
-        values : mapping of str to float
-            By name.
-        """
+        """Twin with other values of parameters; names that it does not have are left out."""
         known = set(names(self._model.parameters))
         other = copy.copy(self)
         other._p = self._model.parameter_values({n: v for n, v in values.items() if n in known})
@@ -70,12 +51,7 @@ class TipTwin:
     def run(self, goals_rad: Array, payload_kg: float) -> Array:
         """Outputs at every row of a table of goals, shape (n, outputs), from rest at the first.
 
-        Parameters
-        ----------
-        goals_rad : ndarray, shape (n, dof)
-            Row k is sent at k periods.
-        payload_kg : float
-            Mass at the tip.
+        Shapes: `goals_rad` (n, dof).
         """
         u = np.column_stack([goals_rad, np.full(len(goals_rad), payload_kg)])
         x = self._plain.start(u[0], self._p)
@@ -100,12 +76,7 @@ class TipTwin:
     def resting_tip_m(self, goal_rad: Array, payload_kg: float) -> Array:
         """Tip of the arm at rest, shape (dof,).
 
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goals at which it rests.
-        payload_kg : float
-            Mass at the tip.
+        Shapes: `goal_rad` (dof,).
         """
         return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
 
@@ -115,14 +86,8 @@ class TipTwin:
         It is short of the tip at rest: friction holds the joints before their goals, and the link
         creeps.
 
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goals that are approached.
-        payload_kg : float
-            Mass at the tip.
-        ramp_s, hold_s : float
-            Time in which the goals rise evenly, and time for which they are held.
+        Shapes: `goal_rad` (dof,).
+        `ramp_s`, `hold_s`: time in which the goals rise evenly, and time for which they are held.
         """
         time_s = np.arange(round((ramp_s + hold_s) / self.period_s) + 1) * self.period_s
         goals = np.minimum(time_s / ramp_s, 1.0)[:, None] * goal_rad
@@ -131,12 +96,7 @@ class TipTwin:
     def derivatives_at_rest(self, goal_rad: Array, payload_kg: float) -> tuple[Array, Array]:
         """Derivatives of state and tip after a period by the state before, at rest.
 
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goals at which it rests.
-        payload_kg : float
-            Mass at the tip.
+        Shapes: `goal_rad` (dof,).
         """
         stepper, size = self._one_step(), len(self._model.states)
         x = self._plain.start(np.append(goal_rad, payload_kg), self._p)
@@ -152,14 +112,8 @@ class TipTwin:
     def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
         """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
 
-        Parameters
-        ----------
-        goals_rad : ndarray, shape (n, dof)
-            Goals about which to derive.
-        basis : ndarray, shape (n, count)
-            Value of each basis function at each row; every joint has its own coefficients.
-        payload_kg : float
-            Mass at the tip.
+        Shapes: `goals_rad` (n, dof), `basis` (n, count).
+        `basis`: value of each basis function at each row; every joint has its own coefficients.
         """
         stepper = self._one_step()
         sizes, count = len(self._model.states), basis.shape[1]

@@ -20,15 +20,7 @@ _LOG_SUFFIX: Final = ".mcap"
 def read_servo_gains(path: Path) -> tuple[ServoGains, ...]:
     """Read the gains of each servo, in joint order.
 
-    Parameters
-    ----------
-    path : Path
-        Log of `dropstitch run`, which holds what was found in the servos, or robot.toml.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or does not give a gain of every servo.
+    `path`: log of `dropstitch run`, which holds what was found in the servos, or robot.toml.
     """
     if path.suffix == _LOG_SUFFIX:
         gains = _found(path)

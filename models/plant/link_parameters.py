@@ -23,22 +23,7 @@ _KNOWN_PAYLOAD: Final = "payload_known_kg"
 
 
 def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
-    """Parameter of the study's plant for another link.
-
-    Parameters
-    ----------
-    parameter : Parameter
-        Of the study's plant, or of an effect.
-    scale : LinkScale
-        Properties of the link.
-
-    Examples
-    --------
-    >>> mass = Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0)
-    >>> heavy = msgspec.structs.replace(STUDY_LINK, mass_kg=1.8)
-    >>> parameter_of_link(mass, LinkScale(heavy)).high
-    4.0
-    """
+    """Parameter of the study's plant for another link."""
     q, link = parameter, scale.link
     own = {
         "base_offset_m": link.base_offset_m,

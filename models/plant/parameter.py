@@ -70,54 +70,23 @@ AT_BOUND: Final = 1e-3
 
 
 def bound_reached(q: Parameter) -> Literal["lower", "upper"] | None:
-    """Bound that a parameter's value is at; None where it is within.
-
-    Parameters
-    ----------
-    q : Parameter
-        Identified.
-    """
+    """Bound that a parameter's value is at; None where it is within."""
     margin = AT_BOUND * (q.high - q.low)
     return "lower" if q.value <= q.low + margin else "upper" if q.value >= q.high - margin else None
 
 
 def prior_deviation_of(q: Parameter) -> float:
-    """Standard deviation of a value before a fit, in the parameter's unit.
-
-    Parameters
-    ----------
-    q : Parameter
-        Of a plant.
-    """
+    """Standard deviation of a value before a fit, in the parameter's unit."""
     return q.prior_deviation or (q.high - q.low) / 4
 
 
 def is_weakly_determined(q: Parameter) -> bool:
-    """Whether a fit told no more of a value than was known before: its error is not smaller.
-
-    Parameters
-    ----------
-    q : Parameter
-        Identified.
-    """
+    """Whether a fit told no more of a value than was known before: its error is not smaller."""
     return q.error is not None and q.error >= prior_deviation_of(q)
 
 
 def check_values(where: str, parameters: Iterable[Parameter]) -> None:
-    """Refuse a value that is missing or outside its bounds.
-
-    Parameters
-    ----------
-    where : str
-        Plant or file, for the message.
-    parameters : iterable of Parameter
-        To check.
-
-    Raises
-    ------
-    InputError
-        For the first value that was not given or is not within its bounds.
-    """
+    """Refuse a value that is missing or outside its bounds."""
     for q in parameters:
         if math.isnan(q.value):
             raise InputError(

@@ -29,45 +29,20 @@ JOINTS: Final = ("1", "2")
 
 @dataclass(frozen=True)
 class PhysicalLimit:
-    """Sum that must be larger than zero, or at least zero.
+    """Sum that must be larger than zero, or at least zero."""
 
-    Attributes
-    ----------
-    what : str
-        The sum in words.
-    unit : str
-        Its SI unit.
-    weights : dict of str to float
-        Weight of each parameter; names are patterns in which {j} is a joint and * anything.
-    constant : float
-        Added to the sum.
-    with_payload : bool
-        Whether the declared payload of a trial, in kg, is added.
-    may_vanish : bool
-        Whether zero is possible.
-    """
-
-    what: str
+    what: str  # The sum in words
     unit: str
+    # Weight of each parameter; names are patterns in which {j} is a joint and * anything
     weights: Mapping[str, float]
-    constant: float = 0.0
-    with_payload: bool = False
-    may_vanish: bool = True
+    constant: float = 0.0  # Added to the sum
+    with_payload: bool = False  # Whether the declared payload of a trial, in kg, is added
+    may_vanish: bool = True  # Whether zero is possible
 
 
 @dataclass(frozen=True)
 class ImpossibleSum:
-    """Sum beyond its limit.
-
-    Attributes
-    ----------
-    what, unit : str
-        See `PhysicalLimit`.
-    value : float
-        The sum.
-    parameters : tuple of str
-        Names of its parameters.
-    """
+    """Sum beyond its limit."""
 
     what: str
     unit: str
@@ -108,23 +83,7 @@ LIMITS: Final = (
 def impossible_sums(
     values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
 ) -> list[ImpossibleSum]:
-    """Sums of `LIMITS` that some values violate, with the least payload.
-
-    Parameters
-    ----------
-    values : mapping of str to float
-        Every parameter of a plant, in its unit.
-    payloads_kg : iterable of float
-        Declared payloads, kg.
-
-    Examples
-    --------
-    >>> plant = {"tip_mass_kg": 0.144, "unmodelled_payload_kg": -0.2}
-    >>> [(row.what, round(row.value, 3)) for row in impossible_sums(plant, [0.0, 1.0])]
-    [('mass at the tip with payload', -0.056)]
-    >>> impossible_sums(plant, [1.0])
-    []
-    """
+    """Sums of `LIMITS` that some values violate, with the least payload."""
     least_payload_kg = min(payloads_kg, default=0.0)
     found = []
     for limit in LIMITS:
@@ -149,22 +108,7 @@ def impossible_sums(
 def check_payload(
     payload_kg: float, option: str = "--payload", link: LinkDescription | None = None
 ) -> None:
-    """Refuse a payload that the plant of a link is not made for.
-
-    Parameters
-    ----------
-    payload_kg : float
-        Mass at the tip.
-    option : str
-        Where the user gave it.
-    link : LinkDescription, optional
-        The plant's link; left out, the study's.
-
-    Raises
-    ------
-    InputError
-        If it is negative, too large or not a number.
-    """
+    """Refuse a payload that the plant of a link is not made for."""
     most_kg = (link or STUDY_LINK).most_payload_kg
     if not 0.0 <= payload_kg <= most_kg:
         raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")

@@ -71,55 +71,19 @@ class EffectEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Parameter of a plant document; a key that is left out keeps the default of its part.
-
-    Attributes
-    ----------
-    value : float
-        In `unit`.
-    unit : str or None
-        SI unit in the spelling of FMI, "1" for none.
-    bounds : tuple of float or None
-        Least and largest value.
-    role : str or None
-        See `models.plant.parameter.Role`.
-    source : str or None
-        Origin of value and bounds.
-    error : float or None
-        Standard error of an identified value.
-    prior_deviation : float or None
-        Standard deviation of the value before a fit.
-    """
+    """Parameter of a plant document; a key that is left out keeps the default of its part."""
 
     value: float
-    unit: str | None = None
-    bounds: tuple[float, float] | None = None
+    unit: str | None = None  # SI unit in the spelling of FMI, "1" for none
+    bounds: tuple[float, float] | None = None  # Least and largest value
     role: Role | None = None
-    source: str | None = None
-    error: float | None = None
-    prior_deviation: float | None = None
+    source: str | None = None  # Origin of value and bounds
+    error: float | None = None  # Standard error of an identified value
+    prior_deviation: float | None = None  # Standard deviation of the value before a fit
 
 
 class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A plant file.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    drive, load : PartKind
-        Parts of the plant.
-    effects : list of EffectEntry
-        In any order.
-    signals : dict of str to SignalRole
-        Columns and conditions of its trials; empty for the link.
-    parameters : dict of str to ParameterEntry or float
-        Of the parts and of effects that the plant may get.
-    provenance : Provenance
-        Origin of the values.
-    link : LinkDescription or None
-        The described link whose plant this is.
-    """
+    """A plant file."""
 
     MADE_BY: ClassVar[str] = "python -m models identify"
 
@@ -127,26 +91,16 @@ class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=T
     drive: PartKind
     load: PartKind
     effects: list[EffectEntry] = msgspec.field(default_factory=list)
+    # Columns and conditions of its trials; empty for the link
     signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
+    # Of the parts and of effects that the plant may get
     parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
-    provenance: Provenance = msgspec.field(default_factory=Provenance)
-    link: LinkDescription | None = None
+    provenance: Provenance = msgspec.field(default_factory=Provenance)  # Origin of the values
+    link: LinkDescription | None = None  # The described link whose plant this is
 
 
 def read_plant_document(path: Path) -> PlantDocument:
-    """Read a plant file; JSON or TOML by the suffix.
-
-    Parameters
-    ----------
-    path : Path
-        `.json` in whatever case, anything else is TOML.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is no plant document, or is one of another version; if an effect
-        stands twice in it, bounds or a deviation cannot be, or a signal is not in its SI unit.
-    """
+    """Read a plant file; JSON or TOML by the suffix."""
     remedy = "name a plant, e.g. models/plant/nominal.toml"
     raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
@@ -194,13 +148,7 @@ def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
 
 
 def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
-    """Parameter as its part declares it, with what a plant file gives in place of that.
-
-    Raises
-    ------
-    InputError
-        If the entry has another unit.
-    """
+    """Parameter as its part declares it, with what a plant file gives in place of that."""
     entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
     if entry.unit not in (None, q.unit):
         raise InputError(
@@ -217,22 +165,7 @@ def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEn
 def check_condition_units(
     where: Path, signals: Mapping[str, SignalRole], parameters: Mapping[str, Parameter]
 ) -> None:
-    """Refuse a condition in another unit than the parameter that it replaces.
-
-    Parameters
-    ----------
-    where : Path
-        The plant's file.
-    signals : mapping of str to SignalRole
-        Signals of the plant.
-    parameters : mapping of str to Parameter
-        Its parameters.
-
-    Raises
-    ------
-    InputError
-        For the first condition with another unit.
-    """
+    """Refuse a condition in another unit than the parameter that it replaces."""
     for name, signal in signals.items():
         q = parameters.get(signal.quantity or name)
         if signal.role == "condition" and q is not None and signal.unit != q.unit:
@@ -240,17 +173,8 @@ def check_condition_units(
 
 
 def link_of_plant(path: Path) -> LinkDescription:
-    """Link that a plant's file describes, the study's where it does not; or that of a link's file.
-
-    Parameters
-    ----------
-    path : Path
-        Plant, or `link.toml`.
-
-    Raises
-    ------
-    InputError
-        See `read_plant_document`.
+    """Link that a plant's file describes, the study's where it does not; or that of a link's
+    file.
     """
     if path.suffix.lower() == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
         return read_link(path)
@@ -260,12 +184,7 @@ def link_of_plant(path: Path) -> LinkDescription:
 def write_plant_document(document: PlantDocument, path: Path) -> None:
     """Write a plant file as a whole; JSON or TOML by the suffix.
 
-    Parameters
-    ----------
-    document : PlantDocument
-        To write.
-    path : Path
-        As `read_plant_document` reads it; its directory is made if need be.
+    `path`: as `read_plant_document` reads it; its directory is made if need be.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (
@@ -282,13 +201,7 @@ def plant_json(document: PlantDocument) -> str:
 
 
 def plain_plant(document: PlantDocument) -> dict[str, Any]:
-    """Document as dictionaries and lists; the link is left out where there is none.
-
-    Parameters
-    ----------
-    document : PlantDocument
-        The document.
-    """
+    """Document as dictionaries and lists; the link is left out where there is none."""
     plain: dict[str, Any] = msgspec.to_builtins(document)
     if document.link is None:
         del plain["link"]

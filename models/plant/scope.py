@@ -40,27 +40,13 @@ ripple's slope, below 0.1 for a ripple of 6 mrad at 16 periods a turn."""
 
 @dataclass
 class StateVariable:
-    """State during composition.
+    """State during composition."""
 
-    Attributes
-    ----------
-    variable : Variable
-        Name, unit and bounds.
-    symbol : SX
-        Its symbol.
-    initial : SX
-        Value at the start.
-    rate : SX
-        Time derivative.
-    begin, finish : SX or None
-        Discrete update at the begin and the end of a step; None for none.
-    """
-
-    variable: Variable
+    variable: Variable  # Name, unit and bounds
     symbol: Expr
-    initial: Expr
+    initial: Expr  # Value at the start
     rate: Expr = 0
-    begin: Expr | None = None
+    begin: Expr | None = None  # Discrete update at the begin and the end of a step; None for none
     finish: Expr | None = None
 
 
@@ -311,13 +297,7 @@ def variable_of(parameter: Parameter) -> Variable:
 def variables_of(
     parameters: Mapping[str, Parameter], variables: Sequence[Variable]
 ) -> tuple[Variable, ...]:
-    """Parameters as variables of a step model, in the order of others with the same names.
-
-    Parameters
-    ----------
-    parameters, variables : mapping of str to Parameter, sequence of Variable
-        By name; their order.
-    """
+    """Parameters as variables of a step model, in the order of others with the same names."""
     return tuple(variable_of(parameters[v.name]) for v in variables)
 
 
@@ -335,15 +315,7 @@ def is_absent(parameter: Parameter) -> bool:
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
-    """Expression in which the first of each pair is replaced by the second, simultaneously.
-
-    Parameters
-    ----------
-    expression : SX
-        To change.
-    pairs : sequence of (SX, SX)
-        Old symbol, new expression.
-    """
+    """Expression in which the first of each pair is replaced by the second, simultaneously."""
     if not pairs:
         return expression
     old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))

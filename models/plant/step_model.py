@@ -32,33 +32,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Variable:
-    """A scalar variable of a model.
+    """A scalar variable of a model."""
 
-    Attributes
-    ----------
-    name : str
-        With its unit suffix.
-    unit : str
-        SI unit in the spelling of FMI, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`).
-    start : float
-        Initial or nominal value.
-    description : str
-        One phrase.
-    minimum, maximum : float
-        Bounds; infinite where there are none.
-    nominal : float
-        Typical magnitude.
-    sampled : bool
-        Whether an output has a meaning at the end of a step only, like a measured sample.
-    """
-
-    name: str
+    name: str  # With its unit suffix
+    # SI unit in the spelling of FMI, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`)
     unit: str
-    start: float = 0.0
+    start: float = 0.0  # Initial or nominal value
     description: str = ""
-    minimum: float = -math.inf
+    minimum: float = -math.inf  # Bounds; infinite where there are none
     maximum: float = math.inf
     nominal: float = 1.0
+    # Whether an output has a meaning at the end of a step only, like a measured sample
     sampled: bool = False
 
 
@@ -71,61 +55,29 @@ ARGUMENTS: Final = {
 
 @dataclass(frozen=True)
 class StepModel:
-    """Sampled model; the module's text defines a step.
-
-    Attributes
-    ----------
-    name : str
-        C identifier.
-    inputs, parameters, states, outputs : tuple of Variable
-        Their order is the order of u, p, x and y.
-    initial : casadi.Function
-        (u, p) -> x at the start.
-    begin, finish : casadi.Function
-        (x, u, p, h) -> x.
-    flow : casadi.Function
-        (x, u, p, dt) -> x.
-    output : casadi.Function
-        (x, u, p) -> y.
-    max_substep_s : float
-        Longest internal step.
-    rate : casadi.Function, optional
-        (x, u, p) -> dx/dt of the continuous part, which `flow` integrates.
-    smooth_finish : casadi.Function, optional
-        `finish` as it is differentiated, where `finish` sets states to zero that are too small to
-        matter: a state of zero may depend on parameters. None where `finish` does not.
-    inputs_at_end : bool
-        Whether the inputs of a step are measured at its end; else they are sent at its begin.
-    """
+    """Sampled model; the module's text defines a step."""
 
     name: str
-    inputs: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]  # Their order is the order of u, p, x and y
     parameters: tuple[Variable, ...]
     states: tuple[Variable, ...]
     outputs: tuple[Variable, ...]
-    initial: ca.Function
-    begin: ca.Function
-    flow: ca.Function
+    initial: ca.Function  # (u, p) -> x at the start
+    begin: ca.Function  # (x, u, p, h) -> x
+    flow: ca.Function  # (x, u, p, dt) -> x
     finish: ca.Function
-    output: ca.Function
+    output: ca.Function  # (x, u, p) -> y
     max_substep_s: float = 1e-3
+    # (x, u, p) -> dx/dt of the continuous part, which `flow` integrates
     rate: ca.Function | None = None
+    # `finish` as it is differentiated, where `finish` sets states to zero that are too small to
+    # matter: a state of zero may depend on parameters. None where `finish` does not.
     smooth_finish: ca.Function | None = None
+    # Whether the inputs of a step are measured at its end; else they are sent at its begin
     inputs_at_end: bool = False
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
-        """Vector p of the start values, some of them replaced.
-
-        Parameters
-        ----------
-        changes : mapping of str to float, optional
-            New values by name.
-
-        Raises
-        ------
-        KeyError
-            If a name is not a parameter of the model.
-        """
+        """Vector p of the start values, some of them replaced."""
         names = [v.name for v in self.parameters]
         values = np.array([v.start for v in self.parameters], dtype=np.float64)
         for name, value in (changes or {}).items():
@@ -143,14 +95,7 @@ class StepModel:
     ) -> StepModel:
         """Model with other inputs and parameters, from which those of this one follow.
 
-        Parameters
-        ----------
-        name : str
-            C identifier of the new model.
-        inputs, parameters : tuple of Variable
-            Of the new model.
-        own : callable
-            (u, p) of the new model -> (u, p) of this one.
+        `own`: (u, p) of the new model -> (u, p) of this one.
         """
         size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
 
@@ -173,15 +118,7 @@ class StepModel:
         return max(1, math.ceil(step_s / self.max_substep_s - 1e-9))
 
     def advance(self, x: Array, u: Array, p: Array, step_s: float) -> Array:
-        """State after one step, interpreted: the reference of every compiled form.
-
-        Parameters
-        ----------
-        x, u, p : ndarray
-            State, inputs and parameters.
-        step_s : float
-            Length of the step in s.
-        """
+        """State after one step, interpreted: the reference of every compiled form."""
         step = _whole_step(self.begin, self.flow, self.finish, self.substeps(step_s))
         return np.asarray(step(x, u, p, step_s), dtype=np.float64).ravel()
 
@@ -190,19 +127,8 @@ class StepModel:
     ) -> Array:
         """Outputs at the start and after each step.
 
-        Parameters
-        ----------
-        u : ndarray, shape (n, len(inputs))
-            Inputs; row k drives step k.
-        step_s : float
-            Length of a step in s.
-        p, x : ndarray, optional
-            Parameters and initial state; by default the start values.
-
-        Returns
-        -------
-        ndarray, shape (n + 1, len(outputs))
-            Row k is the output at k * step_s.
+        Shapes: `u` (n, len(inputs)).
+        Returns shape (n + 1, len(outputs)), row k is the output at k * step_s.
         """
         p = self.parameter_values() if p is None else p
         x = np.asarray(self.initial(u[0], p)).ravel() if x is None else x
@@ -231,15 +157,7 @@ def names(variables: Sequence[Variable]) -> list[str]:
 
 
 def runge_kutta(name: str, rate: ca.Function) -> ca.Function:
-    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p).
-
-    Parameters
-    ----------
-    name : str
-        Of the function.
-    rate : casadi.Function
-        (x, u, p) -> dx/dt.
-    """
+    """One classical Runge–Kutta step (x, u, p, h) -> x of x' = rate(x, u, p)."""
     x, u, p = (ca.MX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
     h = ca.MX.sym("h")
     k1 = rate(x, u, p)

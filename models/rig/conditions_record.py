@@ -22,26 +22,12 @@ CONDITIONS_FILE: Final = "rig_conditions.json"
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial that its own files do not contain.
+    """Conditions of a trial that its own files do not contain."""
 
-    Attributes
-    ----------
-    seed : int
-        Of variation and noise.
-    hidden : dict of str to float
-        Strength of each hidden effect, in the unit that the catalogue gives.
-    rig_sha256 : str
-        Hash of the rig's structure and parameters, hidden effects included.
-    rig : str
-        Name of the rig's structure, or its file.
-    structure : RigStructure
-        Choices of formulation.
-    """
-
-    seed: int
-    hidden: dict[str, float]
-    rig_sha256: str
-    rig: str
+    seed: int  # Of variation and noise
+    hidden: dict[str, float]  # Strength of each hidden effect, in the unit that the catalogue gives
+    rig_sha256: str  # Hash of the rig's structure and parameters, hidden effects included
+    rig: str  # Name of the rig's structure, or its file
     structure: RigStructure
 
 
@@ -56,22 +42,7 @@ class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_field
 def refuse_other_conditions(
     cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
 ) -> None:
-    """Refuse to overwrite a trial that was measured or was run under other conditions.
-
-    Parameters
-    ----------
-    cases : sequence of TrialCase
-        To be run.
-    conditions : RigConditions
-        Under which they are to be run.
-    directory : Path
-        Where they are to be written.
-
-    Raises
-    ------
-    InputError
-        If a name is taken, or the record of the directory cannot be read.
-    """
+    """Refuse to overwrite a trial that was measured or was run under other conditions."""
     recorded = _read_trials(directory)
     for case in cases:
         path = directory / f"{case.name}.csv"
@@ -88,14 +59,7 @@ def record_conditions(
 ) -> None:
     """Add the conditions of these trials to the record of the directory, before they are run.
 
-    Parameters
-    ----------
-    cases : sequence of TrialCase
-        To be run.
-    conditions : RigConditions
-        Under which they are to be run.
-    directory : Path
-        Where they are to be written; it is made if need be.
+    `directory`: where they are to be written; it is made if need be.
     """
     directory.mkdir(parents=True, exist_ok=True)
     trials = _read_trials(directory) | {case.name: conditions for case in cases}

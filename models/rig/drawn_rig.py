@@ -97,17 +97,7 @@ NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap
 def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
     """Draw a rig.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Of the draw.
-    make : RigParameters, optional
-        Rig of the make around which values are drawn; the study's where it is not given.
-
-    Examples
-    --------
-    >>> draw_rig(np.random.default_rng(0)).structure.engine
-    'mujoco'
+    `make`: rig of the make around which values are drawn; the study's where it is not given.
     """
     rig = read_rig("default") if make is None else make
     values = {
@@ -123,13 +113,7 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation: they show what it does itself.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Any rig.
-    """
+    """Rig whose trials have neither noise nor variation: they show what it does itself."""
     return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
 
 
@@ -161,15 +145,7 @@ def rig_named(name: str) -> RigParameters:
 
 
 def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
-    """Drawn rig with one of its links; link 0 is the rig's own.
-
-    Parameters
-    ----------
-    number, link : int
-        Numbers.
-    make : RigParameters, optional
-        As for `draw_rig`.
-    """
+    """Drawn rig with one of its links; link 0 is the rig's own."""
     rig = draw_rig(np.random.default_rng([SEED, number]), make)
     if not link:
         return rig
@@ -184,21 +160,6 @@ def rig_purpose(name: str) -> Literal["tuning", "test"]:
     A named structure says its own (`models.rig.rig_structure.NamedStructure`). `drawn_K` is for
     tests from K = 900 on: nothing of the workflow is ever set on such a rig. Any other rig, as that
     of a described link, counts as one for tuning, since nobody knows what was set on it.
-
-    Parameters
-    ----------
-    name : str
-        As for `rig_named`.
-
-    Raises
-    ------
-    InputError
-        If the number of a drawn rig is none.
-
-    Examples
-    --------
-    >>> rig_purpose("drawn_899"), rig_purpose("drawn_900")
-    ('tuning', 'test')
     """
     if name.startswith(PREFIX):
         return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"

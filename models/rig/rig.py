@@ -87,23 +87,10 @@ def build_rig(
 ) -> Rig:
     """Build the engine that the rig's structure names.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        With structure, hidden effects and the variation of the trial.
-    dof : int
-        Number of driven joints.
-    payload_kg : float
-        Declared payload.
-    eccentricity_m : tuple of float
-        Offset of the payload's centre from the axis, towards +x and +y.
-    gravity : sequence of float, shape (3,)
-        Direction of gravity in the world frame; its length does not matter.
-
-    Raises
-    ------
-    InputError
-        If an effect is hidden in a joint that is not driven.
+    Shapes: `gravity` (3,).
+    `parameters`: with structure, hidden effects and the variation of the trial.
+    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
+    `gravity`: direction of gravity in the world frame; its length does not matter.
     """
     for joint in (j for j in parameters.added_in_joint if j > dof):
         raise InputError(

@@ -17,21 +17,6 @@ __all__ = ["rig_of_link"]
 
 
 def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
-    """Parameters of the rig for a link.
-
-    Parameters
-    ----------
-    link : LinkDescription
-        The link.
-    path : Path
-        Its file, for messages.
-
-    Examples
-    --------
-    >>> rig = rig_of_link(STUDY_LINK, Path("link.toml"))
-    >>> rig["link.mass_kg"], rig["servo.inertia_kg_m2"]
-    (0.9, 0.84)
-    """
     own = read_parameters()
     ratios = _ratios(LinkScale(link))
     entries = {

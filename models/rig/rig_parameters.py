@@ -30,30 +30,14 @@ RIG_TOML: Final = Path(__file__).with_name("rig.toml")
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One parameter as its table in the TOML file gives it.
-
-    Attributes
-    ----------
-    value : float
-        In `unit`.
-    unit : str
-        SI; "1" for none.
-    source : str
-        Where the value comes from.
-    effect : str
-        Effect of the catalogue whose strength is added to the value; empty for none.
-    in_one_joint : bool
-        Whether the effect may be hidden in one joint alone.
-    minimum, maximum : float
-        Bounds of the value with everything that is added to it.
-    """
+    """One parameter as its table in the TOML file gives it."""
 
     value: float
-    unit: str
-    source: str
-    effect: str = ""
-    in_one_joint: bool = False
-    minimum: float = -math.inf
+    unit: str  # SI; "1" for none
+    source: str  # Where the value comes from
+    effect: str = ""  # Effect of the catalogue whose strength is added to the value; empty for none
+    in_one_joint: bool = False  # Whether the effect may be hidden in one joint alone
+    minimum: float = -math.inf  # Bounds of the value with everything that is added to it
     maximum: float = math.inf
 
 
@@ -175,23 +159,7 @@ class RigParameters(Mapping[str, float]):
 
 
 def read_rig(rig: str) -> RigParameters:
-    """Read a rig by the name of its structure, or from a file.
-
-    Parameters
-    ----------
-    rig : str
-        Name of `models.rig.rig_structure.named_structures`, or path of a TOML file.
-
-    Raises
-    ------
-    InputError
-        See `read_parameters`.
-
-    Examples
-    --------
-    >>> read_rig("default").structure.goal
-    'held'
-    """
+    """Read a rig by the name of its structure, or from a file."""
     named = STRUCTURES / f"{rig}.toml"
     return read_parameters(named if named.is_file() else Path(rig))
 
@@ -199,25 +167,8 @@ def read_rig(rig: str) -> RigParameters:
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     """Read the parameters of a rig.
 
-    Parameters
-    ----------
-    path : Path
-        TOML file; by default the rig of the project. What it leaves out is as there. A file with a
-        table `structure` has choices and changes values only: an effect keeps its place.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or not TOML, a parameter is unknown or malformed, or an effect is
-        not in the catalogue or has another unit there.
-
-    Examples
-    --------
-    >>> rig = read_parameters()
-    >>> rig["link.mass_kg"], rig.entries["link.mass_kg"].unit
-    (0.9, 'kg')
-    >>> rig.hide({"unmodelled_payload": 0.3})["link.extra_tip_mass_kg"]
-    0.3
+    `path`: TOML file; by default the rig of the project. What it leaves out is as there. A file
+    with a table `structure` has choices and changes values only: an effect keeps its place.
     """
     document = _read_document(path)
     structure = DEFAULT_STRUCTURE

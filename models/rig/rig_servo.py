@@ -28,23 +28,7 @@ from models.rig.rig_parameters import RigParameters
 class RigServo:
     """A position servo: position loop, PI velocity loop, current limit.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig, with what is added in this joint alone.
-    step_s : float
-        Integration step.
-
-    Attributes
-    ----------
-    rotor_rad, rotor_rad_s : float
-        Angle and rate of the rotor, seen from the output.
-    current_a : float
-        Motor current.
-    gear_nm : float
-        Torque that the gear passes to the joint.
-    load_nm : float
-        Constant torque on the joint beside it.
+    `parameters`: of the rig, with what is added in this joint alone.
     """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
@@ -119,31 +103,15 @@ class RigServo:
         return self._register.value_a
 
     def send(self, goal_rad: float, time_s: float) -> None:
-        """Send a goal; it takes effect at the integration step nearest to the end of the dead time.
-
-        Parameters
-        ----------
-        goal_rad : float
-            Goal.
-        time_s : float
-            Time at which it is sent.
+        """Send a goal; it takes effect at the integration step nearest to the end of the dead
+        time.
         """
         self._pending.append((time_s + self._delay_s - 0.5 * self._step_s, goal_rad))
 
     def step(self, time_s: float, joint_rad: float, joint_rad_s: float) -> float:
         """Advance rotor and firmware by one step.
 
-        Parameters
-        ----------
-        time_s : float
-            Time at the start of the step.
-        joint_rad, joint_rad_s : float
-            Angle and rate of the joint behind the gear.
-
-        Returns
-        -------
-        float
-            Torque of the gear on the joint in N·m, without `load_nm`.
+        Returns torque of the gear on the joint in N·m, without `load_nm`.
         """
         while self._pending and self._pending[0][0] <= time_s + 1e-9:
             self._goal.take(self._pending.popleft()[1])

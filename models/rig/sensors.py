@@ -32,29 +32,14 @@ class MarkerLog(NamedTuple):
 def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
     """Angle in rad rounded to whole pulses, as the servo reports it.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        With the resolution of the encoder.
-    encoder_rad : ndarray
-        Angle of the rotor, seen from the output, with the offset of the encoder.
+    `encoder_rad`: angle of the rotor, seen from the output, with the offset of the encoder.
     """
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
 
 
 def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Generator) -> Array:
-    """Current in A with scale error, bias and noise, rounded to whole counts.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        With the errors of the sensor.
-    current_a : ndarray
-        True current; the last axis has the joints.
-    rng : numpy.random.Generator
-        Of the trial.
-    """
+    """Current in A with scale error, bias and noise, rounded to whole counts."""
     p = parameters
     own = [p.of_joint(k + 1) for k in range(current_a.shape[-1])]
     scale = np.array([1.0 + q["sensor.current_scale_share"] for q in own])
@@ -75,23 +60,9 @@ def read_markers(
     The cameras run at 240 Hz, not synchronised; every frame has marker noise and timing jitter. A
     frame at time t shows the markers of one delay before.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig, with the delay of this trial.
-    log : MarkerLog
-        True markers.
-    time_s : ndarray, shape (n,)
-        Uniform times to resample to.
-    shift_m : ndarray, shape (3,)
-        Shift of the motion capture's frame.
-    rng : numpy.random.Generator
-        Of this trial.
-
-    Returns
-    -------
-    ndarray, shape (n, markers, 3)
-        In the world frame of the motion capture, with its tilt, scale and shift.
+    Shapes: `time_s` (n,), `shift_m` (3,).
+    Returns shape (n, markers, 3), in the world frame of the motion capture, with its tilt, scale
+    and shift.
     """
     p = parameters
     interval_s = 1.0 / p["sensor.mocap_rate_hz"]

@@ -30,37 +30,17 @@ _MARGIN: Final = 6
 
 @dataclass(frozen=True)
 class Variation:
-    """Deviation of one trial from the nominal rig.
+    """Deviation of one trial from the nominal rig."""
 
-    Attributes
-    ----------
-    parameters : RigParameters
-        With the pressure, friction and synchronisation of this trial.
-    eccentricity_m : tuple of float
-        Offset of the payload towards +x and +y.
-    frame_shift_m : ndarray, shape (3,)
-        Shift of the motion capture's frame.
-    """
-
-    parameters: RigParameters
-    eccentricity_m: tuple[float, float]
-    frame_shift_m: Array
+    parameters: RigParameters  # With the pressure, friction and synchronisation of this trial
+    eccentricity_m: tuple[float, float]  # Offset of the payload towards +x and +y
+    frame_shift_m: Array  # (3,), shift of the motion capture's frame
 
 
 def draw_variation(
     parameters: RigParameters, case: TrialCase, rng: np.random.Generator
 ) -> Variation:
-    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Nominal, hidden effects included.
-    case : TrialCase
-        The trial.
-    rng : numpy.random.Generator
-        Of this trial.
-    """
+    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
     p = parameters
     pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
     values = {
@@ -141,22 +121,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
 
 
 def check_link_state(rig: Rig, where: str, parameters: RigParameters) -> None:
-    """Refuse a link that has folded, or a simulation that has become unstable.
-
-    Parameters
-    ----------
-    rig : Rig
-        Looked at once a control period.
-    where : str
-        Trial or option, for the message.
-    parameters : RigParameters
-        Of the rig.
-
-    Raises
-    ------
-    InputError
-        With the cause.
-    """
+    """Refuse a link that has folded, or a simulation that has become unstable."""
     state = rig.look()
     if state == "folded":
         raise InputError(

@@ -29,17 +29,7 @@ LinkState = Literal["whole", "folded", "unstable"]
 def state_of_link(bend_rad: float, before_rad: float) -> LinkState:
     """State of a simulated link by its largest bend now and one look before.
 
-    Parameters
-    ----------
-    bend_rad : float
-        Largest bend; not finite where the simulation has lost it.
-    before_rad : float
-        The same one look before.
-
-    Examples
-    --------
-    >>> state_of_link(0.1, 0.1), state_of_link(0.9, 0.5), state_of_link(math.nan, 0.05)
-    ('whole', 'folded', 'unstable')
+    `bend_rad`: largest bend; not finite where the simulation has lost it.
     """
     if bend_rad < FOLDED_RAD:
         return "whole"

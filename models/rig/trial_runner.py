@@ -22,28 +22,8 @@ def run_trial_cases(
 ) -> list[Path]:
     """Run and write every case.
 
-    Parameters
-    ----------
-    cases : sequence of TrialCase
-        To run.
-    parameters : RigParameters
-        Of the rig, hidden effects included.
-    directory : Path
-        Where the trials are written.
-    workers : int
-        Number of processes; 1 runs in this one.
-    on_done : callable
-        Called with the name of each trial that is written.
-
-    Returns
-    -------
-    list of Path
-        CSV files in the order of the cases.
-
-    Raises
-    ------
-    InputError
-        If the link folds in a trial, or a worker process is killed.
+    `on_done`: called with the name of each trial that is written.
+    Returns CSV files in the order of the cases.
     """
     paths = {}
     if workers == 1 or len(cases) == 1:

@@ -54,13 +54,7 @@ _Compile = Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None]
 
 
 def target_here() -> str:
-    """Return Zig's name of the platform of this process.
-
-    Raises
-    ------
-    InputError
-        If it is none of `TARGETS`.
-    """
+    """Return Zig's name of the platform of this process."""
     here = platform_here()
     if here not in TARGETS:
         raise InputError(
@@ -79,21 +73,8 @@ def load_library(
 ) -> ctypes.CDLL:
     """Compile C sources for this machine and load the library.
 
-    Parameters
-    ----------
-    write_sources : callable
-        Writes files into a directory that is removed again; returns the sources to compile.
-    include : sequence of Path
-        Directories searched for headers, beside that one.
-    flags, at_once
-        As for `compile_library`.
-
-    Raises
-    ------
-    InputError
-        If there is no compiler for this machine, or the library does not load.
-    DropstitchError
-        If the compiler refuses the sources; the message is the compiler's.
+    `write_sources`: writes files into a directory that is removed again; returns the sources to
+    compile.
     """
     # Windows does not delete a mapped file: there the directory is left to its own clean-up.
     with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
@@ -125,32 +106,8 @@ def compile_library(
     Only symbols that a source marks with default visibility are exported; CasADi's own are not,
     unless `flags` defines CASADI_SYMBOL_EXPORT.
 
-    Parameters
-    ----------
-    sources : sequence of Path
-        C files.
-    output : Path
-        Library to write.
-    include : sequence of Path
-        Directories searched for headers.
-    flags : sequence of str
-        Further options, put after the defaults.
-    target : str, optional
-        Zig's name of the platform; by default that of this machine.
-    at_once : bool
-        Whether sources are compiled at the same time, on two processors.
-
-    Returns
-    -------
-    Path
-        `output`.
-
-    Raises
-    ------
-    InputError
-        If no target is given, and there is none for this machine.
-    DropstitchError
-        If the compiler refuses the sources; the message is the compiler's.
+    `target`: zig's name of the platform; by default that of this machine.
+    `at_once`: whether sources are compiled at the same time, on two processors.
     """
     target = target or target_here()
     options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
@@ -161,24 +118,7 @@ def compile_library(
 def compile_program(
     source: Path, output: Path, *, target: str, include: Sequence[Path] = ()
 ) -> Path:
-    """Compile one C source into a program that links to the C library dynamically.
-
-    Parameters
-    ----------
-    source : Path
-        C file.
-    output : Path
-        Program to write.
-    include : sequence of Path
-        Directories searched for headers.
-    target : str
-        Zig's name of the platform.
-
-    Raises
-    ------
-    DropstitchError
-        If the compiler refuses the source; the message is the compiler's.
-    """
+    """Compile one C source into a program that links to the C library dynamically."""
     _compile_cached([source], output, include, [*_FLAGS, "-target", target], _compile)
     output.chmod(0o755)
     return output

@@ -41,24 +41,12 @@ LEAK_TIME_S: Final = 10.0
 
 
 class EffectRow(NamedTuple):
-    """One row of the catalogue.
-
-    Attributes
-    ----------
-    port : str
-        Where the effect acts.
-    unit : str
-        Of its strength (its first parameter); "1" for a fraction.
-    strength : str
-        Meaning of the strength.
-    size : float, optional
-        Strength that would be noticed on the bench; NaN for none.
-    """
+    """One row of the catalogue."""
 
     port: Port
-    unit: str
+    unit: str  # Of its strength (its first parameter); "1" for a fraction
     strength: str
-    size: float = math.nan
+    size: float = math.nan  # Strength that would be noticed on the bench; NaN for none
 
 
 CATALOGUE: Final[dict[str, EffectRow]] = {
@@ -126,23 +114,7 @@ EVERY_EFFECT: Final[dict[str, EffectRow]] = CATALOGUE | BEYOND_THE_RIG
 
 
 def effect_and_joint(hidden: str) -> tuple[str, int | None]:
-    """Effect and joint of `NAME:JOINT`; the joint is None where `NAME` stands alone.
-
-    Parameters
-    ----------
-    hidden : str
-        As `--hide` names it.
-
-    Raises
-    ------
-    InputError
-        If the joint is not 1 or 2.
-
-    Examples
-    --------
-    >>> effect_and_joint("backlash:2")
-    ('backlash', 2)
-    """
+    """Effect and joint of `NAME:JOINT`; the joint is None where `NAME` stands alone."""
     effect, colon, joint = hidden.partition(":")
     if not colon:
         return effect, None
@@ -152,25 +124,7 @@ def effect_and_joint(hidden: str) -> tuple[str, int | None]:
 
 
 def parse_strength(argument: str) -> tuple[str, float]:
-    """Split `NAME=STRENGTH`, or `NAME:JOINT=STRENGTH`, as given on a command line.
-
-    Parameters
-    ----------
-    argument : str
-        Value of `--hide`.
-
-    Raises
-    ------
-    InputError
-        If the form, the name or the number is wrong.
-
-    Examples
-    --------
-    >>> parse_strength("backlash=0.01")
-    ('backlash', 0.01)
-    >>> parse_strength("backlash:2=0.01")
-    ('backlash:2', 0.01)
-    """
+    """Split `NAME=STRENGTH`, or `NAME:JOINT=STRENGTH`, as given on a command line."""
     name, _, value = argument.partition("=")
     effect, _ = effect_and_joint(name)
     if effect not in CATALOGUE:
@@ -188,18 +142,7 @@ def parse_strength(argument: str) -> tuple[str, float]:
 
 
 def parse_strengths(arguments: Sequence[str]) -> dict[str, float]:
-    """Strengths by effect from every `--hide EFFECT=STRENGTH` of a command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Values of `--hide`.
-
-    Raises
-    ------
-    InputError
-        If one is wrong or not finite, or an effect is named twice.
-    """
+    """Strengths by effect from every `--hide EFFECT=STRENGTH` of a command line."""
     strengths: dict[str, float] = {}
     for argument in arguments:
         effect, strength = parse_strength(argument)

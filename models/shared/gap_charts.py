@@ -24,15 +24,7 @@ BEFORE_AND_AFTER: Final = (LegendEntry(BEFORE, "before"), LegendEntry(AFTER, "af
 
 
 def heat_map_height_in(rows: int, *, curve: bool = False) -> float:
-    """Height of a heat map in inches.
-
-    Parameters
-    ----------
-    rows : int
-        Number of rows.
-    curve : bool
-        Whether a curve is drawn above the columns.
-    """
+    """Height of a heat map in inches."""
     return 0.6 + 0.26 * rows + (0.3 if curve else 0.0)
 
 
@@ -48,20 +40,8 @@ def draw_heat_map(
 ) -> None:
     """Draw a table of values on a logarithmic colour scale from 1, white, to `most`, dark red.
 
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    rows, columns : sequence of str
-        Labels.
-    cells : mapping of (row, column) to float
-        Values; a missing one leaves its cell empty.
-    most : float
-        Largest value of the scale.
-    faint : collection of (row, column)
-        Cells without colour.
-    curve : ndarray, shape (n,), optional
-        Curve between -1 and 1 above the columns, over their whole width.
+    Shapes: `curve` (n,).
+    `curve`: curve between -1 and 1 above the columns, over their whole width.
     """
     scale = LogNorm(1.0, max(most, 1.5), clip=True)
     colours, whole = heat_colours(), all(float(v).is_integer() for v in cells.values())
@@ -90,13 +70,7 @@ def draw_heat_map(
 
 
 def heat_legend(most: float) -> list[LegendEntry]:
-    """Legend of the colours of `draw_heat_map`: noise, the largest value and two between.
-
-    Parameters
-    ----------
-    most : float
-        Largest value of the scale.
-    """
+    """Legend of the colours of `draw_heat_map`: noise, the largest value and two between."""
     colours = heat_colours()
     values = np.geomspace(1.0, max(most, 1.5), 4)
     labels = ["1 (noise)", *(f"{v:.2g}" for v in values[1:-1]), f"{values[-1]:.2g} noise floors"]
@@ -109,21 +83,7 @@ def heat_legend(most: float) -> list[LegendEntry]:
 def draw_bars(
     ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: str, marked: int = 1
 ) -> None:
-    """Draw horizontal bars with their values, the first ones marked, and a line at a limit.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    rows : sequence of (label, value)
-        From the top.
-    limit : float
-        Where the line stands.
-    said : str
-        Label of the value axis.
-    marked : int
-        How many bars are marked.
-    """
+    """Draw horizontal bars with their values, the first ones marked, and a line at a limit."""
     for k, (_, value) in enumerate(rows):
         ax.barh(k, value, height=0.7, color=BEFORE if k < marked else MUTED)
         _bar_label(ax, value, k, f"{value:.1f}")
@@ -133,16 +93,7 @@ def draw_bars(
 def draw_waterfall(ax: Any, steps: Sequence[tuple[str, float]], limit: float, said: str) -> None:
     """Draw what each step leaves, solid, and removes, pale, with a line at a limit.
 
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    steps : sequence of (label, value)
-        In order; the first is the start, the last the floor.
-    limit : float
-        Where the line stands.
-    said : str
-        Label of the value axis.
+    `steps`: in order; the first is the start, the last the floor.
     """
     before = steps[0][1]
     for k, (_, value) in enumerate(steps):
@@ -181,20 +132,7 @@ def draw_traces(
 ) -> None:
     """Draw errors over time, the first before and the second after, on a band of ± `floor`.
 
-    Parameters
-    ----------
-    ax : Axes
-        Where to draw.
-    time_s : ndarray, shape (n,)
-        Times.
-    series : sequence of ndarray, shape (n,)
-        Errors in SI units.
-    unit : DisplayUnit
-        Unit in which they are shown.
-    quantity : str
-        What they are errors of.
-    floor : float, optional
-        Half width of the band, in SI units.
+    Shapes: `time_s` (n,), `series` (n,).
     """
     if floor is not None:
         ax.axhspan(-unit.factor * floor, unit.factor * floor, color=MUTED, alpha=0.2, lw=0)

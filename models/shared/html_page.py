@@ -33,16 +33,8 @@ def render_page(
 ) -> str:
     """Render a whole page.
 
-    Parameters
-    ----------
-    title : str
-        Title and main heading.
-    lead : sequence of parts
-        Below the heading.
-    sections : sequence of Section
-        The page; each has a link in the table of contents.
-    made : datetime, optional
-        Time that the page names as its own, in UTC.
+    `sections`: the page; each has a link in the table of contents.
+    `made`: time that the page names as its own, in UTC.
     """
     return _environment().get_template("page.html").render(
         title=title,

@@ -19,22 +19,10 @@ Array = NDArray[np.float64]
 def base_rotation(angle_rad: Array) -> Array:
     """Rotation of the base plate.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n, dof)
-        Joint angles in rad; with one column joint 2 is at zero.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-        R = R_y(angle_1) R_x(-angle_2); its columns are the plate's axes in the world frame.
-
-    Examples
-    --------
-    >>> base_rotation(np.array([[0.0], [np.pi / 2]])).round(6)[1] + 0.0
-    array([[ 0.,  0.,  1.],
-           [ 0.,  1.,  0.],
-           [-1.,  0.,  0.]])
+    Shapes: `angle_rad` (n, dof).
+    `angle_rad`: joint angles in rad; with one column joint 2 is at zero.
+    Returns shape (n, 3, 3), R = R_y(angle_1) R_x(-angle_2); its columns are the plate's axes in the
+    world frame.
     """
     q1 = angle_rad[:, 0]
     q2 = angle_rad[:, 1] if angle_rad.shape[1] > 1 else np.zeros_like(q1)
@@ -53,19 +41,8 @@ def base_corners_m(
 ) -> Array:
     """Places on the base plate below the markers of a row, in their order.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n, dof)
-        Joint angles.
-    base_offset_m : float
-        Distance of the plate from the joint axes.
-    corners_m : sequence of (float, float)
-        Distances from the link's axis along x and y.
-
-    Returns
-    -------
-    ndarray, shape (n, corners, 3)
-        In the world frame.
+    Shapes: `angle_rad` (n, dof).
+    Returns shape (n, corners, 3), in the world frame.
     """
     body = np.array([[x, y, base_offset_m] for x, y in corners_m])
     return np.asarray(np.einsum("nij,cj->nci", base_rotation(angle_rad), body))
@@ -74,23 +51,10 @@ def base_corners_m(
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
     """Tip of a link that does not bend.
 
-    Parameters
-    ----------
-    angle_rad : ndarray, shape (n, dof)
-        Joint angles.
-    base_offset_m, length_m : float
-        Distance of the base plate from the joint axes, and length of the link.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        In the world frame, in m.
-
-    Examples
-    --------
-    >>> rigid_tip_m(np.array([[0.0], [np.pi / 6]]), base_offset_m=0.06, length_m=0.94).round(3)
-    array([[0.   , 0.   , 1.   ],
-           [0.5  , 0.   , 0.866]])
+    Shapes: `angle_rad` (n, dof).
+    `base_offset_m`, `length_m`: distance of the base plate from the joint axes, and length of the
+    link.
+    Returns shape (n, 3), in the world frame, in m.
     """
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
 
@@ -98,15 +62,9 @@ def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Arra
 def pointing_angles_rad(position_m: Array) -> Array:
     """Joint angles of a straight link through a point: the inverse of `rigid_tip_m`.
 
-    Parameters
-    ----------
-    position_m : ndarray, shape (n, 3)
-        Any point on the link's axis, world frame, in m.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        Angle 1 and angle 2 in rad.
+    Shapes: `position_m` (n, 3).
+    `position_m`: any point on the link's axis, world frame, in m.
+    Returns shape (n, 2), angle 1 and angle 2 in rad.
     """
     x, y, z = position_m.T
     return np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])

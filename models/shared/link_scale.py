@@ -36,13 +36,7 @@ MODAL_MASS_FRACTION: Final = 0.236
 
 @dataclass(frozen=True)
 class LinkScale:
-    """Properties that follow from a link's description.
-
-    Attributes
-    ----------
-    link : LinkDescription
-        The link.
-    """
+    """Properties that follow from a link's description."""
 
     link: LinkDescription
 
@@ -159,18 +153,7 @@ class LinkScale:
         return self.holding_nm / self.link.preset.torque_limit_nm
 
     def over_study(self, name: str) -> float:
-        """A property over the same one of the study's link.
-
-        Parameters
-        ----------
-        name : str
-            Attribute of this class.
-
-        Examples
-        --------
-        >>> LinkScale(STUDY_LINK).over_study("bending_n_m2")
-        1.0
-        """
+        """A property over the same one of the study's link."""
         return float(getattr(self, name) / getattr(_STUDY, name))
 
     @cached_property

@@ -19,38 +19,20 @@ Text = str | Markup
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Paragraph of text.
-
-    Attributes
-    ----------
-    text : str
-        The text.
-    kind : str
-        "" for running text, "lead", "note" or "missing".
-    """
+    """Paragraph of text."""
 
     macro: ClassVar = "paragraph"
     text: Text
-    kind: str = ""
+    kind: str = ""  # "" for running text, "lead", "note" or "missing"
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Coloured line with a label, for what a reader must not overlook.
-
-    Attributes
-    ----------
-    kind : str
-        Its colour: "simulated", "measured", "mixed" or "unknown".
-    label : str
-        The same in words.
-    text : str
-        The rest.
-    """
+    """Coloured line with a label, for what a reader must not overlook."""
 
     macro: ClassVar = "notice"
-    kind: str
-    label: str
+    kind: str  # Its colour: "simulated", "measured", "mixed" or "unknown"
+    label: str  # The same in words
     text: Text
 
 
@@ -67,24 +49,12 @@ Cell = TableCell | Text
 
 @dataclass(frozen=True)
 class Table:
-    """Table whose first column names the rows.
-
-    Attributes
-    ----------
-    title : str
-        Above the table; "" for none.
-    header : sequence of str
-        Names of the columns.
-    rows : sequence of rows
-        Cells, one per column.
-    note : str
-        Sentence below.
-    """
+    """Table whose first column names the rows."""
 
     macro: ClassVar = "table"
-    title: str
-    header: Sequence[Text]
-    rows: Sequence[Sequence[Cell]]
+    title: str  # Above the table; "" for none
+    header: Sequence[Text]  # Names of the columns
+    rows: Sequence[Sequence[Cell]]  # Cells, one per column
     note: str = ""
 
     @property
@@ -95,20 +65,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Panel:
-    """One drawing.
-
-    Attributes
-    ----------
-    title : str
-        Above the drawing.
-    alt : str
-        What the drawing shows, for readers who cannot see it.
-    svg : str
-        The drawing.
-    """
+    """One drawing."""
 
     title: str
-    alt: str
+    alt: str  # What the drawing shows, for readers who cannot see it
     svg: str
 
 
@@ -122,26 +82,14 @@ class LegendEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels under one heading and one legend, side by side where there is room.
-
-    Attributes
-    ----------
-    title, note : str
-        Heading, "" for none; sentence below.
-    panels : sequence of Panel
-        The drawings.
-    paper : str
-        Number of the paper's figure, "" for none.
-    legend : sequence of LegendEntry
-        What the colours stand for.
-    """
+    """Panels under one heading and one legend, side by side where there is room."""
 
     macro: ClassVar = "figure"
-    title: str
+    title: str  # Heading, "" for none; sentence below
     note: str
     panels: Sequence[Panel]
-    paper: str = ""
-    legend: Sequence[LegendEntry] = ()
+    paper: str = ""  # Number of the paper's figure, "" for none
+    legend: Sequence[LegendEntry] = ()  # What the colours stand for
 
 
 @dataclass(frozen=True)
@@ -163,19 +111,10 @@ class CommandList:
 
 @dataclass(frozen=True)
 class ClaimCard:
-    """One claim with what each study says about it.
-
-    Attributes
-    ----------
-    claim : str
-        The claim.
-    verdicts : sequence of (names, holds, text)
-        Studies that agree; whether the claim holds (None: they cannot tell); the finding.
-    depends_on : sequence of str
-        What the claim depends on.
-    """
+    """One claim with what each study says about it."""
 
     claim: str
+    # Studies that agree; whether the claim holds (None: they cannot tell); the finding
     verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
     depends_on: Sequence[str]
 
@@ -203,12 +142,6 @@ class Section:
 
 
 def missing_inputs(command: str) -> Paragraph:
-    """Line in place of a part whose inputs are missing, with the command that writes them.
-
-    Parameters
-    ----------
-    command : str
-        Command that writes the inputs.
-    """
+    """Line in place of a part whose inputs are missing, with the command that writes them."""
     text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
     return Paragraph(text.format(command), "missing")

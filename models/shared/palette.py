@@ -91,13 +91,7 @@ def _declared(selector: str, colours: dict[str, str]) -> str:
 
 
 def ordered_colours(count: int) -> list[str]:
-    """Colours of an ordered quantity, amber to navy, all dark enough on paper.
-
-    Parameters
-    ----------
-    count : int
-        Number of colours.
-    """
+    """Colours of an ordered quantity, amber to navy, all dark enough on paper."""
     import matplotlib
     from matplotlib.colors import to_hex
 

@@ -84,18 +84,8 @@ def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[f
     Where each covers the one before for at least half of its length, every line is narrower than
     the one beneath, so that all are seen; elsewhere all are thin.
 
-    Parameters
-    ----------
-    curves : sequence of ndarray, shape (n, 2)
-        Points.
-    shown : float
-        Length of the longer axis, in the unit of the points.
-
-    Examples
-    --------
-    >>> line = np.column_stack([np.linspace(0, 1, 50), np.zeros(50)])
-    >>> nested_widths([line, line], 1.0), nested_widths([line, line + 0.1], 1.0)
-    ([2.5, 1.1], [1.1, 1.1])
+    Shapes: `curves` (n, 2).
+    `shown`: length of the longer axis, in the unit of the points.
     """
     thinned = [c[:: max(len(c) // _POINTS_COMPARED, 1)] for c in curves]
     covered = [
@@ -112,12 +102,7 @@ def log_axis(ax: Any, values: Iterable[float]) -> None:
 
     Give the values of every panel of a figure, and its panels share one scale.
 
-    Parameters
-    ----------
-    ax : Axes
-        Where the axis is.
-    values : iterable of float
-        All values to show; those that are not positive are ignored.
+    `values`: all values to show; those that are not positive are ignored.
     """
     positive = [v for v in values if v > 0]
     ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))

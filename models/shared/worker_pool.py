@@ -27,23 +27,6 @@ def worker_pool(processes: int, option: str = "--workers") -> Iterator[ProcessPo
     Where the body is left by an exception, Ctrl-C and SIGTERM included, the workers are terminated:
     what they had begun is lost, so files are written under another name first. They end also where
     this process is killed.
-
-    Parameters
-    ----------
-    processes : int
-        Number of workers.
-    option : str
-        Option of the command that sets this number.
-
-    Yields
-    ------
-    ProcessPoolExecutor
-        To submit work to.
-
-    Raises
-    ------
-    InputError
-        If a worker is killed.
     """
     os.environ.update(dict.fromkeys(THREADS, "1"))  # set before the processes load numpy
     others = set(multiprocessing.active_children())

@@ -26,18 +26,7 @@ _KEYS: Final = frozenset({"training_data_sha256", "plant_sha256", "files"})
 
 
 def check_bundle_directory(directory: Path) -> None:
-    """Refuse a directory that holds something, but no bundle.
-
-    Parameters
-    ----------
-    directory : Path
-        Where a bundle is to be written.
-
-    Raises
-    ------
-    InputError
-        If it is a file, or a directory with files whose manifest is absent or of something else.
-    """
+    """Refuse a directory that holds something, but no bundle."""
     occupied = directory.exists() and (not directory.is_dir() or any(directory.iterdir()))
     if occupied and not _holds_bundle(directory):
         raise InputError(directory, "exists and is not a bundle", "choose another --out")
@@ -57,20 +46,7 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
 
     Where the body fails everything stays as it was.
 
-    Parameters
-    ----------
-    directory : Path
-        Of the bundle; made if need be.
-
-    Yields
-    ------
-    Path
-        Empty directory on the same file system, of this process alone.
-
-    Raises
-    ------
-    InputError
-        See `check_bundle_directory`.
+    Yields empty directory on the same file system, of this process alone.
     """
     check_bundle_directory(directory)
     directory = directory.resolve()

@@ -54,30 +54,11 @@ def write_bundle(
     Its estimator is the lagged regressor, until `python -m fmu build --unit observer` adds the
     observer that the predictor was trained with. The same study gives the same bytes.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory of the bundle. The files of an old bundle there are replaced, others beside them
-        are kept; a directory of anything else is refused.
-    study : Study
-        Study of one dof.
-    plant : Plant
-        Plant whose observer the study used; written as `plant.json`.
-    tip : TipTraining, optional
-        The robot's predictor; without one the robot gets the study's polynomial, which is the
-        fallback for a robot without the observer otherwise.
-
-    Returns
-    -------
-    dict
-        Largest differences at the parity gate: `tip_m`, `half_width_m`.
-
-    Raises
-    ------
-    InputError
-        If `directory` holds something that is not a bundle.
-    ParityError
-        If the graph and scikit-learn differ by more than 1e-9 m in the training hull.
+    `directory`: directory of the bundle. The files of an old bundle there are replaced, others
+    beside them are kept; a directory of anything else is refused.
+    `tip`: the robot's predictor; without one the robot gets the study's polynomial, which is the
+    fallback for a robot without the observer otherwise.
+    Returns largest differences at the parity gate: `tip_m`, `half_width_m`.
     """
     with replaced_bundle(directory) as fresh:
         return _fill(fresh, study, plant, tip)
@@ -160,26 +141,8 @@ def check_parity(
     A point of the hull is a random convex combination of n + 1 training rows, with n the number
     of features.
 
-    Parameters
-    ----------
-    path : Path
-        ONNX file of the predictor.
-    predictor : GuardedPredictor or GuardedTip
-        Predictor that the file was converted from.
-    features : ndarray, shape (rows, n)
-        Training rows in SI units.
-    dof : int
-        Number of joints.
-
-    Returns
-    -------
-    dict
-        Largest absolute difference of `tip_m` and `half_width_m`, in m.
-
-    Raises
-    ------
-    ParityError
-        If one is above 1e-9 m, or `in_range` differs anywhere.
+    Shapes: `features` (rows, n).
+    Returns largest absolute difference of `tip_m` and `half_width_m`, in m.
     """
     rng = np.random.default_rng(0)
     corners = rng.integers(len(features), size=(GATE_POINTS, features.shape[1] + 1))
@@ -265,20 +228,7 @@ def _coefficients(polynomial: Polynomial, names: tuple[str, ...]) -> dict[str, t
 
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
-    """Write a monomial of features, like "1" or "angle_1_rad^2 di".
-
-    Parameters
-    ----------
-    exponents : tuple of int
-        One per feature.
-    names : tuple of str
-        Names of the features.
-
-    Examples
-    --------
-    >>> monomial((2, 0, 1), ("angle_1_rad", "current_1_a", "di"))
-    'angle_1_rad^2 di'
-    """
+    """Write a monomial of features, like "1" or "angle_1_rad^2 di"."""
     factors = [
         name if power == 1 else f"{name}^{power}"
         for name, power in zip(names, exponents, strict=True)

@@ -19,21 +19,9 @@ __all__ = ["compare_with_bundle"]
 def compare_with_bundle(plant: Plant, path: Path, files: BundleFiles, product: str) -> None:
     """Compare a plant with that of a bundle; tell on stderr where they differ.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    path : Path
-        Its file.
-    files : BundleFiles
-        The bundle; without the observer it holds no plant, so that only the hashes are compared.
-    product : str
-        What is made with the plant, as in "this plan".
-
-    Raises
-    ------
-    InputError
-        If the plant is of another link than the bundle's.
+    `files`: the bundle; without the observer it holds no plant, so that only the hashes are
+    compared.
+    `product`: what is made with the plant, as in "this plan".
     """
     theirs = files.manifest.plant_sha256
     if not theirs or theirs == plant.for_robot().sha256():

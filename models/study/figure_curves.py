@@ -35,17 +35,7 @@ def figure_curves(
     tests: Mapping[str, Samples],
     fitted: Fitted,
 ) -> StudyCurves:
-    """Return the curves that the report draws and no table holds.
-
-    Parameters
-    ----------
-    training : Samples
-        Rows of the training trials.
-    tests : mapping of str to Samples
-        Rows of each test.
-    fitted : mapping
-        Fitted pipelines by source of DI and degree.
-    """
+    """Return the curves that the report draws and no table holds."""
     labels = _labels(training.trials)
     return StudyCurves(
         path=dict(zip(labels, map(_path, training.trials), strict=True)),

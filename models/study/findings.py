@@ -34,14 +34,7 @@ def judge_findings(
 ) -> tuple[StudyFinding, ...]:
     """Test the paper's findings.
 
-    Parameters
-    ----------
-    document : StudyDocument
-        Tables of the study; its findings are not read.
-    training : TrialSet
-        Trial 1 of every payload.
-    tests : mapping of str to TrialSet
-        Held-out trials; the first set corresponds to the paper's trial 2.
+    `tests`: held-out trials; the first set corresponds to the paper's trial 2.
     """
     name = next(iter(tests), None)
     listed = [_rises_with_payload(document.mean_di)]
@@ -168,31 +161,15 @@ def _hysteresis(training: TrialSet) -> StudyFinding:
 
 
 class HysteresisLoop(NamedTuple):
-    """DI over the angle of joint 1, at rising and at falling angle.
+    """DI over the angle of joint 1, at rising and at falling angle."""
 
-    Attributes
-    ----------
-    width : float
-        Mean difference of DI between the two branches.
-    span : float
-        Largest less smallest DI of the trial.
-    noise : float
-        Mean difference that the noise of DI at rest alone would give.
-    """
-
-    width: float
-    span: float
-    noise: float
+    width: float  # Mean difference of DI between the two branches
+    span: float  # Largest less smallest DI of the trial
+    noise: float  # Mean difference that the noise of DI at rest alone would give
 
 
 def hysteresis_loop(trial: Trial) -> HysteresisLoop:
-    """Measure the loop of DI over the angle of joint 1, in bins of the angle.
-
-    Parameters
-    ----------
-    trial : Trial
-        With rest rows, from which the noise is estimated.
-    """
+    """Measure the loop of DI over the angle of joint 1, in bins of the angle."""
     every = deformation_index(trial)
     di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]
     scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
@@ -240,12 +217,8 @@ def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
 
 
 def doubts_of_di(document: StudyDocument) -> list[str]:
-    """Return what to look at where the observer's DI says less than its mean; one sentence or none.
-
-    Parameters
-    ----------
-    document : StudyDocument
-        Tables of the study.
+    """Return what to look at where the observer's DI says less than its mean; one sentence or
+    none.
     """
     r2 = {name: scores["observer"].r2_di for name, scores in document.estimators.items()}
     worst = min(r2, key=r2.__getitem__, default="")

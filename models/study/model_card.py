@@ -18,14 +18,7 @@ def model_card(
 ) -> str:
     """Return the text of `MODEL_CARD.md`.
 
-    Parameters
-    ----------
-    manifest : Manifest
-        Manifest of the bundle.
-    document : StudyDocument
-        Tables of the study.
-    predictors : PredictorsDocument, optional
-        Comparison of the candidates; without it the robot gets the study's polynomial.
+    `predictors`: comparison of the candidates; without it the robot gets the study's polynomial.
     """
     sections = (
         _purpose(manifest, predictors),
@@ -145,13 +138,7 @@ def _cost(entry: CandidateEntry) -> tuple[str, str]:
 
 
 def latency_text(latency: Latency) -> str:
-    """Return a latency as "warm / cold" in µs.
-
-    Parameters
-    ----------
-    latency : Latency
-        Of a bundle.
-    """
+    """Return a latency as "warm / cold" in µs."""
     return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
 
 

@@ -13,21 +13,11 @@ from models.trials.trial import Trial
 
 
 class ObserverRun(NamedTuple):
-    """Output of the observer after each sample of a trial.
+    """Output of the observer after each sample of a trial."""
 
-    Attributes
-    ----------
-    di : ndarray, shape (n,)
-        Estimated Deformation Index.
-    tip_m : ndarray, shape (n, 3)
-        End effector by the plant alone: a baseline without a polynomial.
-    payload_kg : ndarray, shape (n,)
-        Estimated payload.
-    """
-
-    di: Array
-    tip_m: Array
-    payload_kg: Array
+    di: Array  # (n,)
+    tip_m: Array  # (n, 3), end effector by the plant alone: a baseline without a polynomial
+    payload_kg: Array  # (n,)
 
 
 def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
@@ -35,13 +25,6 @@ def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
 
     Row k is the output after the step that ends at sample k, as on the robot. The rest rows are
     part of the run. The geometry is the plant's, not the trial's.
-
-    Parameters
-    ----------
-    observer : CompiledModel
-        Plant observer of the trial's dof.
-    trial : Trial
-        Recorded angles and currents.
     """
     y = observer.simulate(model_inputs(observer.model, trial), trial.step_s)[1:]
     rows = dict(zip(names(observer.model.outputs), y.T, strict=True))

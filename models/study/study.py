@@ -48,27 +48,14 @@ ROWS: Final = "moving rows only; the observer also runs through the rest rows in
 
 @dataclass(frozen=True)
 class Study:
-    """Result of `run_study`.
-
-    Attributes
-    ----------
-    document : StudyDocument
-        Content of `study.json`.
-    predictor : GuardedPredictor
-        Trained on the observer's DI at the chosen degree; the robot gets this one.
-    lagged : LaggedRegressor
-        Fallback estimator of DI.
-    training : Samples
-        Rows that both were trained on.
-    observer : CompiledModel
-        Observer that gave the DI.
-    """
+    """Result of `run_study`."""
 
     document: StudyDocument
+    # Trained on the observer's DI at the chosen degree; the robot gets this one
     predictor: GuardedPredictor
-    lagged: LaggedRegressor
-    training: Samples
-    observer: CompiledModel
+    lagged: LaggedRegressor  # Fallback estimator of DI
+    training: Samples  # Rows that both were trained on
+    observer: CompiledModel  # Observer that gave the DI
 
 
 def run_study(
@@ -80,23 +67,7 @@ def run_study(
 ) -> Study:
     """Train, cross-validate and test every predictor of the study.
 
-    Parameters
-    ----------
-    training : TrialSet
-        Trial 1 of every payload, one dof.
-    tests : mapping of str to TrialSet
-        "trial_2", "unseen_20deg", …: trials that nothing is trained on.
-    observer : StepModel
-        Plant observer of that dof.
-    others : TrialSet, optional
-        Trials of the other dof, for the comparison of mean DI.
-    progress : callable
-        Called with the name of each finished part.
-
-    Raises
-    ------
-    InputError
-        If the trials are too short to hold out blocks with gaps.
+    `others`: trials of the other dof, for the comparison of mean DI.
     """
     training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
     lagged = LaggedRegressor.fit(tuple(training), [deformation_index(t) for t in training])

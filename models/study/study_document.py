@@ -36,115 +36,61 @@ Curve = tuple[float, ...]
 
 
 class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Set of trials that the study was trained or tested on.
-
-    Attributes
-    ----------
-    trials : tuple of str
-        Names.
-    sha256 : str
-        Hash of their content.
-    payload_kg, amplitude_rad, phase_2_rad : tuple of float
-        Values that occur, ascending.
-    step_s : float
-        Time step of the first trial.
-    origins : tuple of TrialOrigin
-        Whether they were simulated or measured.
-    """
+    """Set of trials that the study was trained or tested on."""
 
     trials: tuple[str, ...]
-    sha256: str
-    payload_kg: tuple[float, ...]
+    sha256: str  # Hash of their content
+    payload_kg: tuple[float, ...]  # Values that occur, ascending
     amplitude_rad: tuple[float, ...]
     phase_2_rad: tuple[float, ...]
     step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
-    origins: tuple[TrialOrigin, ...]
+    origins: tuple[TrialOrigin, ...]  # Whether they were simulated or measured
 
 
 class FoldErrors(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """Mean Euclidean distance of a cross-validation and its standard deviation over the folds.
+    """Mean Euclidean distance of a cross-validation and its standard deviation over the folds."""
 
-    Attributes
-    ----------
-    blocks_m, blocks_fold_std_m : float
-        Blocks of time left out.
-    leave_one_payload_out_m, leave_one_payload_out_fold_std_m : float, optional
-        Payloads left out; absent where the training has one payload.
-    selection_m : float
-        The distance by which the degree is chosen: payloads left out if there are several.
-    """
-
-    blocks_m: float
+    blocks_m: float  # Blocks of time left out
     blocks_fold_std_m: float
+    # Payloads left out; absent where the training has one payload
     leave_one_payload_out_m: float | None = None
     leave_one_payload_out_fold_std_m: float | None = None
+    # The distance by which the degree is chosen: payloads left out if there are several
     selection_m: float
 
 
 class EstimatorScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Accuracy of one estimator of DI on one test.
+    """Accuracy of one estimator of DI on one test."""
 
-    Attributes
-    ----------
-    r2_di : float
-        R² of DI; negative where the estimate is worse than the mean.
-    rms_error_di : float
-        Root mean square error of DI.
-    mean_euclidean_distance_m : dict of degree to float
-        Of the predictors trained on this DI.
-    benefit_recovered : dict of degree to float or None
-        Fraction of true DI's gain in distance; None where true DI gains nothing.
-    """
-
-    r2_di: float
-    rms_error_di: float
-    mean_euclidean_distance_m: ByDegree
+    r2_di: float  # R² of DI; negative where the estimate is worse than the mean
+    rms_error_di: float  # Root mean square error of DI
+    mean_euclidean_distance_m: ByDegree  # Of the predictors trained on this DI
+    # Fraction of true DI's gain in distance; None where true DI gains nothing
     benefit_recovered: dict[Degree, float | None]
 
 
 class BaselineErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Mean Euclidean distances without a polynomial, and the observer's payload error.
+    """Mean Euclidean distances without a polynomial, and the observer's payload error."""
 
-    Attributes
-    ----------
-    observer_tip, rigid_kinematics : dict of part to float
-        Distances in m of the plant observer's tip and of a link that does not bend.
-    final_payload_error_kg : dict of trial to float
-        Estimated less true payload at the end of each trial.
-    """
-
+    # Distances in m of the plant observer's tip and of a link that does not bend
     observer_tip: dict[Part, float]
     rigid_kinematics: dict[Part, float]
-    final_payload_error_kg: dict[str, float]
+    final_payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
 
 class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Accuracy of the predictor that the robot gets, on one test.
+    """Accuracy of the predictor that the robot gets, on one test."""
 
-    Attributes
-    ----------
-    mean_euclidean_distance_m : float
-        With the observer's DI and inputs clipped into the training box.
-    interval_coverage : dict of axis to float
-        Fraction of rows inside the 95 % interval, per world axis.
-    interval_coverage_mean : float
-        Over the axes that move: y of one joint, which cannot miss, does not count.
-    interval_coverage_by_part : dict of part to float
-        Over these axes, per part.
-    mean_half_width_m : dict of axis to float
-        Mean half width of the interval.
-    in_range_fraction : float
-        Fraction of rows whose inputs lie in the training box.
-    """
-
+    # With the observer's DI and inputs clipped into the training box
     mean_euclidean_distance_m: float
-    interval_coverage: dict[str, float]
+    interval_coverage: dict[str, float]  # Fraction of rows inside the 95 % interval, per world axis
+    # Over the axes that move: y of one joint, which cannot miss, does not count
     interval_coverage_mean: float
-    interval_coverage_by_part: dict[Part, float]
+    interval_coverage_by_part: dict[Part, float]  # Over these axes, per part
     mean_half_width_m: dict[str, float]
-    in_range_fraction: float
+    in_range_fraction: float  # Fraction of rows whose inputs lie in the training box
 
 
 class TipPath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -156,24 +102,13 @@ class TipPath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LinkPoses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Shapes of the link at equal times of the first cycle (paper, Fig. 8).
+    """Shapes of the link at equal times of the first cycle (paper, Fig. 8)."""
 
-    Attributes
-    ----------
-    payload_kg : float
-        Payload of the trial, the heaviest.
-    time_s, di : tuple of float
-        One value per pose.
-    angle_rad : tuple of tuple of float
-        Joint angles of each pose.
-    centre_line_m : tuple of poses, points, coordinates
-        Base plate, then the centre of each marker row; None where a row shows no marker.
-    """
-
-    payload_kg: float
-    time_s: Curve
-    angle_rad: tuple[Curve, ...]
+    payload_kg: float  # Payload of the trial, the heaviest
+    time_s: Curve  # One value per pose
+    angle_rad: tuple[Curve, ...]  # Joint angles of each pose
     di: Curve
+    # Base plate, then the centre of each marker row; None where a row shows no marker
     centre_line_m: tuple[tuple[tuple[float | None, ...], ...], ...]
 
 
@@ -214,103 +149,43 @@ class StudyCurves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class StudyFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Finding of the paper, tested on these trials.
-
-    Attributes
-    ----------
-    claim : str
-        The paper's finding.
-    holds : bool or None
-        Whether it is reproduced; None where these trials cannot tell.
-    text : str
-        Result in one sentence with its figures.
-    depends_on : str
-        Property of link, servo or motion that causes the finding.
-    """
+    """Finding of the paper, tested on these trials."""
 
     claim: str
-    holds: bool | None
-    text: str
-    depends_on: str
+    holds: bool | None  # Whether it is reproduced; None where these trials cannot tell
+    text: str  # Result in one sentence with its figures
+    depends_on: str  # Property of link, servo or motion that causes the finding
 
 
 class StudyDocument(Document, frozen=True, kw_only=True):
-    """Content of `study.json`.
-
-    Attributes
-    ----------
-    dof : int
-        Number of joints.
-    rows : str
-        Which rows of the trials were used.
-    training : TrialsSummary
-        Trials that every predictor was trained on.
-    cross_validation : dict of variant and degree to FoldErrors
-        On the training trials alone.
-    mean_di, mean_di_other_dof : dict of payload to float
-        Mean DI over the moving rows, of this dof and of the other (paper, Fig. 11).
-    chosen_degree : int
-        Degree of the least `selection_m` of estimated_di.
-    tests : dict of test to TrialsSummary
-        Held-out trials.
-    mean_euclidean_distance_m, std_euclidean_distance_m : dict of test to DistanceTable
-        Over rows.
-    estimators : dict of test and source to EstimatorScores
-        Estimators of DI.
-    baselines : dict of test to BaselineErrors
-        Distances without a polynomial.
-    deployed : dict of test to DeployedScores
-        The predictor that the robot gets.
-    series : StudyCurves
-        Curves of the figures.
-    findings : tuple of StudyFinding
-        Findings of the paper on these trials.
-    """
+    """Content of `study.json`."""
 
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "python -m models train"
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
-    rows: str
+    rows: str  # Which rows of the trials were used
     training: TrialsSummary
-    cross_validation: dict[Variant, dict[Degree, FoldErrors]]
+    cross_validation: dict[Variant, dict[Degree, FoldErrors]]  # On the training trials alone
+    # Mean DI over the moving rows, of this dof and of the other (paper, Fig. 11).
     mean_di: dict[Payload, float]
     mean_di_other_dof: dict[Payload, float]
-    chosen_degree: int
+    chosen_degree: int  # Degree of the least `selection_m` of estimated_di
     tests: dict[Test, TrialsSummary]
     mean_euclidean_distance_m: dict[Test, DistanceTable]
     std_euclidean_distance_m: dict[Test, DistanceTable]
     estimators: dict[Test, dict[Source, EstimatorScores]]
-    baselines: dict[Test, BaselineErrors]
-    deployed: dict[Test, DeployedScores]
+    baselines: dict[Test, BaselineErrors]  # Distances without a polynomial
+    deployed: dict[Test, DeployedScores]  # The predictor that the robot gets
     series: StudyCurves
-    findings: tuple[StudyFinding, ...]
+    findings: tuple[StudyFinding, ...]  # Findings of the paper on these trials
 
 
 def read_study(path: Path) -> StudyDocument:
-    """Read `study.json`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, of another version, or not a study.
-    """
+    """Read `study.json`."""
     return read_document(path, StudyDocument)
 
 
 def write_study(path: Path, document: StudyDocument) -> None:
-    """Write `study.json` on one line: indented it would be half of a bundle.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    document : StudyDocument
-        Its content.
-    """
+    """Write `study.json` on one line: indented it would be half of a bundle."""
     write_whole(path, msgspec.json.encode(document) + b"\n")

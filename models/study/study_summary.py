@@ -12,15 +12,7 @@ if TYPE_CHECKING:
 
 
 def study_summary(out: Path, document: StudyDocument) -> str:
-    """Lines of the summary.
-
-    Parameters
-    ----------
-    out : Path
-        Directory of the bundle.
-    document : StudyDocument
-        Results of the study.
-    """
+    """Lines of the summary."""
     degree = str(document.chosen_degree)
     lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
     for name, table in document.mean_euclidean_distance_m.items():

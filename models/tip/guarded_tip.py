@@ -35,27 +35,14 @@ class GuardedTip:
     `in_range` tells whether no input is NaN, those of joints and link lie within their training
     range and a margin, and the interval is no wider than `TRUSTED_M` on any axis. Where joints move
     and an innovation is above its bound, the interval is wider by `TRUSTED_M`, so out of range.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the inputs.
-    predictor : TipPredictor
-        Fitted on all training rows.
-    interval : TipInterval
-        Calibrated on rows that were left out.
-    lower, upper : ndarray, shape (inputs,)
-        Range of every input in the training rows.
-    innovation : InnovationBound
-        Of the training rows.
     """
 
     names: tuple[str, ...]
-    predictor: TipPredictor
-    interval: TipInterval
-    lower: Array
+    predictor: TipPredictor  # Fitted on all training rows
+    interval: TipInterval  # Calibrated on rows that were left out
+    lower: Array  # (inputs,), range of every input in the training rows
     upper: Array
-    innovation: InnovationBound
+    innovation: InnovationBound  # Of the training rows
 
     @classmethod
     def of(cls, rows: TipRows, predictor: TipPredictor, interval: TipInterval) -> GuardedTip:

@@ -31,18 +31,10 @@ NONE_A: Final = float(np.sqrt(np.finfo(float).max))
 
 @dataclass(frozen=True)
 class InnovationBound:
-    """Bound of each joint.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the inputs.
-    bound_a : ndarray, shape (dof,)
-        Root mean square innovation above which the interval is too narrow.
-    """
+    """Bound of each joint."""
 
     names: tuple[str, ...]
-    bound_a: Array
+    bound_a: Array  # (dof,), root mean square innovation above which the interval is too narrow
 
     @classmethod
     def of(cls, rows: TipRows) -> InnovationBound:
@@ -61,17 +53,7 @@ class InnovationBound:
     def write(self, graph: GraphWriter, source: str) -> str:
         """Write 1.0 where joints move and an innovation is above its bound, else 0.0.
 
-        Parameters
-        ----------
-        graph : GraphWriter
-            Receives the nodes.
-        source : str
-            Input row in SI units.
-
-        Returns
-        -------
-        str
-            Name of the result, shape (1, 1).
+        Returns name of the result, shape (1, 1).
         """
         dof = len(self.bound_a)
         square = graph.temporary("Mul", [source, source], "bounded")

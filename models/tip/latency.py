@@ -23,13 +23,7 @@ OUTPUTS: Final = (("tip_m", 3), ("in_range", 1), ("half_width_m", 3))
 
 
 def measure_latency(call: Callable[[], object]) -> Latency:
-    """Return the median duration of a call in a hot loop, and after a control period each.
-
-    Parameters
-    ----------
-    call : callable
-        What is measured.
-    """
+    """Return the median duration of a call in a hot loop, and after a control period each."""
     return Latency(_median_s(call, WARM_CALLS, 0.0), _median_s(call, COLD_CALLS, PERIOD_S))
 
 
@@ -45,11 +39,5 @@ def _median_s(call: Callable[[], object], count: int, pause_s: float) -> float:
 
 
 def graph_latency(data: bytes) -> Latency:
-    """Return the latency of a predictor's graph in onnxruntime.
-
-    Parameters
-    ----------
-    data : bytes
-        The ONNX file.
-    """
+    """Return the latency of a predictor's graph in onnxruntime."""
     return measure_latency(OnnxGraph(FileContent(Path("graph"), data), None, OUTPUTS).run)

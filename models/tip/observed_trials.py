@@ -34,15 +34,6 @@ def observe(
 
     Row k is the output after the step that ends at sample k, as on the robot. The geometry is the
     plant's, not the trial's.
-
-    Parameters
-    ----------
-    compiled : CompiledModel
-        Observer of the trials' dof.
-    trials : sequence of Trial
-        Recorded angles and currents.
-    changes : mapping of str to float, optional
-        Parameters that differ from the plant's.
     """
     model, found = compiled.model, []
     p: Array = model.parameter_values(changes)
@@ -54,27 +45,14 @@ def observe(
 
 
 def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
-    """Return the values of all stiffness parameters times a factor.
-
-    Parameters
-    ----------
-    model : StepModel
-        Observer.
-    factor : float
-        On each stiffness.
-    """
+    """Return the values of all stiffness parameters times a factor."""
     return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
 
 
 def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
     """Return what a link that is mounted askew adds to the tip, (n, 3) each; none for zero.
 
-    Parameters
-    ----------
-    rows : TipRows
-        Any rows; one shift for either direction in the plane of each joint.
-    askew_rad : float
-        Angle.
+    `rows`: any rows; one shift for either direction in the plane of each joint.
     """
     if askew_rad == 0.0:
         return []

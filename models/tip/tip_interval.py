@@ -72,23 +72,13 @@ AXES: Final = "xyz"
 
 @dataclass(frozen=True)
 class TipInterval:
-    """Fitted interval.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the inputs.
-    weights : ndarray, shape (terms, 3)
-        Coefficients of the variance.
-    quantile : ndarray, shape (4, 3)
-        q per axis: joints that stand, that move, then both with an excess of the innovation.
-    innovation : tuple of float
-        Mean square innovation above which there is an excess, and up to which it counts, in A².
-    """
+    """Fitted interval."""
 
     names: tuple[str, ...]
-    weights: Array
+    weights: Array  # (terms, 3), coefficients of the variance
+    # (4, 3), q per axis: joints that stand, that move, then both with an excess of the innovation
     quantile: Array
+    # Mean square innovation above which there is an excess, and up to which it counts, in A²
     innovation: tuple[float, float]
 
     @classmethod
@@ -100,14 +90,8 @@ class TipInterval:
     ) -> TipInterval:
         """Fit on errors of rows that the predictor was not trained on.
 
-        Parameters
-        ----------
-        names : tuple of str
-            Names of the inputs.
-        calibration : tuple of ndarray
-            Inputs (n, inputs), errors in m (n, 3) and trial of each row.
-        disturbed : sequence of (inputs, errors)
-            The same rows with a wrong plant, one kind each.
+        `calibration`: inputs (n, inputs), errors in m (n, 3) and trial of each row.
+        `disturbed`: the same rows with a wrong plant, one kind each.
         """
         first, first_m, run = calibration
         squares = first**2 @ _marked(names, "innovation")
@@ -142,17 +126,7 @@ class TipInterval:
     def write(self, graph: GraphWriter, source: str) -> str:
         """Write the half width of an input row.
 
-        Parameters
-        ----------
-        graph : GraphWriter
-            Receives the nodes.
-        source : str
-            Input row in SI units.
-
-        Returns
-        -------
-        str
-            Name of the result, shape (1, 3).
+        Returns name of the result, shape (1, 3).
         """
         sums, constants, most = _bases(self.names, self.innovation)
         first, second = _factors(self.names)

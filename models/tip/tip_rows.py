@@ -18,60 +18,28 @@ __all__ = ["ObservedTrial", "TipRows", "collect_rows", "input_names"]
 
 
 def input_names(dof: int) -> tuple[str, ...]:
-    """Return the inputs of every candidate: measured, their age, and what the observer knows.
-
-    Parameters
-    ----------
-    dof : int
-        Number of joints.
-    """
+    """Return the inputs of every candidate: measured, their age, and what the observer knows."""
     return (*feature_names(dof), AGE.name, *(signal.name for signal in observer_signals(dof)))
 
 
 class ObservedTrial(NamedTuple):
-    """Trial with the outputs of the observer that ran along it.
-
-    Attributes
-    ----------
-    trial : Trial
-        The trial.
-    signals : dict of str to ndarray, shape (n,)
-        Outputs of the observer after each sample.
-    """
+    """Trial with the outputs of the observer that ran along it."""
 
     trial: Trial
-    signals: Mapping[str, Array]
+    signals: Mapping[str, Array]  # (n,), outputs of the observer after each sample
 
 
 @dataclass(frozen=True)
 class TipRows:
-    """Rows of several trials, stacked.
+    """Rows of several trials, stacked."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the input columns.
-    inputs : ndarray, shape (n, inputs)
-        In SI units.
-    tip_m : ndarray, shape (n, 3)
-        End effector by motion capture.
-    payload_kg : ndarray, shape (n,)
-        True payload.
-    motion : ndarray of str, shape (n,)
-        Kind of motion.
-    run : ndarray of int, shape (n,)
-        Number of the trial.
-    part : ndarray of str, shape (n,)
-        "rest" or "motion".
-    """
-
-    names: tuple[str, ...]
-    inputs: Array
-    tip_m: Array
-    payload_kg: Array
-    motion: NDArray[np.str_]
-    run: NDArray[np.intp]
-    part: NDArray[np.str_]
+    names: tuple[str, ...]  # Names of the input columns
+    inputs: Array  # (n, inputs)
+    tip_m: Array  # (n, 3), end effector by motion capture
+    payload_kg: Array  # (n,)
+    motion: NDArray[np.str_]  # (n,)
+    run: NDArray[np.intp]  # (n,), number of the trial
+    part: NDArray[np.str_]  # (n,)
 
     def __len__(self) -> int:
         return len(self.run)
@@ -103,18 +71,7 @@ class TipRows:
 
 
 def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
-    """Stack the rows of trials, rest rows included; rows without a tip are left out.
-
-    Parameters
-    ----------
-    observed : sequence of ObservedTrial
-        At least one, all of one dof.
-
-    Raises
-    ------
-    InputError
-        If the observer does not tell what the candidates want.
-    """
+    """Stack the rows of trials, rest rows included; rows without a tip are left out."""
     names = input_names(observed[0].trial.meta.dof)
     parts: list[tuple[Array, ...]] = []
     motions, phases = [], []

@@ -40,41 +40,21 @@ WORSE: Final = 1.1
 
 @dataclass(frozen=True)
 class CandidateResult:
-    """A candidate in the nested cross-validation.
-
-    Attributes
-    ----------
-    name, summary : str
-        Of the candidate.
-    variant : int
-        Variant chosen on all training rows.
-    nested : TipScore
-        On the rows that the outer folds left out.
-    predictor : GuardedTip
-        Fitted on all training rows.
-    """
+    """A candidate in the nested cross-validation."""
 
     name: str
     summary: str
-    variant: int
-    nested: TipScore
-    predictor: GuardedTip
+    variant: int  # Variant chosen on all training rows
+    nested: TipScore  # On the rows that the outer folds left out
+    predictor: GuardedTip  # Fitted on all training rows
 
 
 @dataclass(frozen=True)
 class TipChoice:
-    """Result of the choice.
-
-    Attributes
-    ----------
-    chosen : CandidateResult
-        For the robot.
-    candidates : tuple of CandidateResult
-        All, in the order of the list.
-    """
+    """Result of the choice."""
 
     chosen: CandidateResult
-    candidates: tuple[CandidateResult, ...]
+    candidates: tuple[CandidateResult, ...]  # All, in the order of the list
 
 
 def choose_tip_predictor(
@@ -86,18 +66,8 @@ def choose_tip_predictor(
 ) -> TipChoice:
     """Compare candidates and fit each on all rows.
 
-    Parameters
-    ----------
-    rows : TipRows
-        Training rows.
-    disturbed : sequence of TipRows
-        The same rows with observers of wrong plants, for the interval.
-    candidates : sequence of type
-        Classes of candidates, simplest first.
-    progress : callable
-        Called with the name of each finished candidate.
-    askew_rad : float
-        Angle by which the link may be mounted askew, which the interval covers.
+    `disturbed`: the same rows with observers of wrong plants, for the interval.
+    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
     """
     few = rows.take(slice(None, None, STRIDE))
     others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
@@ -124,12 +94,8 @@ def choose_tip_predictor(
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
     """Return one fold for each payload and each motion that it leaves out.
 
-    Parameters
-    ----------
-    rows : TipRows
-        Rows of several payloads or motions; of one payload and one motion, trials are left out.
-    most : int, optional
-        Largest number of groups of payloads; neighbours are in different groups.
+    `rows`: rows of several payloads or motions; of one payload and one motion, trials are left out.
+    `most`: largest number of groups of payloads; neighbours are in different groups.
     """
     folds = []
     payload = np.unique(rows.payload_kg, return_inverse=True)[1]
@@ -146,15 +112,7 @@ def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
 
 
 def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
-    """Return the errors of a predictor on rows.
-
-    Parameters
-    ----------
-    predictor : GuardedTip
-        With guard and interval.
-    rows : TipRows
-        At least one.
-    """
+    """Return the errors of a predictor on rows."""
     return _score(
         rows.tip_m - predictor.predict(rows.inputs),
         predictor.half_width(rows.inputs),

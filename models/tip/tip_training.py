@@ -23,21 +23,11 @@ __all__ = ["TipTraining", "train_tip"]
 
 @dataclass(frozen=True)
 class TipTraining:
-    """Result of `train_tip`.
-
-    Attributes
-    ----------
-    predictor : GuardedTip
-        For the robot.
-    rows : TipRows
-        Rows that it was trained on.
-    document : PredictorsDocument
-        Comparison of all candidates.
-    """
+    """Result of `train_tip`."""
 
     predictor: GuardedTip
     rows: TipRows
-    document: PredictorsDocument
+    document: PredictorsDocument  # Comparison of all candidates
 
 
 def train_tip(
@@ -50,25 +40,7 @@ def train_tip(
 ) -> TipTraining:
     """Choose, fit and test the robot's tip predictor.
 
-    Parameters
-    ----------
-    training : sequence of Trial
-        Of one dof; several motions and payloads.
-    tests : mapping of str to TrialSet
-        Trials that nothing is trained on.
-    observer : CompiledModel
-        Plant observer of that dof.
-    candidates : sequence of type
-        Classes of candidates, simplest first.
-    progress : callable
-        Called with the name of each finished part.
-    askew_rad : float
-        Angle by which the link may be mounted askew, which the interval covers.
-
-    Raises
-    ------
-    InputError
-        If the observer does not tell what the candidates want.
+    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
     """
     rows = collect_rows(observe(observer, training))
     changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}

@@ -146,7 +146,6 @@ def trial_from_frame(
 
 
 def _pandas() -> ModuleType:
-    """Module pandas, where it is installed."""
     try:
         return importlib.import_module("pandas")
     except ImportError:

@@ -29,18 +29,10 @@ MAX_OCCLUDED_FRACTION: Final = 0.2
 def marker_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
     """Lengths whose change the index measures.
 
-    Parameters
-    ----------
-    trial : Trial
-        Of the link; NaN is an occluded marker.
-    definition : {"edges", "base_to_marker", "all_pairs"}
-        `edges`: segments along the long edges, one a marker; `base_to_marker`: from the edge's
-        place on the base plate to each of its markers; `all_pairs`: between any two markers.
-
-    Returns
-    -------
-    ndarray, shape (n, N)
-        Lengths in m, NaN where an end is occluded.
+    `trial`: of the link; NaN is an occluded marker.
+    `definition`: `edges`: segments along the long edges, one a marker; `base_to_marker`: from the
+    edge's place on the base plate to each of its markers; `all_pairs`: between any two markers.
+    Returns shape (n, N), lengths in m, NaN where an end is occluded.
     """
     markers_m, rows_m = trial.markers_m, trial.marker_rows_m
     places_m = trial.meta.layout.corners_m

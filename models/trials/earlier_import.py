@@ -23,18 +23,7 @@ _REMEDY: Final = "give another --out, or move it away"
 
 
 def recording_hash(path: Path) -> str:
-    """SHA-256 of a recording; of a folder (a ROS 2 bag), that of its files in order of name.
-
-    Parameters
-    ----------
-    path : Path
-        File or folder.
-
-    Raises
-    ------
-    InputError
-        If it is missing, cannot be read, or holds a file that is too large.
-    """
+    """SHA-256 of a recording; of a folder (a ROS 2 bag), that of its files in order of name."""
     is_bag = path.is_dir()
     files = sorted(islice(path.iterdir(), _MOST_FILES)) if is_bag else [path]
     digest = hashlib.sha256()
@@ -48,22 +37,7 @@ def recording_hash(path: Path) -> str:
 
 
 def check_earlier_import(directory: Path, name: str, recording_sha256: str) -> None:
-    """Refuse to replace a trial of another recording, or files that are no trial.
-
-    Parameters
-    ----------
-    directory : Path
-        Of the trials.
-    name : str
-        Of the trial to write.
-    recording_sha256 : str
-        Hash of its recording.
-
-    Raises
-    ------
-    InputError
-        If there is such a file.
-    """
+    """Refuse to replace a trial of another recording, or files that are no trial."""
     samples, conditions = directory / f"{name}.csv", directory / f"{name}.toml"
     there = [path for path in (samples, conditions) if os.path.lexists(path)]
     if not there:

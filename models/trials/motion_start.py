@@ -31,11 +31,6 @@ def motion_start(trial: Trial) -> int:
 
     Where the conditions name a reference motion and the goals follow it, to whichever side it
     begins, its goals tell the row; else the conditions do.
-
-    Parameters
-    ----------
-    trial : Trial
-        With goals, or without.
     """
     meta, known = trial.meta, trial.meta.rest_samples
     kind = next((k for k in KINDS if k == meta.motion), None)
@@ -67,23 +62,7 @@ def rows_at_rest(goals: Array) -> int:
 
     A smooth motion leaves its rest in the row after time zero; a step does in that of time zero.
 
-    Parameters
-    ----------
-    goals : ndarray, shape (n, goals)
-        Of any unit.
-
-    Returns
-    -------
-    int
-        n where no goal moves.
-
-    Examples
-    --------
-    >>> time_s = np.arange(-3, 5)
-    >>> rows_at_rest(np.where(time_s < 0, 0.0, np.sin(0.1 * time_s))[:, None])
-    3
-    >>> rows_at_rest(np.where(time_s < 0, 0.0, 1.0)[:, None])
-    3
+    Shapes: `goals` (n, goals).
     """
     scale = np.ptp(goals, axis=0)
     moved = np.flatnonzero(np.any(np.abs(goals - goals[0]) > REST_FRACTION * scale, axis=1))

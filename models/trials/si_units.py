@@ -55,22 +55,7 @@ _TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
 def base_exponents(unit: str) -> dict[str, int]:
     """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are left out.
 
-    Parameters
-    ----------
-    unit : str
-        Product and quotient of symbols; an integer after a symbol is its power.
-
-    Raises
-    ------
-    ValueError
-        If the text is not a unit.
-
-    Examples
-    --------
-    >>> base_exponents("N.m/rad")
-    {'kg': 1, 'm': 2, 's': -2, 'rad': -1}
-    >>> base_exponents("1")
-    {}
+    `unit`: product and quotient of symbols; an integer after a symbol is its power.
     """
     tokens = _TOKEN.findall(unit)
     if "".join(tokens) != unit or not tokens:
@@ -151,18 +136,7 @@ def other_unit(
 ) -> InputError:
     """Error of a signal whose unit is not the expected one.
 
-    Parameters
-    ----------
-    where : Path
-        The plant's file.
-    name : str
-        Of the signal.
-    signal : SignalRole
-        With the unit that is wrong.
-    contrast : str
-        What the unit should be, or why it is wrong.
-    expected : str
-        The right unit, or what it is like.
+    `contrast`: what the unit should be, or why it is wrong.
     """
     wanted = repr(expected) if " " not in expected else expected
     return InputError(

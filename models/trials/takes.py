@@ -37,43 +37,19 @@ _MOST_TABLE_BYTES: Final = 1_000_000
 
 
 class Take(NamedTuple):
-    """One recording to import.
-
-    Attributes
-    ----------
-    file : Path
-        The recording.
-    mapping : RecordingMap
-        With the conditions of this take.
-    servo : Path or None
-        Its servo file.
-    offset_s : float or None
-        Offset of the servo's clock, where a table gives it.
-    """
+    """One recording to import."""
 
     file: Path
     mapping: RecordingMap
     servo: Path | None
-    offset_s: float | None = None
+    offset_s: float | None = None  # Offset of the servo's clock, where a table gives it
 
 
 def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[Take]:
     """Takes among files and folders, each with its conditions.
 
-    Parameters
-    ----------
-    files : sequence of Path
-        Recordings; a folder stands for those of the format in it (a rosbag is a folder itself).
-    kind : str
-        Format, as for `--as`.
-    mapping : RecordingMap
-        With `[takes]`.
-
-    Raises
-    ------
-    InputError
-        If a folder holds no take, a name does not fit the pattern, the table lacks a take, or two
-        takes would become trials of one name.
+    `files`: recordings; a folder stands for those of the format in it (a rosbag is a folder
+    itself).
     """
     rules = mapping.takes
     table_path = Path(mapping.path).parent / rules.table

@@ -31,25 +31,18 @@ UPRIGHT_M_S2: Final = (0.0, 0.0, -9.81)
 
 
 class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Signal of a plant that is not the link.
+    """Signal of a plant that is not the link."""
 
-    Attributes
-    ----------
-    unit : str
-        SI unit in the spelling of FMI, "1" for none: that of the plant's own name of the signal. A
-        recording in another unit is converted by the map of its import.
-    role : {"goal", "measured", "supply", "condition"}
-        `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
-        output of that name. `supply`: measured, and an input of the plant. `condition`: constant
-        in a trial, under `[conditions]` of its TOML file, in place of the plant's parameter of that
-        name. All but conditions are columns.
-    quantity : str
-        The plant's own name of the signal, where the trial's files call it otherwise. A trial that
-        was read has the plant's names.
-    """
-
+    # SI unit in the spelling of FMI, "1" for none: that of the plant's own name of the signal. A
+    # recording in another unit is converted by the map of its import.
     unit: str
+    # `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
+    # output of that name. `supply`: measured, and an input of the plant. `condition`: constant in a
+    # trial, under `[conditions]` of its TOML file, in place of the plant's parameter of that name.
+    # All but conditions are columns.
     role: Literal["goal", "measured", "supply", "condition"]
+    # The plant's own name of the signal, where the trial's files call it otherwise. A trial that
+    # was read has the plant's names.
     quantity: str = ""
 
 
@@ -212,13 +205,7 @@ ONE_AMPLITUDE_FRACTION: Final = 0.01
 
 
 def is_one_amplitude(first_rad: float, second_rad: float) -> bool:
-    """Whether two amplitudes are of one motion.
-
-    Parameters
-    ----------
-    first_rad, second_rad : float
-        Amplitudes.
-    """
+    """Whether two amplitudes are of one motion."""
     return math.isclose(first_rad, second_rad, rel_tol=ONE_AMPLITUDE_FRACTION)
 
 

@@ -36,12 +36,7 @@ _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0
 def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Signal, ...]:
     """Columns that a trial must have.
 
-    Parameters
-    ----------
-    dof, markers : int
-        Joints and markers of a trial of the link.
-    signals : mapping of str to SignalRole or None
-        Signals that a plant's file declares; None or empty for the link.
+    `signals`: signals that a plant's file declares; None or empty for the link.
     """
     if not signals:
         return trial_signals(dof, markers)
@@ -50,26 +45,7 @@ def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Si
 
 
 def check_step_range(where: Path | str, field: str, step_s: float) -> None:
-    """Refuse a step that no recording of the link has.
-
-    Parameters
-    ----------
-    where : Path or str
-        File, for the message.
-    field : str
-        Column or key that gives the step.
-    step_s : float
-        Time from one row to the next.
-
-    Raises
-    ------
-    InputError
-        If it is beyond `STEP_RANGE_S`.
-
-    Examples
-    --------
-    >>> check_step_range("run.csv", "time_s", 0.017)
-    """
+    """Refuse a step that no recording of the link has."""
     low_s, high_s = STEP_RANGE_S
     if low_s <= step_s <= high_s:
         return
@@ -81,23 +57,7 @@ def check_step_range(where: Path | str, field: str, step_s: float) -> None:
 
 
 def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
-    """Columns of a CSV file by name.
-
-    Parameters
-    ----------
-    path : Path
-        CSV file.
-    signals : sequence of Signal
-        Columns that must be there.
-    known : set of str
-        Names that need no unit suffix.
-
-    Raises
-    ------
-    InputError
-        If the file is truncated or no CSV, a column is missing, doubled or without a unit, or a
-        value is not a plausible finite number where one is required.
-    """
+    """Columns of a CSV file by name."""
     required = [s.name for s in signals]
     try:
         end = TableEnd(read_lines(path, "name an existing trial"))
@@ -121,19 +81,7 @@ def check_columns(
 ) -> None:
     """Refuse columns that are no samples of a trial.
 
-    Parameters
-    ----------
-    where : Path
-        Subject of the message.
-    columns : mapping of str to ndarray, shape (n,)
-        Samples by name.
-    signals, known
-        As for `read_sample_columns`.
-
-    Raises
-    ------
-    InputError
-        As `read_sample_columns`.
+    Shapes: `columns` (n,).
     """
     required = [s.name for s in signals]
     _check_header(where, list(columns), required, known)

@@ -24,18 +24,6 @@ def read_trial_directories(
     """Read the trials of several directories.
 
     A name that two directories hold gets the directory's name in front.
-
-    Parameters
-    ----------
-    directories : sequence of Path
-        At least one.
-    signals : mapping of str to SignalRole, optional
-        Of the plant, see `models.trials.trial_files.read_trials`.
-
-    Raises
-    ------
-    InputError
-        If a directory is given twice or holds no readable trial, or a trial is a copy of another.
     """
     if len({d.resolve() for d in directories}) < len(directories):
         raise InputError(directories[-1], "is given twice", "name each directory once")
@@ -52,20 +40,7 @@ def read_trial_directories(
 
 
 def refuse_unusable(trials: Sequence[Trial]) -> None:
-    """Refuse trials from which a plant would be fitted or diagnosed wrongly without a word.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of one diagnosis or identification.
-
-    Raises
-    ------
-    InputError
-        If two trials agree in every sample (a copy is no repetition, and shows no noise), an angle
-        mirrors its goal or moves while that stands still, the tip is beside the last marker row, or
-        a trial of the link has conditions that its plant does not declare.
-    """
+    """Refuse trials from which a plant would be fitted or diagnosed wrongly without a word."""
     known: dict[bytes, Trial] = {}
     for trial in trials:
         for j in range(1, trial.meta.dof + 1):

@@ -153,20 +153,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
 
 
 def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
-    """Refuse a trial whose samples or conditions no file may hold.
-
-    Parameters
-    ----------
-    trial : Trial
-        Made in memory.
-    signals : mapping of str to SignalRole, optional
-        As for `read_trials`.
-
-    Raises
-    ------
-    InputError
-        As `read_trial`.
-    """
+    """Refuse a trial whose samples or conditions no file may hold."""
     where = Path(trial.name)
     own = {s.quantity or name: s for name, s in (signals or {}).items()}
     meta = check_meta(trial.meta.document(), where, own)
@@ -192,21 +179,7 @@ def _quantity(name: str, signals: PlantSignals | None) -> str:
 
 
 def check_trial_name(name: str, where: Path | str) -> None:
-    """Refuse a name of a trial with which its files would lie elsewhere, or be hidden.
-
-    Parameters
-    ----------
-    name : str
-        Name of the trial.
-    where : Path or str
-        Option or directory, for the message.
-
-    Raises
-    ------
-    InputError
-        If it is empty, begins with a dot, is longer than 200 bytes, or holds a separator or a
-        control character.
-    """
+    """Refuse a name of a trial with which its files would lie elsewhere, or be hidden."""
     plain = name.isprintable() and not set(name) & set("/\\") and not name.startswith(".")
     if not name or not plain or len(name.encode("utf-8", "surrogateescape")) > LONGEST_NAME_BYTES:
         raise InputError(where, f"{name!r} is no name of a trial", "give one without a directory")
@@ -265,22 +238,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
 def check_meta(
     document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
 ) -> TrialMeta:
-    """Conditions from a decoded TOML table.
-
-    Parameters
-    ----------
-    document : mapping
-        The table.
-    where : Path
-        Its file, for messages.
-    signals : mapping of str to SignalRole, optional
-        As for `read_trials`.
-
-    Raises
-    ------
-    InputError
-        If a key is unknown, missing or of the wrong type, or a value is out of range.
-    """
+    """Conditions from a decoded TOML table."""
     needed = () if signals else LINK_CONDITIONS
     conditions: Any = document.get("conditions", {})
     misspelt = document.keys() - {field.name for field in msgspec.structs.fields(TrialMeta)}

@@ -16,17 +16,6 @@ def sample_files(directory: Path) -> list[Path]:
     """CSV files of the trials of a directory, in order; the suffix may be in capitals.
 
     Other TOML files than those of trials, such as a map or a plant, may lie beside them.
-
-    Parameters
-    ----------
-    directory : Path
-        That there is.
-
-    Raises
-    ------
-    InputError
-        If the directory cannot be read, conditions have no samples beside them, or two files would
-        be trials of one name.
     """
     try:
         files = sorted(directory.iterdir())
@@ -50,15 +39,7 @@ def sample_files(directory: Path) -> list[Path]:
 def conditions_beside(samples: Path) -> Path:
     """File of the conditions of a trial; its suffix may be in capitals.
 
-    Parameters
-    ----------
-    samples : Path
-        CSV file of the trial.
-
-    Returns
-    -------
-    Path
-        Whether it is there or not.
+    Returns whether it is there or not.
     """
     usual = samples.with_suffix(".toml")
     if usual.exists():

@@ -50,20 +50,10 @@ class _Record(msgspec.Struct, frozen=True):
 
 
 class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Trials of one origin.
-
-    Attributes
-    ----------
-    source : str
-        As in the conditions of the trials.
-    rig : str
-        Name of the rig; empty for a measured system, and where no record says.
-    trials : int
-        Number of trials.
-    """
+    """Trials of one origin."""
 
     source: str
-    rig: str = ""
+    rig: str = ""  # Name of the rig; empty for a measured system, and where no record says
     trials: int = 1
 
     @property
@@ -100,24 +90,12 @@ def _behind(rig: str) -> str:
 
 
 def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
-    """Origins of trials, each once, in the order of their first trial.
-
-    Parameters
-    ----------
-    trials : iterable of Trial
-        Any trials.
-    """
+    """Origins of trials, each once, in the order of their first trial."""
     return merged_origins(TrialOrigin(t.meta.source, recorded_rig(t)) for t in trials)
 
 
 def recorded_rig(trial: Trial) -> str:
-    """Name of the rig that a trial ran on, by the record beside its file; empty without one.
-
-    Parameters
-    ----------
-    trial : Trial
-        Any trial.
-    """
+    """Name of the rig that a trial ran on, by the record beside its file; empty without one."""
     if trial.meta.source != "rig" or trial.path == Path():
         return ""
     return _rigs(trial.path.parent / RECORD).get(trial.name, "")
@@ -133,18 +111,7 @@ def _rigs(record: Path) -> dict[str, str]:
 
 
 def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
-    """Origins with the numbers of equal ones added.
-
-    Parameters
-    ----------
-    origins : iterable of TrialOrigin
-        Of several sets of trials.
-
-    Examples
-    --------
-    >>> merged_origins([TrialOrigin("rig", "default", 2), TrialOrigin("rig", "default", 3)])
-    (TrialOrigin(source='rig', rig='default', trials=5),)
-    """
+    """Origins with the numbers of equal ones added."""
     counts: Counter[tuple[str, str]] = Counter()
     for origin in origins:
         counts[origin.source, origin.rig] += origin.trials
@@ -154,10 +121,8 @@ def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
 def kind_of_origins(origins: Iterable[TrialOrigin]) -> OriginKind:
     """Kind of a set of trials: "mixed" where it holds simulated and measured ones.
 
-    Parameters
-    ----------
-    origins : iterable of TrialOrigin
-        Without any, or with one that is unknown, the kind is "unknown", unless both others occur.
+    `origins`: without any, or with one that is unknown, the kind is "unknown", unless both others
+    occur.
     """
     kinds = {origin.kind for origin in origins}
     if {"simulated", "measured"} <= kinds:

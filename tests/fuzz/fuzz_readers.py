@@ -156,13 +156,7 @@ def takes_of_folder(folder):
 
 
 def every_reader(bundle=None):
-    """Every reader; those of a bundle have no valid files where no directory of one is given.
-
-    Parameters
-    ----------
-    bundle : Path, optional
-        Bundle of one joint with its observer.
-    """
+    """Every reader; those of a bundle have no valid files where no directory of one is given."""
     return [
         *_recordings(), *_documents(), *_outside_goals_and_signatures(), *_bundle_files(bundle),
         *_commands(bundle),

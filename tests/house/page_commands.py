@@ -155,15 +155,7 @@ class PageCommands:
 
 
 def parse(main: str, arguments: Sequence[str]) -> argparse.Namespace | None:
-    """Arguments as the command's own parser reads them; None where it refuses them.
-
-    Parameters
-    ----------
-    main : str
-        Module of the command line, with `COMMANDS` and `main`.
-    arguments : sequence of str
-        After the program's name.
-    """
+    """Arguments as the command's own parser reads them; None where it refuses them."""
     room = importlib.import_module(main)
     chosen = next((c for c in room.COMMANDS if c.name == arguments[0]), None)
     if chosen is None:

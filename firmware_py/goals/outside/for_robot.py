@@ -36,29 +36,8 @@ def outside_goals(
 ) -> Iterator[OutsideGoals]:
     """Wait for the program that sends goals; its connection is closed at the end.
 
-    Parameters
-    ----------
-    address : str
-        `unix:PATH`.
-    map_path : Path or None
-        Map of the goals at rest.
-    config : RobotConfig
-        Joints, period, limits, and the payload where it is known.
-    bundle : ModelBundle
-        The robot's bundle, whose plant is compared with that of the map.
-    patience_s : float
-        See `firmware_py.goals.outside.goal_channel.SocketChannel`.
-
-    Yields
-    ------
-    OutsideGoals
-        The goals.
-
-    Raises
-    ------
-    InputError
-        If the map does not fit the robot or is for another link, the robot is to go on after its
-        port was gone, or nobody connects.
+    `config`: joints, period, limits, and the payload where it is known.
+    `bundle`: the robot's bundle, whose plant is compared with that of the map.
     """
     if config.bus.replug_s > 0:  # the program's goals and the arm would part meanwhile, unnoticed
         raise InputError(

@@ -22,52 +22,25 @@ PREFIX: Final = "unix:"
 
 
 class GoalChannel(Protocol):
-    """Messages to and from a program.
+    """Messages to and from a program."""
 
-    Attributes
-    ----------
-    gone : bool
-        Whether the program has closed its side.
-    """
-
-    gone: bool
+    gone: bool  # Whether the program has closed its side
 
     def receive(self, most: int) -> list[bytes]:
-        """Return the messages that have arrived, oldest first.
-
-        Parameters
-        ----------
-        most : int
-            Most messages to take; the others stay.
-        """
+        """Return the messages that have arrived, oldest first."""
         ...
 
     def send(self, data: bytes) -> None:
-        """Send a message; where the program does not read, it is dropped.
-
-        Parameters
-        ----------
-        data : bytes
-            The message.
-        """
+        """Send a message; where the program does not read, it is dropped."""
         ...
 
 
 class SocketChannel:
     """Channel over a connected socket.
 
-    Parameters
-    ----------
-    connection : socket.socket
-        Of the kind `SOCK_SEQPACKET`; it is closed with the channel.
-    patience_s : float
-        Longest wait for an answer to the latest status, in simulated time alone: there nothing goes
-        on while the program computes. 0 never waits.
-
-    Attributes
-    ----------
-    gone : bool
-        See `GoalChannel`.
+    `connection`: of the kind `SOCK_SEQPACKET`; it is closed with the channel.
+    `patience_s`: longest wait for an answer to the latest status, in simulated time alone: there
+    nothing goes on while the program computes. 0 never waits.
     """
 
     def __init__(self, connection: socket.socket, patience_s: float = 0.0) -> None:
@@ -112,7 +85,6 @@ class SocketChannel:
             self.gone = True
 
     def close(self) -> None:
-        """Close the socket."""
         self._connection.close()
 
 
@@ -122,24 +94,8 @@ def accepted_program(
 ) -> Iterator[SocketChannel]:
     """Listen, wait for a program, and close everything at the end.
 
-    Parameters
-    ----------
-    address : str
-        `unix:PATH`; only the owner of the robot's process may connect.
-    wait_s : float
-        Longest wait.
-    patience_s : float
-        See `SocketChannel`.
-
-    Yields
-    ------
-    SocketChannel
-        The program that connected first; others are refused.
-
-    Raises
-    ------
-    InputError
-        If the address is none, in use, or nobody connects.
+    `address`: `unix:PATH`; only the owner of the robot's process may connect.
+    Yields the program that connected first; others are refused.
     """
     path = _path_of(address)
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as listener:
@@ -169,18 +125,7 @@ def accepted_program(
 
 
 def connect(address: str) -> socket.socket:
-    """Connect to a robot that listens for goals, for programs in Python.
-
-    Parameters
-    ----------
-    address : str
-        `unix:PATH`.
-
-    Raises
-    ------
-    InputError
-        If nobody listens there.
-    """
+    """Connect to a robot that listens for goals, for programs in Python."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         connection.connect(str(_path_of(address)))

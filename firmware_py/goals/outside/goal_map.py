@@ -25,70 +25,32 @@ MOST_PLACES: Final = 201
 
 
 class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Map for one payload.
-
-    Attributes
-    ----------
-    payload_kg : float
-        Mass at the tip.
-    goals_rad : tuple of tuple of (float or None)
-        Goals of each joint at each place, the last coordinate running fastest; None where the tip
-        cannot rest.
-    half_period_s : tuple of float
-        Half of the period of the first mode, one per joint.
-    decay : tuple of float
-        Its amplitude after that time over that before.
-    """
+    """Map for one payload."""
 
     payload_kg: float
+    # Goals of each joint at each place, the last coordinate running fastest; None where the tip
+    # cannot rest
     goals_rad: tuple[tuple[float | None, ...], ...]
-    half_period_s: tuple[float, ...]
-    decay: tuple[float, ...]
+    half_period_s: tuple[float, ...]  # Half of the period of the first mode, one per joint
+    decay: tuple[float, ...]  # Its amplitude after that time over that before
 
 
 class GoalMap(Document, frozen=True):
-    """Goals at which the tip rests, over places and payloads.
-
-    Attributes
-    ----------
-    dof : int
-        Joints; the places are x, and y with two.
-    period_s : float
-        Control period.
-    places_m : tuple of float
-        Places along each axis, rising and evenly spaced.
-    payloads : tuple of PayloadMap
-        In rising order of payload.
-    plant_sha256 : str
-        Hash of the plant, as the manifest of a bundle has it.
-    link : LinkFacts
-        Facts of its link.
-    """
+    """Goals at which the tip rests, over places and payloads."""
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "python -m models goalmap"
 
-    dof: int
+    dof: int  # Joints; the places are x, and y with two
     period_s: float
-    places_m: tuple[float, ...]
-    payloads: tuple[PayloadMap, ...]
-    plant_sha256: str
+    places_m: tuple[float, ...]  # Places along each axis, rising and evenly spaced
+    payloads: tuple[PayloadMap, ...]  # In rising order of payload
+    plant_sha256: str  # Hash of the plant, as the manifest of a bundle has it
     link: LinkFacts
 
 
 def read_goal_map(path: Path) -> GoalMap:
-    """Read and check a map.
-
-    Parameters
-    ----------
-    path : Path
-        JSON file.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, of another version, or holds what cannot be.
-    """
+    """Read and check a map."""
     found = read_document(path, GoalMap)
     if wrong := _wrong_in(found):
         raise InputError(path, wrong, f"write it anew with {GoalMap.MADE_BY}")
@@ -117,20 +79,7 @@ def _wrong_in(found: GoalMap) -> str:
 
 
 class RestGoals:
-    """Interpolation in a map.
-
-    Parameters
-    ----------
-    found : GoalMap
-        The map.
-
-    Attributes
-    ----------
-    lowest_kg, highest_kg : float
-        Ends of the grid of payloads.
-    longest_s : float
-        Longest half period.
-    """
+    """Interpolation in a map."""
 
     def __init__(self, found: GoalMap) -> None:
         places = found.places_m
@@ -147,12 +96,7 @@ class RestGoals:
     def goals_rad(self, tip_m: tuple[float, ...], payload_kg: float) -> list[float] | None:
         """Goals at which the tip rests at a place, one per joint; None where it cannot.
 
-        Parameters
-        ----------
-        tip_m : tuple of float
-            Place, one coordinate per joint.
-        payload_kg : float
-            Mass at the tip; beyond the grid its nearest end.
+        `payload_kg`: mass at the tip; beyond the grid its nearest end.
         """
         corners, count = [(0, 1.0)], self._count
         for value in tip_m:
@@ -182,10 +126,7 @@ class RestGoals:
     def mode(self, payload_kg: float) -> tuple[list[float], list[float]]:
         """Half period in s and decay of the first mode, one per joint.
 
-        Parameters
-        ----------
-        payload_kg : float
-            Mass at the tip; beyond the grid its nearest end.
+        `payload_kg`: mass at the tip; beyond the grid its nearest end.
         """
         low, part = self._place_of(payload_kg)
         high = low + 1 if part else low

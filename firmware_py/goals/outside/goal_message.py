@@ -18,58 +18,27 @@ MOST_BYTES: Final = 512
 
 
 class GoalMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Goals that a program sends; one of `joint_rad`, `tip_m` and `end` is given.
+    """Goals that a program sends; one of `joint_rad`, `tip_m` and `end` is given."""
 
-    Attributes
-    ----------
-    tick : int
-        Number of the status that it answers.
-    joint_rad : tuple of float or None
-        Goal of each joint.
-    tip_m : tuple of float or None
-        Place of the tip in the world frame: x, and y where there are two joints.
-    end : bool
-        Whether the run is over: the robot stops without a fault.
-    """
-
-    tick: int
+    tick: int  # Number of the status that it answers
     joint_rad: tuple[float, ...] | None = None
+    # Place of the tip in the world frame: x, and y where there are two joints
     tip_m: tuple[float, ...] | None = None
-    end: bool = False
+    end: bool = False  # Whether the run is over: the robot stops without a fault
 
 
 class StatusMessage(msgspec.Struct, frozen=True):
-    """State of the robot after a tick.
-
-    Attributes
-    ----------
-    tick : int
-        Number of the tick.
-    time_s : float
-        Time since the start.
-    state : str
-        State of the safety supervisor.
-    goal_rad, angle_rad : tuple of float
-        Goals sent and angles measured, one per joint.
-    tip_m : tuple of float
-        Predicted tip, x, y and z in the world frame.
-    in_range : bool
-        Whether the prediction is inside its training range.
-    payload_kg : float or None
-        Estimated mass at the tip; None where it is not estimated.
-    reason : str
-        Cause of a stop; empty before.
-    """
+    """State of the robot after a tick."""
 
     tick: int
-    time_s: float
-    state: str
-    goal_rad: tuple[float, ...]
+    time_s: float  # Time since the start
+    state: str  # State of the safety supervisor
+    goal_rad: tuple[float, ...]  # Goals sent and angles measured, one per joint
     angle_rad: tuple[float, ...]
-    tip_m: tuple[float, ...]
-    in_range: bool
-    payload_kg: float | None
-    reason: str = ""
+    tip_m: tuple[float, ...]  # Predicted tip, x, y and z in the world frame
+    in_range: bool  # Whether the prediction is inside its training range
+    payload_kg: float | None  # Estimated mass at the tip; None where it is not estimated
+    reason: str = ""  # Cause of a stop; empty before
 
 
 _DECODER: Final = msgspec.json.Decoder(GoalMessage)
@@ -77,22 +46,7 @@ _ENCODER: Final = msgspec.json.Encoder()
 
 
 def decode_goal(data: bytes, dof: int) -> GoalMessage | str:
-    """Return the goals of a message, or a sentence that says what is wrong with it.
-
-    Parameters
-    ----------
-    data : bytes
-        One message.
-    dof : int
-        Joints of the robot.
-
-    Examples
-    --------
-    >>> decode_goal(b'{"tick": 3, "joint_rad": [0.1]}', 1)
-    GoalMessage(tick=3, joint_rad=(0.1,), tip_m=None, end=False)
-    >>> decode_goal(b'{"tick": 3, "joint_rad": [0.1]}', 2)
-    'has 1 values for 2 joints'
-    """
+    """Return the goals of a message, or a sentence that says what is wrong with it."""
     if len(data) > MOST_BYTES:
         return f"has more than {MOST_BYTES} bytes"
     try:

@@ -50,33 +50,9 @@ class OutsideGoals:
 
     The arm waits with all goals at zero for the first message; the first goals must begin there.
 
-    Parameters
-    ----------
-    channel : GoalChannel
-        To the program.
-    limits : Limits
-        Limits of the robot, as in force.
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period.
-    goal_map : GoalMap, optional
-        Goals at rest and modes; without it only joint goals are taken, unshaped.
-    payload_kg : float, optional
-        Payload where it is known; None follows the estimate, from the middle of the map.
-    note : str
-        Sentence on a map that does not quite fit the robot's bundle.
-
-    Attributes
-    ----------
-    dof, slots, lead : int
-        See `GoalSource`; the goals end when the program or `--seconds` says so.
-    trouble, ended : str
-        See `GoalSource`.
-    payload_kg : float
-        Payload by which goals are shaped.
-    note : str
-        As given.
+    `goal_map`: goals at rest and modes; without it only joint goals are taken, unshaped.
+    `payload_kg`: payload where it is known; None follows the estimate, from the middle of the map.
+    `note`: sentence on a map that does not quite fit the robot's bundle.
     """
 
     def __init__(
@@ -101,15 +77,7 @@ class OutsideGoals:
         self._goal, self._before = np.zeros(dof), np.zeros(dof)
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload; one that is not finite changes nothing.
-
-        Parameters
-        ----------
-        estimate : Estimate
-            Of this tick.
-        step_s : float
-            Time since the previous tick.
-        """
+        """Follow the estimated payload; one that is not finite changes nothing."""
         if self._rest is None or self._known or not math.isfinite(estimate.payload_kg):
             return
         wanted = min(max(estimate.payload_kg, self._rest.lowest_kg), self._rest.highest_kg)
@@ -119,10 +87,7 @@ class OutsideGoals:
     def at(self, slot: int) -> Array:
         """Return the goals of a slot, shape (dof,); a new slot takes the messages that have come.
 
-        Parameters
-        ----------
-        slot : int
-            Number of the slot; before the first the goals wait at zero.
+        `slot`: number of the slot; before the first the goals wait at zero.
         """
         if slot < 0 or slot <= self._slot:
             return self._goal if slot == self._slot else self._before

@@ -38,12 +38,7 @@ Array = NDArray[np.float64]
 class GoalFollower:
     """Goals that go towards the latest wanted ones at a limited rate.
 
-    Parameters
-    ----------
-    rate_rad_s, speed_m_s : float
-        Largest rates of joint goals and of places of the tip.
-    period_s : float
-        Control period.
+    `rate_rad_s`, `speed_m_s`: largest rates of joint goals and of places of the tip.
     """
 
     def __init__(self, rate_rad_s: float, speed_m_s: float, period_s: float = PERIOD_S) -> None:
@@ -52,27 +47,12 @@ class GoalFollower:
         self._at: Array | None = None
 
     def want(self, kind: str, values: Sequence[float]) -> None:
-        """Take goals.
-
-        Parameters
-        ----------
-        kind : {"joint_rad", "tip_m"}
-            What they are.
-        values : sequence of float
-            One per joint.
-        """
+        """Take goals."""
         if kind != self._kind:
             self._at = None
         self._kind, self._wanted = kind, np.array(values, dtype=np.float64)
 
     def answer(self, status: StatusMessage) -> GoalMessage:
-        """Return the message that answers a status.
-
-        Parameters
-        ----------
-        status : StatusMessage
-            Of the robot.
-        """
         dof = len(status.goal_rad)
         if self._at is None:
             start = status.goal_rad if self._kind == "joint_rad" else status.tip_m[:dof]

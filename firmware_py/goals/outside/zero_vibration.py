@@ -14,23 +14,7 @@ __all__ = ["ZeroVibration"]
 
 
 class ZeroVibration:
-    """Shaper that remembers the latest goals.
-
-    Parameters
-    ----------
-    start_rad : sequence of float
-        Goals at which it has rested, one per joint.
-    longest_s : float
-        Longest half period.
-    period_s : float
-        Control period.
-
-    Examples
-    --------
-    >>> shaper = ZeroVibration([0.0], longest_s=0.2, period_s=0.1)
-    >>> [shaper.next([1.0], [0.2], [1.0])[0] for _ in range(4)]
-    [0.5, 0.5, 1.0, 1.0]
-    """
+    """Shaper that remembers the latest goals."""
 
     def __init__(self, start_rad: Sequence[float], longest_s: float, period_s: float) -> None:
         self._period_s = period_s
@@ -41,15 +25,7 @@ class ZeroVibration:
     def next(
         self, goal_rad: Sequence[float], half_period_s: Sequence[float], decay: Sequence[float]
     ) -> list[float]:
-        """Return the shaped goals of the next tick, one per joint.
-
-        Parameters
-        ----------
-        goal_rad : sequence of float
-            Goals in this tick.
-        half_period_s, decay : sequence of float
-            Of the first mode of each joint.
-        """
+        """Return the shaped goals of the next tick, one per joint."""
         size = self._size
         now = self._latest = (self._latest + 1) % size
         result = []

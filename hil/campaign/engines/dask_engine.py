@@ -41,18 +41,7 @@ LOST_MOST: Final = 10
 
 
 class DaskEngine:
-    """Engine of a dask cluster.
-
-    Parameters
-    ----------
-    scheduler : str
-        Address, such as tcp://host:8786.
-
-    Raises
-    ------
-    InputError
-        If dask is not installed.
-    """
+    """Engine of a dask cluster."""
 
     shared = True
 

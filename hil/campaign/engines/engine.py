@@ -13,14 +13,9 @@ memory that runs out, a case that kills each worker has to end [assumed]."""
 
 
 class Engine(Protocol):
-    """Engine that brings cases to workers.
+    """Engine that brings cases to workers."""
 
-    Attributes
-    ----------
-    shared : bool
-        Whether other programs may use the workers' processors, so that time cannot be measured.
-    """
-
+    # Whether other programs may use the workers' processors, so that time cannot be measured
     shared: bool
 
     def outcomes(self, tasks: Sequence[CaseTask]) -> Iterator[TaskOutcome]:
@@ -28,31 +23,13 @@ class Engine(Protocol):
 
         Workers end with the iterator, also where it is closed early.
 
-        Parameters
-        ----------
-        tasks : sequence of CaseTask
-            To run; may make each task when it is asked for.
-
-        Raises
-        ------
-        InputError
-            If the engine cannot be used, or is lost.
+        `tasks`: to run; may make each task when it is asked for.
         """
         ...
 
 
 def killed_outcome(key: str, how: str, log: str = "") -> TaskOutcome:
-    """Outcome of a case that was given up because its workers died.
-
-    Parameters
-    ----------
-    key : str
-        Of the case.
-    how : str
-        How the last worker ended.
-    log : str
-        What it wrote.
-    """
+    """Outcome of a case that was given up because its workers died."""
     return TaskOutcome(
         key=key, state="killed", log=f"{how}\n{log}".strip(),
         sentence="its worker died each time that it was begun",

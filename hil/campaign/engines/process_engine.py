@@ -29,15 +29,7 @@ _END_S: Final = 5.0
 
 
 def serve_tasks(pipe: Connection, log: str) -> None:
-    """Run the tasks that come through a pipe until it closes.
-
-    Parameters
-    ----------
-    pipe : Connection
-        To the campaign.
-    log : str
-        File for what the process writes.
-    """
+    """Run the tasks that come through a pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal ends the campaign
     end_with_parent()  # a closed pipe ends only a worker that waits for a task
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -74,15 +66,7 @@ class _Worker:
 
 
 class ProcessEngine:
-    """Engine of processes.
-
-    Parameters
-    ----------
-    workers : int
-        Number of processes.
-    directory : Path
-        Of their logs.
-    """
+    """Engine of processes."""
 
     shared = False
 

@@ -32,15 +32,7 @@ JOBS_PER_WORKER: Final = 4
 
 
 def run_batch(tasks: list[CaseTask], directory: str) -> int:
-    """Run tasks in a job, leave each outcome in a file; return their number.
-
-    Parameters
-    ----------
-    tasks : list of CaseTask
-        To run.
-    directory : str
-        Of the outcomes.
-    """
+    """Run tasks in a job, leave each outcome in a file; return their number."""
     for task in tasks:
         path = Path(directory) / f"{task.key}.json"
         fresh = path.with_suffix(".part")
@@ -52,21 +44,7 @@ def run_batch(tasks: list[CaseTask], directory: str) -> int:
 class SubmititEngine:
     """Engine of submitit.
 
-    Parameters
-    ----------
-    workers : int
-        Jobs that are in the queue at a time.
-    directory : Path
-        Of jobs, their logs and outcomes.
-    cluster : str or None
-        "slurm", "local" for processes of this machine; None for what submitit finds.
-    parameters : mapping of str to str
-        For `AutoExecutor.update_parameters`, such as slurm_partition.
-
-    Raises
-    ------
-    InputError
-        If submitit is not installed, or refuses cluster or parameters.
+    `cluster`: "slurm", "local" for processes of this machine; None for what submitit finds.
     """
 
     shared = True

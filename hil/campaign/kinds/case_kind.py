@@ -34,17 +34,10 @@ class CaseConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 @dataclass
 class CaseContext:
-    """Surroundings of a running case.
+    """Surroundings of a running case."""
 
-    Attributes
-    ----------
-    scratch : Path
-        Directory that is removed after the case.
-    parts_s : dict of str to float
-        Durations that the case measures; they are kept beside the result, not in it.
-    """
-
-    scratch: Path
+    scratch: Path  # Directory that is removed after the case
+    # Durations that the case measures; they are kept beside the result, not in it
     parts_s: dict[str, float] = field(default_factory=dict)
 
 
@@ -136,28 +129,14 @@ class CaseKind(ABC, Generic[C]):
 
 
 def kind_module(name: str) -> str:
-    """Module of a kind by its word, or the name of a module itself.
-
-    Parameters
-    ----------
-    name : str
-        Key of `KINDS`, or a dotted name.
-    """
+    """Module of a kind by its word, or the name of a module itself."""
     return KINDS.get(name, name)
 
 
 def load_kind(module: str) -> CaseKind[Any]:
     """Kind of a module.
 
-    Parameters
-    ----------
-    module : str
-        Word of a kind, or dotted name of a module with `KIND`.
-
-    Raises
-    ------
-    InputError
-        If there is no such kind.
+    `module`: word of a kind, or dotted name of a module with `KIND`.
     """
     name = kind_module(module)
     remedy = f"choose {', '.join(KINDS)}, or a module with KIND"

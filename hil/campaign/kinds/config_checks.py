@@ -11,18 +11,7 @@ from models.shared.catalogue import CATALOGUE
 
 
 def check_effects_known(effects: Mapping[str, float]) -> None:
-    """Refuse an effect that the catalogue does not have, or a strength that is not finite.
-
-    Parameters
-    ----------
-    effects : mapping of str to float
-        Strengths.
-
-    Raises
-    ------
-    InputError
-        With the names that there are.
-    """
+    """Refuse an effect that the catalogue does not have, or a strength that is not finite."""
     for effect, strength in effects.items():
         if effect not in CATALOGUE:
             raise InputError(
@@ -33,20 +22,7 @@ def check_effects_known(effects: Mapping[str, float]) -> None:
 
 
 def check_ranges(config: Any, **ranges: tuple[float, float]) -> None:
-    """Refuse a number outside of its range; None passes.
-
-    Parameters
-    ----------
-    config : CaseConfig
-        Configuration.
-    **ranges : tuple of float
-        Least and largest value by field.
-
-    Raises
-    ------
-    InputError
-        With the range.
-    """
+    """Refuse a number outside of its range; None passes."""
     for name, (low, high) in ranges.items():
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)

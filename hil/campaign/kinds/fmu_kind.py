@@ -16,31 +16,16 @@ from hil.campaign.kinds.config_checks import check_ranges
 
 
 class FmuConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a run of an FMU.
-
-    Attributes
-    ----------
-    fmu : str
-        The file.
-    motion : str
-        Kind of motion, or a motion file.
-    amplitude_rad, period_s, phase_2_rad : float
-        Of the motion.
-    payload_kg : float
-        At the tip.
-    step_s : float
-        Communication step.
-    parameters : dict of str to float
-        Parameters to set before the start: `link_mass_kg` for `parameters.link_mass_kg`.
-    """
+    """Configuration of a run of an FMU."""
 
     fmu: str
-    motion: str = "sinusoid"
+    motion: str = "sinusoid"  # Kind of motion, or a motion file
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
     payload_kg: float = 1.0
     step_s: float = PERIOD_S
+    # Parameters to set before the start: `link_mass_kg` for `parameters.link_mass_kg`
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
 
 

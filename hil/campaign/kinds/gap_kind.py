@@ -15,43 +15,22 @@ from hil.campaign.kinds.rig_kind import changed_rig
 
 
 class GapConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a diagnosis.
+    """Configuration of a diagnosis."""
 
-    Attributes
-    ----------
-    plant : str
-        Plant as it was identified, with its noise floor.
-    patterns : str
-        Patterns of the plant's own error, of `python -m models calibrate`; those shipped where it
-        is empty.
-    rig : str
-        Structure, `drawn_K`, file that changes a structure, or link.
-    effects : dict of str to float
-        Effects that are hidden in the rig.
-    factors : dict of str to float
-        Factors on parameters of the rig.
-    payloads_kg : tuple of float
-        Payloads of the trials.
-    trials : int
-        Trials of each payload.
-    motion : str
-        Kind of motion.
-    leave_out : tuple of str
-        Effects that the search does not know.
-    seed : int
-        Of variation and noise.
-    """
-
-    plant: str
+    plant: str  # Plant as it was identified, with its noise floor
+    # Patterns of the plant's own error, of `python -m models calibrate`; those shipped where it is
+    # empty
     patterns: str = ""
-    rig: str = "default"
+    rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
+    # Effects that are hidden in the rig
     effects: dict[str, float] = msgspec.field(default_factory=dict)
+    # Factors on parameters of the rig
     factors: dict[str, float] = msgspec.field(default_factory=dict)
     payloads_kg: tuple[float, ...] = (0.0, 1.0, 2.0)
     trials: int = 2
     motion: str = "sinusoid"
-    leave_out: tuple[str, ...] = ()
-    seed: int = 0
+    leave_out: tuple[str, ...] = ()  # Effects that the search does not know
+    seed: int = 0  # Of variation and noise
 
 
 class GapKind(CaseKind[GapConfig]):

@@ -17,47 +17,22 @@ from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
 
 
 class RigConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a trial.
+    """Configuration of a trial."""
 
-    Attributes
-    ----------
-    rig : str
-        Structure, `drawn_K`, file that changes a structure, or link.
-    effects : dict of str to float
-        Effects that are added to the rig's.
-    factors : dict of str to float
-        Factors on parameters of the rig.
-    dof : int
-        Driven joints.
-    payload_kg : float
-        At the tip.
-    pressure_pa : float or None
-        Pressure; that of the study or of the link by default.
-    motion : str
-        Kind of motion, or a motion file.
-    amplitude_rad, period_s, phase_2_rad : float
-        Of the motion.
-    trial : int
-        Number of the repetition.
-    seed : int
-        Of variation and noise.
-    plant : str or None
-        Plant whose errors on the trial are wanted.
-    """
-
-    rig: str = "default"
+    rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
+    # Effects that are added to the rig's
     effects: dict[str, float] = msgspec.field(default_factory=dict)
     factors: dict[str, float] = msgspec.field(default_factory=dict)
     dof: Literal[1, 2] = 1
     payload_kg: float = 0.0
-    pressure_pa: float | None = None
-    motion: str = "sinusoid"
+    pressure_pa: float | None = None  # Pressure; that of the study or of the link by default
+    motion: str = "sinusoid"  # Kind of motion, or a motion file
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
-    trial: int = 1
-    seed: int = 0
-    plant: str | None = None
+    trial: int = 1  # Number of the repetition
+    seed: int = 0  # Of variation and noise
+    plant: str | None = None  # Plant whose errors on the trial are wanted
 
 
 class RigKind(CaseKind[RigConfig]):
@@ -141,20 +116,7 @@ KIND = RigKind()
 
 
 def changed_rig(name: str, factors: dict[str, float]) -> Any:
-    """Rig with factors on its parameters.
-
-    Parameters
-    ----------
-    name : str
-        As `models.rig.drawn_rig.rig_named`.
-    factors : dict of str to float
-        By parameter.
-
-    Raises
-    ------
-    InputError
-        If the rig has no such parameter.
-    """
+    """Rig with factors on its parameters."""
     from models.rig.drawn_rig import rig_named
 
     rig = rig_named(name)

@@ -25,69 +25,32 @@ FRESH: Final = ("ok", "retried", "alert")
 
 
 class SilConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a run in software.
-
-    Attributes
-    ----------
-    bundle : str
-        Bundle of the robot.
-    fmu : str or None
-        Twin behind the servos; by default it is built from the bundle's plant, once.
-    rig : str or None
-        Rig to put there instead: a structure, a file that changes it, or a link.
-    effects : dict of str to float
-        Effects that are added to the rig's.
-    pressure_pa : float or None
-        Pressure of the rig.
-    line : str
-        "virtual"; "socket" and "pty" keep real time.
-    seconds : float or None
-        Duration; 10, or that of the plan.
-    payload_kg : float or None
-        At the tip; half of the link's largest by default.
-    payload_known : bool
-        Whether the robot is told it.
-    motion : str
-        Kind of motion, or a motion file.
-    amplitude_rad, period_s, phase_2_rad : float
-        Of the motion.
-    plan : str or None
-        Plan of the tip in place of the motion.
-    runs : int
-        Times that the plan runs.
-    open_loop : bool
-        Whether the plan runs without feedback of the tip.
-    model : str or None
-        Servo; that of the link by default.
-    baud : int
-        Bits per second.
-    latency_s : float
-        Latency timer of the USB adapter.
-    faults : dict of str to float
-        Fractions of the status packets, by kind of fault.
-    seed : int
-        Of everything random.
-    """
+    """Configuration of a run in software."""
 
     bundle: str
+    # Twin behind the servos; by default it is built from the bundle's plant, once
     fmu: str | None = None
+    # Rig to put there instead: a structure, a file that changes it, or a link
     rig: str | None = None
+    # Effects that are added to the rig's
     effects: dict[str, float] = msgspec.field(default_factory=dict)
     pressure_pa: float | None = None
+    # "virtual"; "socket" and "pty" keep real time
     line: Literal["virtual", "socket", "pty"] = "virtual"
-    seconds: float | None = None
-    payload_kg: float | None = None
-    payload_known: bool = False
-    motion: str = "sinusoid"
+    seconds: float | None = None  # Duration; 10, or that of the plan
+    payload_kg: float | None = None  # At the tip; half of the link's largest by default
+    payload_known: bool = False  # Whether the robot is told it
+    motion: str = "sinusoid"  # Kind of motion, or a motion file
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
-    plan: str | None = None
-    runs: int = 1
-    open_loop: bool = False
-    model: str | None = None
+    plan: str | None = None  # Plan of the tip in place of the motion
+    runs: int = 1  # Times that the plan runs
+    open_loop: bool = False  # Whether the plan runs without feedback of the tip
+    model: str | None = None  # Servo; that of the link by default
     baud: int = 1_000_000
-    latency_s: float = 1e-3
+    latency_s: float = 1e-3  # Latency timer of the USB adapter
+    # Fractions of the status packets, by kind of fault
     faults: dict[str, float] = msgspec.field(default_factory=dict)
     seed: int = 0
 

@@ -55,45 +55,21 @@ class RunTap(Protocol):
     """Listener between the loop of a case and its bus."""
 
     def wrap(self, bus: DynamixelBus) -> DynamixelBus:
-        """Return the bus that the loop gets.
-
-        Parameters
-        ----------
-        bus : DynamixelBus
-            The bus.
-        """
+        """Return the bus that the loop gets."""
         ...
 
     def end(self, outcome: CaseOutcome, columns: Columns) -> None:
-        """Take the end of the run.
-
-        Parameters
-        ----------
-        outcome : CaseOutcome
-            How it ended.
-        columns : mapping of str to ndarray
-            Its ticks by column; empty where it was refused.
-        """
+        """Take the end of the run."""
         ...
 
 
 @dataclass(frozen=True)
 class CaseRobot:
-    """Common part of every case of a campaign.
-
-    Attributes
-    ----------
-    bundle : ModelBundle
-        Bundle of the robot.
-    fmu : Path
-        Twin behind the servos.
-    tap : RunTap, optional
-        Receives what passes between loop and bus, and the end of the run.
-    """
+    """Common part of every case of a campaign."""
 
     bundle: ModelBundle
-    fmu: Path
-    tap: RunTap | None = None
+    fmu: Path  # Twin behind the servos
+    tap: RunTap | None = None  # Receives what passes between loop and bus, and the end of the run
 
     @property
     def dof(self) -> int:
@@ -110,19 +86,7 @@ class FaultyModels:
 
 
 def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> RobotConfig:
-    """Return the configuration of a case's robot.
-
-    Parameters
-    ----------
-    robot : CaseRobot
-        Common part of the campaign.
-    row : FaultRow
-        The fault.
-    number : int
-        Model of the servos.
-    port : str
-        Port that the robot opens.
-    """
+    """Return the configuration of a case's robot."""
     setup = row.setup
     models = [number] * robot.dof
     if setup.second_model == "declared":
@@ -146,14 +110,7 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
 def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     """Return the servos that are on the bus.
 
-    Parameters
-    ----------
-    dof : int
-        Joints.
-    row : FaultRow
-        The fault.
-    number : int
-        Model of the servos, but for what the row changes.
+    `number`: model of the servos, but for what the row changes.
     """
     setup = row.setup
     numbers = [number] * dof
@@ -178,15 +135,7 @@ def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
 
 
 def lean_arm(physics: Physics, angle_rad: float) -> None:
-    """Move the arm slowly to an angle, and let it come to rest there.
-
-    Parameters
-    ----------
-    physics : Physics
-        Plant.
-    angle_rad : float
-        Angle of every joint.
-    """
+    """Move the arm slowly to an angle, and let it come to rest there."""
     x = np.linspace(0.0, 1.0, 100)
     way_rad = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
     for goal_rad in (*way_rad.tolist(), *[angle_rad] * 100):
@@ -205,24 +154,7 @@ def run_case_loop(
 ) -> tuple[CaseOutcome, Columns]:
     """Run the robot's loop; return its end and its ticks by column.
 
-    Parameters
-    ----------
-    robot : CaseRobot
-        Common part of the campaign.
-    config : RobotConfig
-        Configuration of the case.
-    goals : GoalSource and Correction or None
-        Goals of each slot, and the correction that is added.
-    slots : int
-        Slots to run.
-    clock : Clock
-        Clock of the loop.
-    host : HostFaults
-        Faults of the host.
-    opener : callable
-        Opens the transport.
-    counters : Counters, optional
-        Kernel counters.
+    `goals`: goals of each slot, and the correction that is added.
     """
     try:
         bus = build_bus(config, opener(), clock, opener)
@@ -254,18 +186,7 @@ def case_source(
     The plan wants the tip where a rigid link would have it, so that there is always something to
     correct, and its filter is a gain of 1/s.
 
-    Parameters
-    ----------
-    robot : CaseRobot
-        Common part of the campaign.
-    config : RobotConfig
-        Configuration of the case.
-    goals_rad : ndarray, shape (n, dof)
-        Goal of each slot.
-    setup : Setup
-        Differences of the case.
-    host : HostFaults
-        Faults of the host.
+    Shapes: `goals_rad` (n, dof).
     """
     if setup.outside:
         return program_goals(config, goals_rad, host), None
@@ -293,17 +214,7 @@ def case_source(
 
 
 def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:
-    """Return the study's motion, or a slow motion to a goal of given pulses and back.
-
-    Parameters
-    ----------
-    config : RobotConfig
-        Configuration of the case.
-    setup : Setup
-        Differences of the case.
-    number : int
-        Model of the servos.
-    """
+    """Return the study's motion, or a slow motion to a goal of given pulses and back."""
     if setup.through_pulse is None:
         return config.goals_rad(repeated=True)
     angle_rad = MODELS[number].angle_rad(setup.through_pulse)

@@ -29,17 +29,7 @@ FLOOD: Final = 8
 class GoalProgram:
     """Channel to a program in memory that answers each status with the goals of a table.
 
-    Parameters
-    ----------
-    goals_rad : ndarray, shape (n, dof)
-        Goals of each slot; the first are zero.
-    host : HostFaults
-        Says when the program does wrong, and how.
-
-    Attributes
-    ----------
-    gone : bool
-        See `firmware_py.goals.outside.goal_channel.GoalChannel`.
+    Shapes: `goals_rad` (n, dof).
     """
 
     def __init__(self, goals_rad: Array, host: HostFaults) -> None:
@@ -76,14 +66,7 @@ class GoalProgram:
 def program_goals(config: RobotConfig, goals_rad: Array, host: HostFaults) -> OutsideGoals:
     """Return goals that a program sends.
 
-    Parameters
-    ----------
-    config : RobotConfig
-        Configuration of the case.
-    goals_rad : ndarray, shape (n, dof)
-        Goals of each slot.
-    host : HostFaults
-        Faults of the program.
+    Shapes: `goals_rad` (n, dof).
     """
     channel = GoalProgram(goals_rad, host)
     goal_map = _rigid_map(config.dof, config.period_s)

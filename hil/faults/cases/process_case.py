@@ -168,10 +168,7 @@ def _recorders(pid: int) -> list[int]:
 def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> tuple[str, str]:
     """Wait for the robot's end; a recorder that hangs then is ended as well.
 
-    Returns
-    -------
-    tuple of str
-        Its standard output and standard error.
+    Returns its standard output and standard error.
     """
     seen, since_s = servo_process.exchange, time.monotonic()
     deadline_s = since_s + _END_TIMEOUT_S

@@ -32,34 +32,16 @@ _SPAWN: Final = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class ServoProcessTask:
-    """Specification of the servos of a case.
+    """Specification of the servos of a case."""
 
-    Attributes
-    ----------
-    fmu : Path
-        Twin behind the servos.
-    dof : int
-        Joints.
-    row : FaultRow
-        The fault.
-    number, seed : int
-        Model of the servos; time and bits of the fault.
-    kind : str
-        "pty" or "socket".
-    port : Path
-        Name of the port: the socket, or a link to the pseudo-terminal.
-    cpu : int
-        Processor to pin the process to.
-    """
-
-    fmu: Path
+    fmu: Path  # Twin behind the servos
     dof: int
     row: FaultRow
-    number: int
+    number: int  # Model of the servos; time and bits of the fault
     seed: int
     kind: str
-    port: Path
-    cpu: int
+    port: Path  # Name of the port: the socket, or a link to the pseudo-terminal
+    cpu: int  # Processor to pin the process to
 
 
 @contextlib.contextmanager
@@ -123,13 +105,7 @@ def _run(pipe: Connection, counter: Any, task: ServoProcessTask) -> None:
 
 
 class ServoProcess:
-    """Process that runs the servos of a case.
-
-    Parameters
-    ----------
-    task : ServoProcessTask
-        Servos, fault and port.
-    """
+    """Process that runs the servos of a case."""
 
     def __init__(self, task: ServoProcessTask) -> None:
         self._pipe, child_end = _SPAWN.Pipe()

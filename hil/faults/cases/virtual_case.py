@@ -42,18 +42,11 @@ class _DeafLine(Line):
     """Line whose host sends at another baud rate: the servos receive noise."""
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
-        """See `Line.receive`."""
         return super().receive(now_ns, bytes(byte & 0x55 for byte in data))
 
 
 def slots_of(row: FaultRow) -> int:
-    """Slots of the motion of a row.
-
-    Parameters
-    ----------
-    row : FaultRow
-        The fault.
-    """
+    """Slots of the motion of a row."""
     long = row.setup.replug_s or row.setup.through_pulse is not None
     return SLOTS if long or (row.must.within or 0) > _SOON_TICKS else FEWER_SLOTS
 
@@ -61,14 +54,7 @@ def slots_of(row: FaultRow) -> int:
 def run_virtual(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
     """Run one case.
 
-    Parameters
-    ----------
-    robot : CaseRobot
-        Common part of the campaign.
-    row : FaultRow
-        The fault.
-    number, seed : int
-        Model of the servos; time and bits of the fault.
+    `number`, `seed`: model of the servos; time and bits of the fault.
     """
     physics = FmuPhysics(robot.fmu, robot.dof)
     try:

@@ -27,70 +27,33 @@ _REMEDY: Final = "record the runs again with 'python -m hil.faults.recorded.run_
 
 
 class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """Facts of a recorded run beside its ticks.
+    """Facts of a recorded run beside its ticks."""
 
-    Attributes
-    ----------
-    name : str
-        Fault, how and servo, as the campaign names the case.
-    config : RobotConfig
-        Configuration.
-    number : int
-        Model of the servos.
-    through_pulse : int or None
-        Goal in pulses of the motion, where it is not the configured one.
-    slots : int
-        Slots of the motion.
-    connected_rad : list of list of float
-        Angles at each connection of the servos.
-    torque : list of tuple of int
-        Status and alert bits after each switch of the torque.
-    requested : str
-        Reason with which a stop was requested; empty where none was.
-    ended, reason : str
-        End of the run.
-    ticks : int
-        Rows of its columns.
-    """
-
-    name: str
+    name: str  # Fault, how and servo, as the campaign names the case
     config: RobotConfig
-    number: int
-    through_pulse: int | None
+    number: int  # Model of the servos
+    through_pulse: int | None  # Goal in pulses of the motion, where it is not the configured one
     slots: int
-    connected_rad: list[list[float]]
-    torque: list[tuple[int, int]]
-    requested: str
+    connected_rad: list[list[float]]  # Angles at each connection of the servos
+    torque: list[tuple[int, int]]  # Status and alert bits after each switch of the torque
+    requested: str  # Reason with which a stop was requested; empty where none was
     ended: str
     reason: str
-    ticks: int
+    ticks: int  # Rows of its columns
 
 
 @dataclass(frozen=True)
 class RunTape:
-    """One run.
-
-    Attributes
-    ----------
-    facts : TapeFacts
-        Configuration and end.
-    columns : mapping of str to ndarray
-        Ticks by column: those of the log that `COLUMNS` names, `read_status`, `write_status` and
-        `read_alert`.
-    """
+    """One run."""
 
     facts: TapeFacts
+    # Ticks by column: those of the log that `COLUMNS` names, `read_status`, `write_status` and
+    # `read_alert`
     columns: Columns
 
 
 def column_names(dof: int) -> tuple[str, ...]:
-    """Return the columns of a recorded run.
-
-    Parameters
-    ----------
-    dof : int
-        Joints.
-    """
+    """Return the columns of a recorded run."""
     joints = [f"{n}_{j}_{u}" for j in range(1, dof + 1)
               for n, u in (("goal", "rad"), ("angle", "rad"), ("current", "a"))]  # fmt: skip
     return (
@@ -105,13 +68,6 @@ def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
 
     The ticks of all runs stand behind each other by column: most runs are equal up to their fault,
     which the compression finds.
-
-    Parameters
-    ----------
-    path : Path
-        File to write, an .npz in xz.
-    runs : sequence of RunTape
-        The runs.
     """
     names = column_names(runs[0].facts.config.dof)
     facts = np.frombuffer(msgspec.json.encode([run.facts for run in runs]), np.uint8)
@@ -125,18 +81,7 @@ def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
 
 
 def read_runs(path: Path) -> list[RunTape]:
-    """Read recorded runs.
-
-    Parameters
-    ----------
-    path : Path
-        File of `write_runs`.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, or of another form.
-    """
+    """Read recorded runs."""
     try:
         with np.load(io.BytesIO(lzma.decompress(path.read_bytes())), allow_pickle=False) as file:
             facts = msgspec.json.decode(file[_FACTS].tobytes(), type=list[TapeFacts])

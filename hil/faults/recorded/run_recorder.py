@@ -38,15 +38,7 @@ _REQUEST = "a request"
 
 
 class RecordingTap(RunTap):
-    """Tap between loop and bus that notes what the log does not hold.
-
-    Parameters
-    ----------
-    case : FaultCase
-        The case.
-    robot : CaseRobot
-        Common part of the campaign.
-    """
+    """Tap between loop and bus that notes what the log does not hold."""
 
     def __init__(self, case: FaultCase, robot: CaseRobot) -> None:
         self._case, self._robot = case, robot
@@ -115,15 +107,7 @@ class RecordingTap(RunTap):
 
 
 def record_case(case: FaultCase, robot: CaseRobot) -> RunTape | None:
-    """Run a case on the virtual line; return its run, or None where it was refused.
-
-    Parameters
-    ----------
-    case : FaultCase
-        The case.
-    robot : CaseRobot
-        Common part of the campaign.
-    """
+    """Run a case on the virtual line; return its run, or None where it was refused."""
     tap = RecordingTap(case, robot)
     run_virtual(replace(robot, tap=tap), case.row, case.number, case.seed)
     return tap.run

@@ -69,7 +69,6 @@ class _Playback:
     # --- clock
 
     def now_ns(self) -> int:
-        """Return the replayed time."""
         return self._clock.now_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -161,15 +160,7 @@ class _Playback:
 def replay_run(run: RunTape) -> str:
     """Run the loop of today on the measurements of a recorded run.
 
-    Parameters
-    ----------
-    run : RunTape
-        The run.
-
-    Returns
-    -------
-    str
-        The first difference of goals, states or end in words; empty where there is none.
+    Returns the first difference of goals, states or end in words; empty where there is none.
     """
     facts, config, played = run.facts, run.facts.config, _Playback(run)
     goals = case_goals(config, Setup(through_pulse=facts.through_pulse), facts.number)

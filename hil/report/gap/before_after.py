@@ -27,104 +27,48 @@ ByVariant = dict[str, float | None]
 
 
 class HiddenEffect(msgspec.Struct, frozen=True):
-    """Effect that was hidden, and the result for it.
-
-    Attributes
-    ----------
-    hidden : float
-        Its strength.
-    found, error : float or None
-        Change of the strength that was found, and its standard error.
-    said : str
-        Both in words.
-    """
+    """Effect that was hidden, and the result for it."""
 
     hidden: float
-    found: float | None
+    found: float | None  # Change of the strength that was found, and its standard error
     error: float | None
     said: str
 
 
 class FmuErrors(msgspec.Struct, frozen=True):
-    """Errors of the twin FMUs on the sealed trials.
+    """Errors of the twin FMUs on the sealed trials."""
 
-    Attributes
-    ----------
-    tip_rms_m : dict of variant to float
-        Root mean square distance of the tip, in m.
-    fraction_removed : float or None
-        Of the gap; see `fraction_removed`.
-    worst_difference : float
-        Largest difference from the plants in Python, SI units.
-    passed : bool
-        Whether `fmu check` passed.
-    """
-
-    tip_rms_m: ByVariant
-    fraction_removed: float | None
-    worst_difference: float
-    passed: bool
+    tip_rms_m: ByVariant  # Root mean square distance of the tip, in m
+    fraction_removed: float | None  # Of the gap; see `fraction_removed`
+    worst_difference: float  # Largest difference from the plants in Python, SI units
+    passed: bool  # Whether `fmu check` passed
 
 
 class RobotErrors(msgspec.Struct, frozen=True):
-    """Errors of the robot's prediction in motion, and the coverage of its interval.
+    """Errors of the robot's prediction in motion, and the coverage of its interval."""
 
-    Attributes
-    ----------
-    tip_mean_m : dict of variant to float or None
-        Mean distance between predicted and true tip, in m.
-    fraction_removed : float or None
-        Of the gap.
-    interval_coverage : dict of variant to float or None
-        Fraction of ticks inside the 95 % interval, mean over the axes that move.
-    """
-
-    tip_mean_m: ByVariant
+    tip_mean_m: ByVariant  # Mean distance between predicted and true tip, in m
     fraction_removed: float | None
+    # Fraction of ticks inside the 95 % interval, mean over the axes that move
     interval_coverage: ByVariant
 
 
 class BeforeAfter(msgspec.Struct, frozen=True):
-    """Figures of the page; what `hil gap --json` prints, with the path of the page.
-
-    Attributes
-    ----------
-    verdict : str
-        Of the diagnosis.
-    hidden : dict of str to HiddenEffect
-        By effect.
-    also_named : list of str
-        Effects that were named without being hidden.
-    fmu : FmuErrors
-        Of the rebuilt twin.
-    robot, robot_heaviest : RobotErrors
-        Over all payloads, and at the heaviest.
-    heaviest_kg : float
-        Heaviest payload.
-    path_rms_m : dict of variant to float
-        Distance of the tip from the path of a plan at that payload; `rigid` is of rigid kinematics.
-    """
+    """Figures of the page; what `hil gap --json` prints, with the path of the page."""
 
     verdict: str
     hidden: dict[str, HiddenEffect]
-    also_named: list[str]
-    fmu: FmuErrors
-    robot: RobotErrors
+    also_named: list[str]  # Effects that were named without being hidden
+    fmu: FmuErrors  # Of the rebuilt twin
+    robot: RobotErrors  # Over all payloads, and at the heaviest
     robot_heaviest: RobotErrors
     heaviest_kg: float
+    # Distance of the tip from the path of a plan at that payload; `rigid` is of rigid kinematics
     path_rms_m: ByVariant
 
 
 def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
-    """Compute all figures, in SI units.
-
-    Parameters
-    ----------
-    inputs : GapInputs
-        What was built around the diagnosis.
-    hidden : mapping of str to float
-        Hidden effects, or EFFECT:JOINT, with their strengths.
-    """
+    """Compute all figures, in SI units."""
     tip_rms_m: ByVariant = {
         variant: _distance_rms([run.rms[axis] for run in runs.values() for axis in TIP])
         for variant, runs in inputs.fmus.items()
@@ -149,13 +93,7 @@ def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
 
 
 def fraction_removed(error: Mapping[str, float | None]) -> float | None:
-    """Fraction of the gap that was removed; None if the gap was less than a tenth of the rest.
-
-    Parameters
-    ----------
-    error : mapping of variant to float or None
-        Error before, after and without the effect.
-    """
+    """Fraction of the gap that was removed; None if the gap was less than a tenth of the rest."""
     before, after, without = (error.get(v) for v in ("before", "after", "without"))
     if before is None or after is None or without is None or before <= SMALLEST_GAP * without:
         return None

@@ -32,17 +32,7 @@ HEADINGS: Final = {
 
 
 def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str, float]) -> str:
-    """The whole page as HTML.
-
-    Parameters
-    ----------
-    inputs : GapInputs
-        What was built around the diagnosis.
-    data : BeforeAfter
-        Its figures.
-    hidden : mapping of str to float
-        Hidden effects with their strengths.
-    """
+    """The whole page as HTML."""
     *own, others = gap_sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
     sections = [
         Section("glance", "Results", [_results(data)]),
@@ -59,7 +49,6 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str,
 
 
 def _hidden_and_named(data: BeforeAfter) -> str:
-    """What was hidden beside what was named."""
     said = [row.said for row in data.hidden.values()] or ["no effect was hidden"]
     said += [f"{e.replace('_', ' ')} was named without being hidden" for e in data.also_named]
     text = "; ".join(said)

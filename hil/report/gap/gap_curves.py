@@ -25,15 +25,7 @@ CURVE_LEGEND: Final = (*BEFORE_AND_AFTER, LegendEntry(MUTED, "RMS without the ef
 
 
 def fmu_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
-    """Draw measured minus simulated in FMPy, on a sealed trial.
-
-    Parameters
-    ----------
-    inputs : GapInputs
-        What was built around the diagnosis.
-    payload_kg : float
-        Payload of the trial.
-    """
+    """Draw measured minus simulated in FMPy, on a sealed trial."""
     trial = next(t for t in inputs.sealed if t.meta.payload_kg == payload_kg)
     measured = measured_signals(trial)
     rows = [inputs.outputs[variant][payload_kg] for variant in ("before", "after")]
@@ -49,15 +41,7 @@ def fmu_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
 
 
 def robot_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
-    """Draw predicted minus true tip in the plane of the joints, over the first motion of a run.
-
-    Parameters
-    ----------
-    inputs : GapInputs
-        What was built around the diagnosis.
-    payload_kg : float
-        Payload of the run.
-    """
+    """Draw predicted minus true tip in the plane of the joints, over the first motion of a run."""
     runs = {v: _first_motion(loops[payload_kg]) for v, loops in inputs.loops.items()
             if payload_kg in loops}  # fmt: skip
     before, after, least = (runs.get(v) for v in ("before", "after", "without"))

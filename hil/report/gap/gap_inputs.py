@@ -48,74 +48,33 @@ ByPayload = dict[float, Any]
 
 
 class FmuRunOutput(msgspec.Struct, frozen=True):
-    """Output of `python -m fmu simulate --json` on a trial.
+    """Output of `python -m fmu simulate --json` on a trial."""
 
-    Attributes
-    ----------
-    rms : dict of str to float
-        Root mean square error by signal, SI units.
-    units : dict of str to str
-        SI unit of every signal.
-    """
-
-    rms: dict[str, float]
-    units: dict[str, str]
+    rms: dict[str, float]  # Root mean square error by signal, SI units
+    units: dict[str, str]  # SI unit of every signal
 
 
 @dataclass(frozen=True)
 class GapInputs:
-    """Files of a closed gap.
-
-    Attributes
-    ----------
-    found : GapDocument
-        gap.json.
-    before, after : Plant
-        As given, and as improved.
-    trials, sealed : TrialSet
-        Trials of the diagnosis, and trials that no value was fitted to.
-    check : FmuCheckOutput
-        Of the rebuilt twin.
-    fmus : dict of str to dict of float to FmuRunOutput
-        Runs of each variant's FMU, by payload in kg.
-    outputs : dict of str to dict of float to ndarray
-        Rows that those runs wrote, with columns as fields.
-    loops : dict of str to dict of float to LoopRun
-        Of each variant, by payload in kg.
-    path_rms_m : dict of str to float
-        Distance of the tip from the path of a plan, by variant; empty where no plan was run.
-    commands : list of str
-        Commands that wrote the files.
-    """
+    """Files of a closed gap."""
 
     found: GapDocument
-    before: Plant
+    before: Plant  # As given, and as improved
     after: Plant
-    trials: TrialSet
+    trials: TrialSet  # Trials of the diagnosis, and trials that no value was fitted to
     sealed: TrialSet
-    check: FmuCheckOutput
-    fmus: dict[str, dict[float, FmuRunOutput]]
+    check: FmuCheckOutput  # Of the rebuilt twin
+    fmus: dict[str, dict[float, FmuRunOutput]]  # Runs of each variant's FMU, by payload in kg
+    # Rows that those runs wrote, with columns as fields
     outputs: dict[str, dict[float, NDArray[np.void]]]
-    loops: dict[str, dict[float, LoopRun]]
+    loops: dict[str, dict[float, LoopRun]]  # Of each variant, by payload in kg
+    # Distance of the tip from the path of a plan, by variant; empty where no plan was run
     path_rms_m: dict[str, float]
-    commands: list[str]
+    commands: list[str]  # Commands that wrote the files
 
 
 def read_gap(directory: Path, plant: Path) -> GapInputs:
-    """Read the directory and the plant before the diagnosis.
-
-    Parameters
-    ----------
-    directory : Path
-        What `make gap-demo` wrote.
-    plant : Path
-        Plant before the diagnosis.
-
-    Raises
-    ------
-    InputError
-        If something is missing or damaged.
-    """
+    """Read the directory and the plant before the diagnosis."""
     for needed in ("found/gap.json", "check_twin_1dof.json"):
         if not (directory / needed).is_file():
             raise InputError(directory / needed, "is missing", MADE_BY)

@@ -34,12 +34,7 @@ NYQUIST_HALF_WIDTH: Final = 1.3
 def feedback_section(plans: Mapping[int, TipPlan], plant: Plant | None) -> Section | None:
     """Return the section; None where no plan has feedback.
 
-    Parameters
-    ----------
-    plans : mapping of int to TipPlan
-        Plans by number of joints.
-    plant : Plant or None
-        On whose linearised twin the loops are drawn; None draws none.
+    `plant`: on whose linearised twin the loops are drawn; None draws none.
     """
     guided = {dof: plan for dof, plan in sorted(plans.items()) if plan.feedback is not None}
     if not guided:

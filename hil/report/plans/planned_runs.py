@@ -30,40 +30,19 @@ _NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """Last run of a plan in a directory of `hil sil`.
-
-    Attributes
-    ----------
-    dof : int
-        Joints.
-    knowledge : {"rigid", "known", "unknown", "misled"}
-        See `Knowledge`.
-    payload_kg : float
-        Mass at the tip of the rig; for the misled robot what it was told.
-    plan : TipPlan
-        That was run.
-    tip_m : ndarray, shape (n, dof)
-        True tip at each row of the plan, in its last run.
-    rms_m, max_m : float
-        Distance from the path over that run, as `hil sil` judged it.
-    goals_rad : ndarray, shape (n, dof)
-        Goals sent.
-    trust : ndarray of int, shape (n,)
-        Trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`).
-    unknown_kg : float
-        Mass at the tip of which the robot does not know.
-    """
+    """Last run of a plan in a directory of `hil sil`."""
 
     dof: int
-    knowledge: Knowledge
-    payload_kg: float
+    knowledge: Knowledge  # {"rigid", "known", "unknown", "misled"}
+    payload_kg: float  # Mass at the tip of the rig; for the misled robot what it was told
     plan: TipPlan
-    tip_m: Array
-    rms_m: float
+    tip_m: Array  # (n, dof), true tip at each row of the plan, in its last run
+    rms_m: float  # Distance from the path over that run, as `hil sil` judged it
     max_m: float
-    goals_rad: Array
+    goals_rad: Array  # (n, dof)
+    # (n,), trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`)
     trust: NDArray[np.int64]
-    unknown_kg: float = 0.0
+    unknown_kg: float = 0.0  # Mass at the tip of which the robot does not know
 
     @property
     def away_m(self) -> Array:
@@ -74,15 +53,7 @@ class PlannedRun:
 def read_planned_runs(directory: Path) -> list[PlannedRun]:
     """Read the runs that `make tip-demo` left, by joints, payload and knowledge.
 
-    Parameters
-    ----------
-    directory : Path
-        With the folders NAME and the plans `inverse_Ndof.json` and `rigid_Ndof.json`.
-
-    Raises
-    ------
-    InputError
-        If there is no run, or its files are missing or damaged.
+    `directory`: with the folders NAME and the plans `inverse_Ndof.json` and `rigid_Ndof.json`.
     """
     found = []
     for folder in sorted(directory.glob("*")):
@@ -119,12 +90,8 @@ def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> P
 
 
 def plan_figures(runs: list[PlannedRun]) -> dict[str, Any]:
-    """RMS errors by joints and payload, their largest ratios to rigid kinematics, and the inverse.
-
-    Parameters
-    ----------
-    runs : list of PlannedRun
-        Of `read_planned_runs`.
+    """RMS errors by joints and payload, their largest ratios to rigid kinematics, and the
+    inverse.
     """
     cases: list[dict[str, Any]] = []
     runs = [r for r in runs if r.knowledge in KNOWLEDGE]

@@ -45,14 +45,7 @@ TOLD: Final = {"known": "known", "unknown": "estimated"}
 def write_plans_page(runs: Sequence[PlannedRun], path: Path, plant: Plant | None = None) -> None:
     """Write the page.
 
-    Parameters
-    ----------
-    runs : sequence of PlannedRun
-        Of `hil.report.plans.planned_runs.read_planned_runs`.
-    path : Path
-        File to write.
-    plant : Plant, optional
-        Plant that was inverted, for the diagrams of the feedback.
+    `plant`: plant that was inverted, for the diagrams of the feedback.
     """
     lead: list[Part] = [
         EMULATED,

@@ -17,13 +17,7 @@ from models.shared.svg_drawing import Drawing
 
 
 def trust_section(runs: Sequence[PlannedRun]) -> Section | None:
-    """Return the section; None where no run has feedback.
-
-    Parameters
-    ----------
-    runs : sequence of PlannedRun
-        All runs of the page.
-    """
+    """Return the section; None where no run has feedback."""
     guided = [r for r in runs if (r.trust != TrustState.NONE).any()]
     if not guided:
         return None

@@ -13,13 +13,7 @@ from models.tip.predictors_document import PredictorsDocument
 
 
 def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
-    """Return errors, coverage and size of every candidate, on rows left out and on every test.
-
-    Parameters
-    ----------
-    documents : mapping of int to PredictorsDocument
-        By number of joints.
-    """
+    """Return errors, coverage and size of every candidate, on rows left out and on every test."""
     rows = []
     for dof, document in documents.items():
         for name, entry in document.candidates.items():

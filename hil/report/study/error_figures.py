@@ -30,13 +30,7 @@ DISTANCE: Final = LENGTH.label("mean distance")
 
 
 def error_figures(studies: Studies) -> list[Figure]:
-    """Draw the error figures, one panel per study; studies without a trial 2 have none.
-
-    Parameters
-    ----------
-    studies : mapping of str to StudyDocument
-        By what they were trained on.
-    """
+    """Draw the error figures, one panel per study; studies without a trial 2 have none."""
     tested = {name: study for name, study in studies.items() if TEST in study.tests}
     if not tested:
         return []

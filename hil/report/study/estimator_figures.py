@@ -34,13 +34,7 @@ def test_words(name: str) -> str:
 
 
 def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
-    """DI of the heaviest payload over time by every source, on every test.
-
-    Parameters
-    ----------
-    studies : mapping of int to StudyDocument
-        By number of joints.
-    """
+    """DI of the heaviest payload over time by every source, on every test."""
     panels = []
     for dof, study in studies.items():
         for name, curves in study.series.estimates.items():
@@ -70,13 +64,7 @@ def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
 
 
 def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Mean distance of every predictor of the tip, by payload, on every test.
-
-    Parameters
-    ----------
-    studies : mapping of int to StudyDocument
-        By number of joints.
-    """
+    """Mean distance of every predictor of the tip, by payload, on every test."""
     panels = []
     everything = [
         v

@@ -31,13 +31,7 @@ NESTED: Final = (
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Draw paths, shapes and DI, one kind of motion beside the other.
-
-    Parameters
-    ----------
-    studies : mapping of str to StudyDocument
-        By kind of motion.
-    """
+    """Draw paths, shapes and DI, one kind of motion beside the other."""
     return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
 
 

@@ -35,20 +35,7 @@ WRITTEN: Final = "written.sha256"
 def check_repetition(out: Path, gap: Path, inputs: DiagnosisInputs) -> None:
     """Refuse a place where a repetition would replace what is read or what others have written.
 
-    Parameters
-    ----------
-    out : Path
-        File of the motion; the repetition is written beside it.
-    gap : Path
-        Document of the diagnosis.
-    inputs : DiagnosisInputs
-        Plant and directories of trials that were diagnosed.
-
-    Raises
-    ------
-    InputError
-        If a directory cannot be written, a result would replace a file that is read, or the
-        directory of the trial is one of the diagnosis or holds a trial of others.
+    `out`: file of the motion; the repetition is written beside it.
     """
     directory = out.with_suffix("")
     results, own = directory / "gap", directory / "trials"
@@ -70,7 +57,6 @@ def check_repetition(out: Path, gap: Path, inputs: DiagnosisInputs) -> None:
 
 
 def _trial_files(directory: Path) -> list[Path]:
-    """All files of trials in a directory."""
     return [*directory.glob("*.csv"), *directory.glob("*.toml")]
 
 
@@ -88,15 +74,7 @@ def _sha256(path: Path) -> str:
 
 
 def write_own_trial(trial: Trial, directory: Path) -> None:
-    """Write the trial of a repetition in place of that of the last one; others are kept.
-
-    Parameters
-    ----------
-    trial : Trial
-        To write.
-    directory : Path
-        Made if need be.
-    """
+    """Write the trial of a repetition in place of that of the last one; others are kept."""
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=".") as scratch:
         samples = write_trial(trial, scratch)
@@ -114,33 +92,7 @@ def repeat_diagnosis(
     args: argparse.Namespace, plant: Plant, inputs: DiagnosisInputs,
     recommended: tuple[Motion, float], rig: RigParameters, progress: Progress,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
-    """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses.
-
-    Parameters
-    ----------
-    args : Namespace
-        Of `models experiment`.
-    plant : Plant
-        Of the diagnosis.
-    inputs : DiagnosisInputs
-        Files of the diagnosis.
-    recommended : tuple
-        Motion, and its payload in kg.
-    rig : RigParameters
-        With hidden effects.
-    progress : Progress
-        Of the command.
-
-    Returns
-    -------
-    tuple
-        Result for machines, and text.
-
-    Raises
-    ------
-    InputError
-        See `check_repetition`; a trial of others may have come in the meantime.
-    """
+    """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
     from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.rig.study_protocol import run_case

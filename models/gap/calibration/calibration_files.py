@@ -19,47 +19,16 @@ OWN_FILES: Final = (
 
 
 def calibration_directory(plant: Path) -> Path:
-    """Directory of the calibration of a plant.
-
-    Parameters
-    ----------
-    plant : Path
-        Of the plant file.
-
-    Examples
-    --------
-    >>> calibration_directory(Path("build/plant.json")).as_posix()
-    'build/plant.calibration'
-    """
     return plant.with_suffix(".calibration")
 
 
 def patterns_file(plant: Path) -> Path:
-    """File of the patterns that belong to a plant.
-
-    Parameters
-    ----------
-    plant : Path
-        Of the plant file.
-    """
+    """File of the patterns that belong to a plant."""
     return calibration_directory(plant) / "patterns.npz"
 
 
 def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
-    """Patterns that were measured for a plant; none where nobody did.
-
-    Parameters
-    ----------
-    plant : Path
-        Of the plant file.
-    sha256 : str
-        Of the plant, see `models.plant.plant.Plant.sha256`.
-
-    Raises
-    ------
-    InputError
-        If they were measured for another plant, or their file is damaged.
-    """
+    """Patterns that were measured for a plant; none where nobody did."""
     path, directory = patterns_file(plant), calibration_directory(plant)
     if not path.exists():
         return ()
@@ -77,15 +46,6 @@ def begin_work(fingerprint: str, plant_sha256: str, directory: Path) -> None:
     """Keep what was measured for the same trials and plant, remove what was for others.
 
     Files that no calibration writes stay.
-
-    Parameters
-    ----------
-    fingerprint : str
-        Of the work, see `models.gap.calibration.pattern_measurement.PatternWork.fingerprint`.
-    plant_sha256 : str
-        Of the plant.
-    directory : Path
-        Of the calibration.
     """
     path = directory / FINGERPRINT
     lines = [fingerprint, plant_sha256]

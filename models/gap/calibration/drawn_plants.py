@@ -19,21 +19,8 @@ def plant_on_rig(
 ) -> Path:
     """Plant file with a noise floor; identified on trials of a rig where it is not there yet.
 
-    Parameters
-    ----------
-    rig : RigParameters
-        Without a hidden effect.
-    cases : sequence of TrialCase
-        Trials to run; where some are repeated the plant has a noise floor.
-    path : Path
-        Of the file.
-    start : Plant, optional
-        Where the identification starts; the packaged plant where it is not given.
-
-    Raises
-    ------
-    InputError
-        If the link folds in a trial.
+    `cases`: trials to run; where some are repeated the plant has a noise floor.
+    `start`: where the identification starts; the packaged plant where it is not given.
     """
     if not path.exists():
         trials = TrialSet(tuple(run_case(rig, case) for case in cases))

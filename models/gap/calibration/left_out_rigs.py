@@ -24,15 +24,7 @@ MotionErrors = Sequence[Mapping[str, Array]]
 
 
 def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
-    """Mean squared error on each link, in noise floors, its rig left out of the patterns.
-
-    Parameters
-    ----------
-    rigs : sequence of mapping
-        Of one motion.
-    patterns : int
-        Number of patterns; zero for none.
-    """
+    """Mean squared error on each link, in noise floors, its rig left out of the patterns."""
     left = []
     for out, rig in enumerate(rigs):
         rest = [r for k, r in enumerate(rigs) if k != out]
@@ -55,13 +47,7 @@ def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
 
 
 def pattern_sentence(rigs: MotionErrors) -> str:
-    """What the patterns leave on rigs left out, in words.
-
-    Parameters
-    ----------
-    rigs : sequence of mapping
-        Of one motion.
-    """
+    """What the patterns leave on rigs left out, in words."""
     parts, links = [], sum(len(r["rows"]) for r in rigs)
     most = links - max(len(r["rows"]) for r in rigs)  # no more than links that they are learned on
     for count in (0, min(DEFAULT_SETTINGS.discrepancy_patterns, most)):
@@ -74,14 +60,8 @@ def pattern_sentence(rigs: MotionErrors) -> str:
 
 
 def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
-    """Draw what is left on each link, with and without patterns, by motion; returns the path (SVG).
-
-    Parameters
-    ----------
-    measured : mapping of str to sequence
-        By key of the motion.
-    path : Path
-        SVG file to write.
+    """Draw what is left on each link, with and without patterns, by motion; returns the path
+    (SVG).
     """
     from matplotlib import pyplot
 

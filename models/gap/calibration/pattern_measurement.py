@@ -50,27 +50,16 @@ REASON: Final = "reason"
 
 @dataclass(frozen=True)
 class PatternWork:
-    """What is measured on each drawn rig.
+    """What is measured on each drawn rig."""
 
-    Attributes
-    ----------
-    identified_on, diagnosed_on : tuple of TrialCase
-        Conditions that a plant is identified on, each twice, and those of the patterns.
-    links : int
-        Changed links of each rig.
-    directory : Path
-        Of the plants and the files by rig.
-    make : RigParameters, optional
-        Rig of the make around which rigs are drawn; the study's where it is not given.
-    start : Plant, optional
-        Where each identification starts; the packaged plant where it is not given.
-    """
-
+    # Conditions that a plant is identified on, each twice, and those of the patterns
     identified_on: tuple[TrialCase, ...]
     diagnosed_on: tuple[TrialCase, ...]
-    links: int
-    directory: Path
+    links: int  # Changed links of each rig
+    directory: Path  # Of the plants and the files by rig
+    # Rig of the make around which rigs are drawn; the study's where it is not given
     make: RigParameters | None = None
+    # Where each identification starts; the packaged plant where it is not given
     start: Plant | None = None
 
     def fingerprint(self) -> str:
@@ -90,7 +79,6 @@ class PatternWork:
         return self.directory / f"own_error_{rig}.npz"
 
     def plant_file(self, rig: int) -> Path:
-        """File of the plant of a rig."""
         return self.directory / "plants" / f"drawn_{rig}.json"
 
 
@@ -102,16 +90,7 @@ def run_pattern_work(
 ) -> None:
     """Measure what is not there yet.
 
-    Parameters
-    ----------
-    work : PatternWork
-        What is measured.
-    rigs : sequence of int
-        Numbers of drawn rigs.
-    executor : Executor
-        Of `concurrent.futures`; each rig is one job.
-    on_done : callable
-        Called with the name of each rig that is measured.
+    `on_done`: called with the name of each rig that is measured.
     """
     left = [k for k in rigs if not work.file(k).exists()]
     jobs = {executor.submit(measure_own_error, work, k): k for k in left}
@@ -124,13 +103,6 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
     """Identify a plant on a rig; save what the nuisance fit leaves on other links.
 
     The file of a rig that cannot run these trials, as where its link folds, holds the reason alone.
-
-    Parameters
-    ----------
-    work : PatternWork
-        What is measured.
-    rig : int
-        Number of the drawn rig.
     """
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     errors: list[GroupError] = []
@@ -165,45 +137,19 @@ def measure_own_error(work: PatternWork, rig: int) -> None:
 
 @dataclass(frozen=True)
 class GroupError:
-    """Error of a plant on another link, in the trials of one motion.
-
-    Attributes
-    ----------
-    key : str
-        See `models.gap.residuals.residuals.TrialGroup`.
-    payload_kg : list of float
-        Of the trials.
-    signals : list of str
-        Signals.
-    rows : ndarray, shape (P, signals, K)
-        Spectra beyond those on the plant's own link, relative to
-        `models.gap.estimation.noise_floor.NoiseFloor.own_error`.
-    noise : ndarray, shape (signals, K)
-        Variance of the noise of the floor, relative likewise.
-    """
+    """Error of a plant on another link, in the trials of one motion."""
 
     key: str
     payload_kg: list[float]
     signals: list[str]
+    # (P, signals, K), spectra beyond those on the plant's own link, relative to
+    # `models.gap.estimation.noise_floor.NoiseFloor.own_error`
     rows: Array
-    noise: Array
+    noise: Array  # (signals, K), variance of the noise of the floor, relative likewise
 
 
 def trials_without_scatter(rig: RigParameters, cases: Sequence[TrialCase]) -> list[Trial]:
-    """Trials of a rig without noise and variation.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        Any rig.
-    cases : sequence of TrialCase
-        Conditions.
-
-    Raises
-    ------
-    InputError
-        If the link folds in one of them.
-    """
+    """Trials of a rig without noise and variation."""
     quiet = without_scatter(rig)
     return [run_case(quiet, case) for case in cases]
 
@@ -213,17 +159,8 @@ def errors_on_another_link(
 ) -> list[GroupError]:
     """Error of a plant on another link by motion.
 
-    Parameters
-    ----------
-    plant : Plant
-        Identified on the own link, with a noise floor.
-    own_trials, trials : sequence of Trial
-        Of the own link and the other one, of the same conditions in the same order.
-
-    Raises
-    ------
-    InputError
-        If the plant carries no noise floor.
+    `own_trials`, `trials`: of the own link and the other one, of the same conditions in the same
+    order.
     """
     found = []
     for dof in sorted({t.meta.dof for t in trials}):
@@ -270,20 +207,7 @@ def _curves(residuals: Residuals, rows: Sequence[Array]) -> dict[str, PayloadCur
 def learned_patterns(
     files: Sequence[Path], settings: GapSettings = DEFAULT_SETTINGS
 ) -> tuple[ModelDiscrepancy, ...]:
-    """Patterns of each motion from the files of `measure_own_error`.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        By rig.
-    settings : GapSettings
-        Tuned numbers: how many patterns.
-
-    Raises
-    ------
-    InputError
-        If no rig can run the trials, as where the link folds on every one.
-    """
+    """Patterns of each motion from the files of `measure_own_error`."""
     measured = own_errors_of(files)
     if not measured:
         with np.load(files[0]) as first:
@@ -308,18 +232,7 @@ def learned_patterns(
 
 
 def own_errors_of(files: Sequence[Path]) -> dict[str, list[dict[str, Array]]]:
-    """Content of the files of `measure_own_error` by motion, an entry for each rig.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        By rig.
-
-    Raises
-    ------
-    InputError
-        If a file is damaged.
-    """
+    """Content of the files of `measure_own_error` by motion, an entry for each rig."""
     names = ("payload_kg", "signals", "rows", "noise")
     measured: dict[str, list[dict[str, Array]]] = {}
     for path in files:

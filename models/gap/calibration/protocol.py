@@ -17,13 +17,7 @@ MOST_PAYLOADS: Final = 5
 
 
 def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
-    """One case for each motion and payload of the trials, in their order.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of the link.
-    """
+    """One case for each motion and payload of the trials, in their order."""
     first: dict[str, dict[float, Trial]] = {}
     for trial in trials:
         first.setdefault(trial_group_key(trial), {}).setdefault(trial.meta.payload_kg, trial)
@@ -35,17 +29,7 @@ def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
 
 
 def repeated(cases: Sequence[TrialCase], repetitions: int, seed: int) -> list[TrialCase]:
-    """Each case so many times, with the random numbers of a seed.
-
-    Parameters
-    ----------
-    cases : sequence of TrialCase
-        Of a protocol.
-    repetitions : int
-        Trials of each.
-    seed : int
-        Of variation and noise.
-    """
+    """Each case so many times, with the random numbers of a seed."""
     return [
         TrialCase(c.motion, c.payload_kg, trial, seed, c.pressure_pa, c.gravity)
         for c in cases

@@ -16,21 +16,12 @@ __all__ = ["RecordedMotion", "recorded_motion"]
 
 @dataclass(frozen=True)
 class RecordedMotion(Motion):
-    """Goals of a trial as a reference motion; between two samples they are interpolated.
+    """Goals of a trial as a reference motion; between two samples they are interpolated."""
 
-    Attributes
-    ----------
-    label : str
-        Name of the motion in its trials.
-    time_s : ndarray, shape (n,)
-        Since the start of the motion.
-    goals_rad : ndarray, shape (n, dof)
-        Goals at these times.
-    """
-
-    label: str = ""
+    label: str = ""  # Name of the motion in its trials
+    # (n,), since the start of the motion
     time_s: Array = field(default_factory=lambda: np.zeros(1), compare=False)
-    goals_rad: Array = field(default_factory=lambda: np.zeros((1, 1)), compare=False)
+    goals_rad: Array = field(default_factory=lambda: np.zeros((1, 1)), compare=False)  # (n, dof)
 
     def __post_init__(self) -> None:
         """Accept what was recorded: the robot ran it."""
@@ -48,10 +39,7 @@ class RecordedMotion(Motion):
     def goal_rad(self, time_s: ArrayLike) -> Array:
         """Goals at given times: the first one before the start, and again after the end.
 
-        Parameters
-        ----------
-        time_s : array_like, shape (...)
-            Time since the start of the motion in s.
+        Shapes: `time_s` (...).
         """
         at_s = np.asarray(time_s, dtype=np.float64)
         beyond = np.clip((at_s - self.duration_s) / GLIDE_S, 0.0, 1.0)
@@ -64,13 +52,7 @@ class RecordedMotion(Motion):
 
 
 def recorded_motion(trial: Trial) -> RecordedMotion:
-    """Motion of a trial, without its rest.
-
-    Parameters
-    ----------
-    trial : Trial
-        With the goals of its joints.
-    """
+    """Motion of a trial, without its rest."""
     meta, rows = trial.meta, trial.moving
     return RecordedMotion(
         amplitude_rad=meta.amplitude_rad,

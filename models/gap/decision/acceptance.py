@@ -57,25 +57,7 @@ from models.gap.search.refused_effect import (
 
 
 class Acceptance:
-    """Tests of a search's result; takes out of it what fails.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; `named`, `after` and `refused` are changed.
-
-    Attributes
-    ----------
-    nuisance : ndarray of bool, shape (p,)
-        Fit parameters that are nuisance.
-    as_given : ndarray of bool, shape (p,)
-        Those whose refitted value is refused: the fit that tells the verdict keeps it, the plant
-        that is written does not.
-    keeps_named : bool
-        Whether effects that fail a test on held-out errors stay named, whichever is to blame.
-    """
+    """Tests of a search's result; takes out of it what fails."""
 
     def __init__(self, search: EffectSearch, result: SearchResult) -> None:
         self.search, self.result, self.settings = search, result, search.settings
@@ -120,26 +102,14 @@ class Acceptance:
         return other
 
     def without(self, effect: str) -> Acceptance:
-        """Tests of the same result without one effect, which is refused as a stand-in.
-
-        Parameters
-        ----------
-        effect : str
-            One of several named ones.
-        """
+        """Tests of the same result without one effect, which is refused as a stand-in."""
         rest = self.copy()
         rest.result.refused += refusals([effect], "stand-in", STAND_IN_BESIDE_OTHERS)
         rest._take_out([effect])
         return rest
 
     def with_further(self, effect: str) -> Acceptance:
-        """Tests of the same result with one effect more.
-
-        Parameters
-        ----------
-        effect : str
-            Tried by the search beside the named ones.
-        """
+        """Tests of the same result with one effect more."""
         more, free = self.copy(), self.search.free([*self.result.named, effect])
         point = self._refitted(self.result.after.values, free)
         more.result = with_further_effect(self.search, more.result, effect, point)
@@ -149,13 +119,6 @@ class Acceptance:
         """Plant as given in place of a fit whose effects are not believed.
 
         A stand-in that passed on other motions is written all the same.
-
-        Parameters
-        ----------
-        accepted : AcceptedFit
-            As tested.
-        answers : Answers
-            Of the evidence for its effects.
         """
         moved = "motions" in self.held_out.folds
         if answers.is_outside and moved and np.any(accepted.free):

@@ -12,21 +12,11 @@ from models.gap.settings import GapSettings
 
 @dataclass(frozen=True)
 class AcceptedFit:
-    """Fit that the improved plant is written from.
+    """Fit that the improved plant is written from."""
 
-    Attributes
-    ----------
-    point : FitPoint
-        Values of all fit parameters.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted; none for the plant as given.
-    errors : HeldOutErrors
-        Of this fit, each part left out in turn.
-    """
-
-    point: FitPoint
-    free: Array
-    errors: HeldOutErrors
+    point: FitPoint  # Values of all fit parameters
+    free: Array  # (p,), fit parameters that were fitted; none for the plant as given
+    errors: HeldOutErrors  # Of this fit, each part left out in turn
 
 
 def refit_is_earned(
@@ -34,14 +24,7 @@ def refit_is_earned(
 ) -> bool:
     """Whether a nuisance is better written as refitted than as in the plant as given.
 
-    Parameters
-    ----------
-    undone, refitted : HeldOutErrors
-        Of the effects with the nuisance as given, and as refitted beside them.
-    given : HeldOutErrors
-        Of the plant as given.
-    settings : GapSettings
-        Tuned numbers.
+    `undone`, `refitted`: of the effects with the nuisance as given, and as refitted beside them.
     """
     before, after = (max(fit.ratios(given).values()) for fit in (undone, refitted))
     falls = refitted.fraction_of(undone) < 1 - settings.harm_fraction

@@ -42,21 +42,11 @@ there, and the plant that is written has it [assumed]."""
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Probabilities of the answers; they add up to 1.
-
-    Attributes
-    ----------
-    nothing : float
-        That nothing is missing.
-    catalogue : float
-        That effects of the catalogue are missing: those named, where any are.
-    outside : float
-        That an effect is missing which the catalogue lacks.
-    """
+    """Probabilities of the answers; they add up to 1."""
 
     nothing: float
-    catalogue: float
-    outside: float
+    catalogue: float  # That effects of the catalogue are missing: those named, where any are
+    outside: float  # That an effect is missing which the catalogue lacks
 
     @property
     def is_believed(self) -> bool:
@@ -83,37 +73,19 @@ CATALOGUE_ONLY: Final = Answers(0.0, 1.0, 0.0)
 
 
 class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Logistic regression on the evidence.
+    """Logistic regression on the evidence."""
 
-    Attributes
-    ----------
-    intercept : float
-        Logarithm of the odds where all evidence is zero.
-    coefficient : dict of str to float
-        By name of the evidence.
-    bounds : dict of str to tuple of float
-        Least and largest value that counts, by name of the evidence: extreme values are rare and
-        prove no more than usual ones. Evidence that is missing here counts in full.
-    of_effect : dict of str to float
-        Logarithm of the odds by effect, of several their mean: some effects stand in for others
-        more often than others do. 0 for one that is missing here.
-    """
-
-    intercept: float
-    coefficient: dict[str, float]
+    intercept: float  # Logarithm of the odds where all evidence is zero
+    coefficient: dict[str, float]  # By name of the evidence
+    # Least and largest value that counts, by name of the evidence: extreme values are rare and
+    # prove no more than usual ones. Evidence that is missing here counts in full.
     bounds: dict[str, tuple[float, float]]
+    # Logarithm of the odds by effect, of several their mean: some effects stand in for others more
+    # often than others do. 0 for one that is missing here.
     of_effect: dict[str, float]
 
     def probability(self, evidence: Evidence, named: Sequence[str]) -> float:
-        """Probability of what was fitted.
-
-        Parameters
-        ----------
-        evidence : Evidence
-            Of a tested search.
-        named : sequence of str
-            Effects that it leaves.
-        """
+        """Probability of what was fitted."""
         of_effects = sum(self.of_effect.get(effect, 0.0) for effect in named)
         log_odds = self.intercept + of_effects / max(len(named), 1)
         for name, coefficient in self.coefficient.items():
@@ -125,31 +97,17 @@ class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class AnswerModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Regressions in use; the content of `answers.json`.
+    """Regressions in use; the content of `answers.json`."""
 
-    Attributes
-    ----------
-    sets : int
-        Tests that they were fitted to.
-    catalogue : Regression
-        Of the answer "catalogue", on what tells names from stand-ins (`OF_NAMES`).
-    outside : Regression
-        Of "outside" where the catalogue holds nothing that is missing, on what exceeds noise
-        (`OF_A_GAP`).
-    """
-
-    sets: int
+    sets: int  # Tests that they were fitted to
+    # Of the answer "catalogue", on what tells names from stand-ins (`OF_NAMES`)
     catalogue: Regression
+    # Of "outside" where the catalogue holds nothing that is missing, on what exceeds noise
+    # (`OF_A_GAP`)
     outside: Regression
 
     def answers(self, evidence: Evidence, named: Sequence[str]) -> Answers:
-        """Probabilities of the answers.
-
-        Parameters
-        ----------
-        evidence, named
-            See `Regression.probability`.
-        """
+        """Probabilities of the answers."""
         catalogue = self.catalogue.probability(evidence, named)
         outside = (1 - catalogue) * self.outside.probability(evidence, named)
         return Answers(1 - catalogue - outside, catalogue, outside)
@@ -160,15 +118,6 @@ def set_order(effects: int, believed: bool, probability: float) -> tuple[int, fl
 
     It grows with the effects that are believed, then with the belief in them: fewer effects are
     always likelier to be right.
-
-    Parameters
-    ----------
-    effects : int
-        Number in the set.
-    believed : bool
-        Whether they are named (`Answers.is_believed`).
-    probability : float
-        That they are what is missing.
     """
     return believed * effects, probability
 

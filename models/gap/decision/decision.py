@@ -44,49 +44,23 @@ OF_THE_EFFECT: Final[frozenset[RefusalKind]] = frozenset(
 
 @dataclass(frozen=True)
 class JudgedNames:
-    """Effects that passed the tests together, and what the evidence says of them.
+    """Effects that passed the tests together, and what the evidence says of them."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        Names; none where nothing passed.
-    evidence : Evidence
-        For them.
-    answers : Answers
-        Probabilities of the evidence.
-    further : FurtherEffect, optional
-        What would explain most beside them.
-    """
-
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  # Names; none where nothing passed
     evidence: Evidence
-    answers: Answers
-    further: FurtherEffect | None = None
+    answers: Answers  # Probabilities of the evidence
+    further: FurtherEffect | None = None  # What would explain most beside them
 
 
 @dataclass(frozen=True)
 class JudgedAcceptance:
-    """Tests of a result with what they left, as judged.
-
-    Attributes
-    ----------
-    acceptance : Acceptance
-        Of the result.
-    accepted : AcceptedFit
-        Best fit that may be written.
-    consistencies : dict of str to StrengthConsistency
-        Of the effects that the tests left.
-    tested : JudgedNames
-        These effects.
-    believed : bool
-        Whether these effects are named.
-    """
+    """Tests of a result with what they left, as judged."""
 
     acceptance: Acceptance
-    accepted: AcceptedFit
-    consistencies: Mapping[str, StrengthConsistency]
+    accepted: AcceptedFit  # Best fit that may be written
+    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that the tests left
     tested: JudgedNames
-    believed: bool
+    believed: bool  # Whether these effects are named
 
     @property
     def is_biased(self) -> bool:
@@ -101,33 +75,16 @@ class JudgedAcceptance:
 
 @dataclass(frozen=True)
 class Decision:
-    """Outcome of the tests of one search.
+    """Outcome of the tests of one search."""
 
-    Attributes
-    ----------
-    result : SearchResult
-        Of the search; `named` holds what was accepted.
-    accepted : AcceptedFit
-        Fit that the improved plant is written from.
-    failed : RefusedEffect or None
-        Test on held-out errors that the last effect failed.
-    consistencies : dict of str to StrengthConsistency
-        Of the effects that the tests left.
-    tested : tuple of JudgedNames
-        What was judged, that of refused alternatives first; the last one led to the verdict.
-    verdict : str
-        See `models.gap.decision.gap_verdict.GapVerdict`.
-    gap_left_fraction : float
-        Fraction of the gap's amplitude that is left.
-    """
-
-    result: SearchResult
-    accepted: AcceptedFit
-    failed: RefusedEffect | None
-    consistencies: Mapping[str, StrengthConsistency]
+    result: SearchResult  # Of the search; `named` holds what was accepted
+    accepted: AcceptedFit  # Fit that the improved plant is written from
+    failed: RefusedEffect | None  # Test on held-out errors that the last effect failed
+    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that the tests left
+    # What was judged, that of refused alternatives first; the last one led to the verdict
     tested: tuple[JudgedNames, ...]
     verdict: GapVerdict
-    gap_left_fraction: float
+    gap_left_fraction: float  # Fraction of the gap's amplitude that is left
 
     @property
     def answers(self) -> Answers:
@@ -143,15 +100,7 @@ class Decision:
 
 
 def decide(search: EffectSearch, result: SearchResult) -> Decision:
-    """Decision on a search and, where its first choice was refused, on its alternatives.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run.
-    """
+    """Decision on a search and, where its first choice was refused, on its alternatives."""
     model = read_answer_model()
     decisions = [_decision(search, result, model)]
     excluded: set[str] = set()

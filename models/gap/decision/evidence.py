@@ -24,49 +24,33 @@ LEAST_FRACTION: Final = 1e-2
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Evidence of a search whose result was tested (`models.gap.decision.acceptance`).
+    """Evidence of a search whose result was tested (`models.gap.decision.acceptance`)."""
 
-    Attributes
-    ----------
-    named : float
-        1 where the tests leave an effect, else 0.
-    gap : float
-        Logarithm of the mean squared residual with the nuisance refitted alone, over the largest
-        that counts as noise (`NullDistribution.explained`).
-    clearness : float
-        Logarithm of d′ over the least d′: of the named effect that exceeds it least, or of the best
-        candidate where nothing is named.
-    difference : float
-        Largest standard deviation of a named effect's strength between payloads, signals and
-        frequencies, as a fraction of the strength.
-    rise : float
-        Logarithm of the largest ratio of a signal's held-out error to that of the plant as given.
-    further : float
-        Logarithm of the d′ of the best further effect over the least one that speaks for more
-        (`models.gap.decision.further_effect`); 0 where nothing is named.
-    rival : float
-        Logarithm of the fraction of its part of the gap that another effect explains in place of a
-        named one, the largest; 0 where nothing is named.
-    beyond_one : float
-        Number of effects that the tests leave beyond the first.
-    left : float, optional
-        Logarithm of the mean squared residual with the named effects, over the largest that counts
-        as noise; the same as `gap` where nothing is named. None in tests that were recorded before
-        it was measured (`models.gap.training`).
-    servo, tip : float, optional
-        Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
-        the servos' currents and of the tip. None in tests of names that do not need it.
-    """
-
-    named: float
+    named: float  # 1 where the tests leave an effect, else 0
+    # Logarithm of the mean squared residual with the nuisance refitted alone, over the largest that
+    # counts as noise (`NullDistribution.explained`)
     gap: float
+    # Logarithm of d′ over the least d′: of the named effect that exceeds it least, or of the best
+    # candidate where nothing is named
     clearness: float
+    # Largest standard deviation of a named effect's strength between payloads, signals and
+    # frequencies, as a fraction of the strength
     difference: float
+    # Logarithm of the largest ratio of a signal's held-out error to that of the plant as given
     rise: float
+    # Logarithm of the d′ of the best further effect over the least one that speaks for more
+    # (`models.gap.decision.further_effect`); 0 where nothing is named
     further: float
+    # Logarithm of the fraction of its part of the gap that another effect explains in place of a
+    # named one, the largest; 0 where nothing is named
     rival: float
-    beyond_one: float = 0.0
+    beyond_one: float = 0.0  # Number of effects that the tests leave beyond the first
+    # Logarithm of the mean squared residual with the named effects, over the largest that counts as
+    # noise; the same as `gap` where nothing is named. None in tests that were recorded before it
+    # was measured (`models.gap.training`).
     left: float | None = None
+    # Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
+    # the servos' currents and of the tip. None in tests of names that do not need it.
     servo: float | None = None
     tip: float | None = None
 
@@ -74,15 +58,7 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def consistencies_of_named(
     search: EffectSearch, result: SearchResult
 ) -> dict[str, StrengthConsistency]:
-    """Strength consistency of each named effect; not of one with a dead zone.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run.
-    """
+    """Strength consistency of each named effect; not of one with a dead zone."""
     free = search.free(result.named)
     return {
         effect: strength_consistency_of(search.estimator, result.after, free, search.of[effect])
@@ -98,21 +74,7 @@ def evidence_of(
     errors: HeldOutErrors,
     further: FurtherEffect | None,
 ) -> Evidence:
-    """Evidence of a tested search.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; `named` holds what the tests left.
-    consistencies : mapping of str to StrengthConsistency
-        Of the named effects.
-    errors : HeldOutErrors
-        Of the fit with the named effects.
-    further : FurtherEffect, optional
-        Beside the named effects.
-    """
+    """Evidence of a tested search."""
     ratios = errors.ratios(search.held_out.given)
     explained = search.null_distribution.explained
     return Evidence(
@@ -131,13 +93,7 @@ def evidence_of(
 
 
 def clearness_of(result: SearchResult) -> float:
-    """d′ over the least d′; see `Evidence.clearness`.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the effect search.
-    """
+    """d′ over the least d′; see `Evidence.clearness`."""
     if result.named:
         return min(clearness_by_effect(result)[e] for e in result.named)
     best = result.rounds[0] if result.rounds else []
@@ -145,13 +101,7 @@ def clearness_of(result: SearchResult) -> float:
 
 
 def clearness_by_effect(result: SearchResult) -> dict[str, float]:
-    """d′ over the least d′ of each effect that was included, in its turn; of a pair together.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the effect search.
-    """
+    """d′ over the least d′ of each effect that was included, in its turn; of a pair together."""
     return {e: c.separation / c.least for c in result.chosen for e in c.effects}
 
 
@@ -160,11 +110,6 @@ def rival_fraction(result: SearchResult) -> float:
 
     The part of a named effect is the rise of the cost without it. Its rival was tried in its place
     beside the rest.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the effect search, with a named effect.
     """
     named = frozenset(result.named)
     known: dict[frozenset[str], FitPoint] = {frozenset(): result.before, **result.explored}
@@ -178,17 +123,7 @@ def rival_fraction(result: SearchResult) -> float:
 
 
 def signal_residual(search: EffectSearch, point: FitPoint, prefix: str) -> float:
-    """Mean squared residual of some signals, in noise floors; 1 where none was measured.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    point : FitPoint
-        With the nuisance refitted alone.
-    prefix : str
-        Of the names of the signals.
-    """
+    """Mean squared residual of some signals, in noise floors; 1 where none was measured."""
     found = [
         rows[:, [name.startswith(prefix) for name in group.signals]].ravel()
         for group, rows in zip(

@@ -20,21 +20,11 @@ from models.gap.search.effect_search import EffectSearch
 
 
 class FurtherEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The effect that would explain most beside the named ones, relative to what it must reach.
-
-    Attributes
-    ----------
-    effect : str
-        Name.
-    separation : float
-        Its d′ beside the named effects.
-    least : float
-        d′ that noise and an error in the equations of the named effects reach.
-    """
+    """The effect that would explain most beside the named ones, relative to what it must reach."""
 
     effect: str
-    separation: float
-    least: float
+    separation: float  # Its d′ beside the named effects
+    least: float  # d′ that noise and an error in the equations of the named effects reach
 
     @property
     def is_missing(self) -> bool:
@@ -43,15 +33,7 @@ class FurtherEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def further_effect_of(search: EffectSearch, result: SearchResult) -> FurtherEffect | None:
-    """Best further effect; None where nothing is named, or none was tried beside it.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; `named` holds what the tests left.
-    """
+    """Best further effect; None where nothing is named, or none was tried beside it."""
     named = frozenset(result.named)
     if not named:
         return None
@@ -71,19 +53,7 @@ def further_effect_of(search: EffectSearch, result: SearchResult) -> FurtherEffe
 def with_further_effect(
     search: EffectSearch, result: SearchResult, effect: str, point: FitPoint
 ) -> SearchResult:
-    """Result that names one effect more.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; it stays as it is.
-    effect : str
-        Further effect.
-    point : FitPoint
-        Fit of the named effects and this one.
-    """
+    """Result that names one effect more."""
     more = replace(result, named=[*result.named, effect], after=point)
     if not any(effect in c.effects for c in result.chosen):
         found = search.candidate((effect,), point, result.after)

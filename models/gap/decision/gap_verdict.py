@@ -33,21 +33,6 @@ def gap_verdict(
     of those named. Else it is the likelier one of "no gap" and "not in the catalogue". Without a
     learned noise floor nobody knows what noise is: the verdict is "no floor", or "not in the
     catalogue" where strengths differ or all trials deviate alike.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; `named` holds what the tests left.
-    consistencies : mapping of str to StrengthConsistency
-        Of the named effects.
-    answers : Answers
-        Of the evidence for them.
-    further : FurtherEffect, optional
-        What would explain most beside them.
-    believed : bool
-        Whether they are named (`models.gap.decision.answers.Answers.is_believed`).
     """
     biased = bool(search.nuisance_bias(result.after))
     if not search.learned:
@@ -61,15 +46,7 @@ def gap_verdict(
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:
-    """Fraction of the gap's amplitude, in noise floors, that is left with what is named.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run.
-    """
+    """Fraction of the gap's amplitude, in noise floors, that is left with what is named."""
     before, after = (
         _power_beyond_noise(search, point.rows) for point in (result.before, result.after)
     )

@@ -23,33 +23,15 @@ after an experiment (requirement)."""
 
 @dataclass(frozen=True)
 class LookAlike:
-    """Effects that explain the trials about as well as those included.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Names.
-    separation : float
-        Their d′.
-    values : ndarray, shape (p,)
-        All fit parameters where they were fitted.
-    """
+    """Effects that explain the trials about as well as those included."""
 
     effects: tuple[str, ...]
     separation: float
-    values: Array
+    values: Array  # (p,), all fit parameters where they were fitted
 
 
 def look_alikes_of(result: SearchResult, turn: int) -> tuple[LookAlike, ...]:
-    """Candidates that might be what is missing in place of the one included in a turn.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the effect search.
-    turn : int
-        Number of the inclusion.
-    """
+    """Candidates that might be what is missing in place of the one included in a turn."""
     chosen = result.chosen[turn]
     others = [c for c in result.rounds[turn] if c.effects != chosen.effects]
     rows = sorted([chosen, *others], key=lambda c: c.score, reverse=True)

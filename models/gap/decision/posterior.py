@@ -31,44 +31,21 @@ DECIDED: Final = 0.9
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One answer to the question of what is missing.
+    """One answer to the question of what is missing."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        None where nothing is missing.
-    probability : float
-        Posterior.
-    squared_separation, squared_least : float
-        d′², the fall of twice the cost from the fit of the nuisance alone, and what it must reach.
-    values : ndarray, shape (p,)
-        All fit parameters where they were fitted.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted.
-    """
-
-    effects: tuple[str, ...]
+    effects: tuple[str, ...]  # None where nothing is missing
     probability: float
+    # D′², the fall of twice the cost from the fit of the nuisance alone, and what it must reach
     squared_separation: float
     squared_least: float
-    values: Array
-    free: Array
+    values: Array  # (p,), all fit parameters where they were fitted
+    free: Array  # (p,), fit parameters that were fitted
 
 
 def posterior_of(
     search: EffectSearch, result: SearchResult, answers: Answers
 ) -> tuple[Hypothesis, ...]:
-    """Hypotheses in order of their probability; that of something outside is not among them.
-
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    result : SearchResult
-        Of that run; `named` holds what was accepted.
-    answers : Answers
-        Probabilities of the decision.
-    """
+    """Hypotheses in order of their probability; that of something outside is not among them."""
     points = {
         tuple(sorted(effects)): point
         for effects, point in result.explored.items()
@@ -111,13 +88,7 @@ def _may_be_meant(effects: frozenset[str], result: SearchResult) -> bool:
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
-    """Probability of each effect that it is among those missing, likeliest first.
-
-    Parameters
-    ----------
-    hypotheses : sequence of Hypothesis
-        From `posterior_of`.
-    """
+    """Probability of each effect that it is among those missing, likeliest first."""
     found: dict[str, float] = defaultdict(float)
     for hypothesis in hypotheses:
         for effect in hypothesis.effects:

@@ -26,20 +26,10 @@ STAND_IN_BESIDE_OTHERS: Final = (
 
 
 class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An effect that was not named.
-
-    Attributes
-    ----------
-    effect : str
-        Name.
-    separation, least : float
-        Its d′ in the first round, and the least that it needs.
-    reason : str
-        One phrase.
-    """
+    """An effect that was not named."""
 
     effect: str
-    separation: float
+    separation: float  # Its d′ in the first round, and the least that it needs
     least: float
     reason: str
 
@@ -47,15 +37,7 @@ class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def rejected_effects(
     result: SearchResult, null_distribution: NullDistribution
 ) -> tuple[RejectedEffect, ...]:
-    """Every effect of the catalogue that was not named, largest d′ first.
-
-    Parameters
-    ----------
-    result : SearchResult
-        Of the effect search.
-    null_distribution : NullDistribution
-        What each effect needs.
-    """
+    """Every effect of the catalogue that was not named, largest d′ first."""
     refused = {r.effect: f"refused: {r.reason}" for r in result.refused}
     refitted = {e: c for r in result.rounds for c in r for e in c.effects}
     rows = []
@@ -86,15 +68,7 @@ def rejected_effects(
 
 
 def refused_by_evidence(named: Iterable[str], answers: Answers) -> list[RefusedEffect]:
-    """Refusals of effects that passed the tests and are not believed.
-
-    Parameters
-    ----------
-    named : iterable of str
-        What the tests left.
-    answers : Answers
-        Of the evidence for them.
-    """
+    """Refusals of effects that passed the tests and are not believed."""
     if answers.is_outside:
         reason = STAND_IN.format(answers.catalogue, answers.outside)
         return refusals(named, "stand-in", reason, answers.outside)

@@ -43,16 +43,8 @@ def set_weights(
 ) -> Array:
     """Weight of each of some sets that are not empty, relative to the heaviest, shape (n,).
 
-    Parameters
-    ----------
-    size : ndarray of int, shape (n,)
-        Effects in each set.
-    score : ndarray, shape (n,)
-        Fall of twice the cost, less what it must reach.
-    catalogue : int
-        Effects that could be missing.
-    odds, mean : float
-        a and m of the module's text.
+    Shapes: `size` (n,), `score` (n,).
+    `score`: fall of twice the cost, less what it must reach.
     """
     best = float(score.max())
     less = best - score

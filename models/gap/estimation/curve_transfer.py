@@ -33,24 +33,12 @@ GOAL_TOLERANCE: Final = 0.02
 
 
 def motion_of(key: str) -> str:
-    """Key of a group of trials without their length and step.
-
-    Examples
-    --------
-    >>> motion_of("1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s mass_kg=0.5")
-    '1dof sinusoid 0.5236rad 4.352s 0rad mass_kg=0.5'
-    """
+    """Key of a group of trials without their length and step."""
     return _LENGTH.sub("", key)
 
 
 def step_of(key: str) -> float | None:
-    """Time between two rows of a group of trials in s; None where its key does not tell it.
-
-    Examples
-    --------
-    >>> step_of("1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s mass_kg=0.5")
-    0.017
-    """
+    """Time between two rows of a group of trials in s; None where its key does not tell it."""
     length = _LENGTH.search(key)
     return float(length["step"]) if length else None
 
@@ -60,22 +48,9 @@ def transferred(
 ) -> Array | None:
     """Spectra as a trial of the same motion has them; None where the motion goes on beyond them.
 
-    Parameters
-    ----------
-    spectra : ndarray, shape (..., K)
-        Of trials with the length and step of `key`.
-    key : str
-        Of `models.gap.residuals.residuals.trial_group_key`, where they were measured.
-    rest_s : float or None
-        Their rest before the motion; None is the rig's.
-    to : Trial
-        Trial of the same motion.
-    count : int
-        Number of coefficients wanted.
-
-    Returns
-    -------
-    ndarray, shape (..., count)
+    Shapes: `spectra` (..., K).
+    `rest_s`: their rest before the motion; None is the rig's.
+    Returns shape (..., count).
     """
     length = _LENGTH.search(key)
     if length is None:

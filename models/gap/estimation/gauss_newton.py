@@ -28,37 +28,22 @@ from models.gap.residuals.spectrum import Array
 
 @dataclass
 class FitPoint:
-    """Values of all fit parameters, and the residual there.
+    """Values of all fit parameters, and the residual there."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (p,)
-        Of all fit parameters.
-    cost : float
-        See the module's text.
-    rows : list of ndarray
-        Residual spectra, as `Residuals.residuals`.
-    normal, gradient, slopes :
-        J'J with priors, the gradient of the fall, and the whitened derivatives by group; empty
-        before `GaussNewton.linearise`.
-    derived : ndarray of bool, shape (p,)
-        Fit parameters whose derivatives these are; those of the others are zero.
-    exact : bool
-        Whether the derivatives are exact; secants otherwise.
-    origin : FitPoint, optional
-        Where the step to this point started, as long as nobody needs the derivatives here.
-    """
-
-    values: Array
-    cost: float
-    rows: list[Array]
+    values: Array  # (p,)
+    cost: float  # See the module's text
+    rows: list[Array]  # Residual spectra, as `Residuals.residuals`
+    # J'J with priors, the gradient of the fall, and the whitened derivatives by group; empty before
+    # `GaussNewton.linearise`
     normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
     gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
     slopes: list[Array] = field(repr=False, default_factory=list)
+    # (p,), fit parameters whose derivatives these are; those of the others are zero
     derived: NDArray[np.bool_] = field(
         repr=False, default_factory=lambda: np.zeros(0, dtype=np.bool_)
     )
-    exact: bool = False
+    exact: bool = False  # Whether the derivatives are exact; secants otherwise
+    # Where the step to this point started, as long as nobody needs the derivatives here
     origin: FitPoint | None = field(repr=False, default=None)
 
     def has_derivatives(self, wanted: Array) -> bool:
@@ -68,15 +53,7 @@ class FitPoint:
 
 
 class GaussNewton:
-    """Fit of residuals against a noise floor.
-
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the trials; its settings hold here too.
-    floor : NoiseFloor
-        Of these signals.
-    """
+    """Fit of residuals against a noise floor."""
 
     def __init__(self, residuals: Residuals, floor: NoiseFloor) -> None:
         self.residuals, self.floor, self.settings = residuals, floor, residuals.settings
@@ -90,13 +67,7 @@ class GaussNewton:
         self.high = np.array([q.high for q in residuals.fit_parameters])
 
     def start(self) -> FitPoint:
-        """Plant as given: every fit parameter is zero.
-
-        Raises
-        ------
-        InputError
-            If its simulation does not stay finite on some trial.
-        """
+        """Plant as given: every fit parameter is zero."""
         point = self.at(np.zeros(len(self.residuals.fit_parameters)))
         if np.isfinite(point.cost):
             return point
@@ -168,12 +139,8 @@ class GaussNewton:
     def linearise(self, point: FitPoint, wanted: Array | None = None) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall.
 
-        Parameters
-        ----------
-        point : FitPoint
-            Returned with exact derivatives.
-        wanted : ndarray of bool, shape (p,), optional
-            Fit parameters to differentiate by; by default all. The fewer, the faster.
+        Shapes: `wanted` (p,).
+        `wanted`: fit parameters to differentiate by; by default all. The fewer, the faster.
         """
         wanted = np.ones(len(point.values)) if wanted is None else wanted
         if not (point.exact and point.has_derivatives(wanted)):
@@ -203,13 +170,6 @@ class GaussNewton:
 
         The search tries far more points than it goes on from: they are computed where a step from
         the end needs them.
-
-        Parameters
-        ----------
-        start : FitPoint
-            With derivatives.
-        end : FitPoint
-            Without; it is returned.
         """
         if not (end.exact or end is start):
             self._correct(start)
@@ -237,12 +197,7 @@ class GaussNewton:
     def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
         """Bounded step of the free fit parameters (others zero), and the fall of cost it predicts.
 
-        Parameters
-        ----------
-        point : FitPoint
-            Where the step starts.
-        free : ndarray of bool, shape (p,)
-            Fit parameters that may change.
+        Shapes: `free` (p,).
         """
         if not point.has_derivatives(free):
             self.linearise(point, free)
@@ -272,16 +227,7 @@ class GaussNewton:
         `relative` of the fall so far, or lead nowhere, the derivatives are computed again; where
         exact ones do, the fit ends.
 
-        Parameters
-        ----------
-        start : FitPoint
-            Where to start.
-        free : ndarray of bool, shape (p,)
-            Fit parameters that may change.
-        most_steps : int, optional
-            By default `GapSettings.floor_fit_steps`.
-        relative : float
-            See above.
+        Shapes: `free` (p,).
         """
         point = start
         for _ in range(self.settings.floor_fit_steps if most_steps is None else most_steps):
@@ -304,11 +250,6 @@ class GaussNewton:
         The nuisance goes first: together they start along the valley in which the variation of
         every trial makes up for a change of the link, and come to rest there. Measured on a link
         with 18 % less stiffness: residual 18.6 noise floors together, 2.7 in this order.
-
-        Parameters
-        ----------
-        start : FitPoint
-            Where to start.
         """
         kinds = np.array([q.kind for q in self.residuals.fit_parameters])
         steps = self.settings.nuisance_fit_steps
@@ -318,12 +259,7 @@ class GaussNewton:
     def line_search(self, point: FitPoint, step: Array) -> FitPoint | None:
         """First point along a step whose cost is lower; None where there is none.
 
-        Parameters
-        ----------
-        point : FitPoint
-            Where the step starts.
-        step : ndarray, shape (p,)
-            Change of all fit parameters.
+        Shapes: `step` (p,).
         """
         for fraction in self.settings.line_search_fractions:
             values = np.clip(point.values + fraction * step, self.low, self.high)
@@ -335,11 +271,6 @@ class GaussNewton:
     def covariance(self, point: FitPoint, free: Array) -> Array:
         """Covariance of the free fit parameters, shape (free, free).
 
-        Parameters
-        ----------
-        point : FitPoint
-            Where the fit ended.
-        free : ndarray of bool, shape (p,)
-            Fit parameters that were fitted.
+        Shapes: `free` (p,).
         """
         return NormalEquation.of(self.linearise(point, free).normal, np.flatnonzero(free)).inverse()

@@ -24,14 +24,8 @@ def link_change(
 ) -> float:
     """Root mean square of the changes, relative to those of the calibration's links.
 
-    Parameters
-    ----------
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    values : ndarray, shape (p,)
-        Their values after the nuisance fit.
-    settings : GapSettings
-        Least and largest change that counts; the least one where the link is the same.
+    Shapes: `values` (p,).
+    `settings`: least and largest change that counts; the least one where the link is the same.
     """
     least, most = settings.least_link_change, settings.largest_link_change
     if settings.same_link:

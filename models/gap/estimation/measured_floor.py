@@ -35,17 +35,7 @@ def flat_floor(
     scale: Mapping[str, float],
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NoiseFloor:
-    """Flat floor of the given errors, for a first fit.
-
-    Parameters
-    ----------
-    signals : sequence of str
-        Their names.
-    scale : mapping of str to float
-        Error to expect of each, in its unit.
-    settings : GapSettings
-        Tuned numbers: how many samples count as one.
-    """
+    """Flat floor of the given errors, for a first fit."""
     hz = np.array([0.0, 1e3])
     count = settings.samples_per_independent_sample
     noise = {s: np.full(2, count * scale[s] ** 2) for s in signals}
@@ -71,16 +61,9 @@ def floor_from_residuals(
 ) -> NoiseFloor:
     """Floor from residuals of data without a gap.
 
-    Parameters
-    ----------
-    groups, trials : sequence
-        Of the residuals.
-    rows : list of ndarray, shape (trials, signals, K)
-        Residual spectra by group, variation between trials taken out.
-    settings : GapSettings
-        Tuned numbers.
-    repeated : bool
-        Whether to tell noise from the model's error by repetitions; without any, all is noise.
+    Shapes: `rows` (trials, signals, K).
+    `repeated`: whether to tell noise from the model's error by repetitions; without any, all is
+    noise.
     """
     hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
     signals = list(dict.fromkeys(s for g in groups for s in g.signals))
@@ -131,14 +114,7 @@ def with_repeated_trials(
     Floor and repetitions are two estimates of one variance; they are averaged with their degrees of
     freedom. A floor that the plant file did not carry was measured on these trials: it stays.
 
-    Parameters
-    ----------
-    floor : NoiseFloor
-        Of the plant file.
-    residuals : Residuals
-        Of the trials at hand.
-    rows : list of ndarray, shape (trials, signals, K)
-        Their spectra by group, variation between trials taken out.
+    Shapes: `rows` (trials, signals, K).
     """
     if not floor.learned:
         return floor
@@ -172,14 +148,7 @@ def with_amplified_scatter(
     the floor expects, tells by how much. Floor and repetitions are two estimates; their mean
     counts, and only beyond `GapSettings.amplified_scatter_limit`: ratios of so few trials scatter.
 
-    Parameters
-    ----------
-    floor : NoiseFloor
-        Of the plant file.
-    residuals : Residuals
-        Of the trials at hand.
-    rows : list of ndarray, shape (trials, signals, K)
-        Their spectra by group, variation between trials taken out.
+    Shapes: `rows` (trials, signals, K).
     """
     if not floor.learned:
         return floor

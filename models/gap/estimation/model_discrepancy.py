@@ -30,24 +30,13 @@ PATH: Final = Path(__file__).with_name("model_discrepancy.npz")
 
 @dataclass(frozen=True)
 class ModelDiscrepancy:
-    """Patterns of the plant's error over links of one make.
+    """Patterns of the plant's error over links of one make."""
 
-    Attributes
-    ----------
-    key : str
-        Motion of the trials, as `models.gap.residuals.residuals.TrialGroup.key`.
-    payload_kg : ndarray, shape (P,)
-        Payloads, ascending.
-    signals : tuple of str
-        Signals.
-    table : ndarray, shape (M, P, signals, K)
-        Spectra of the patterns, each as large as its standard deviation, relative to
-        `models.gap.estimation.noise_floor.NoiseFloor.own_error` of the plant.
-    """
-
-    key: str
-    payload_kg: Array
+    key: str  # Motion of the trials, as `models.gap.residuals.residuals.TrialGroup.key`
+    payload_kg: Array  # (P,)
     signals: tuple[str, ...]
+    # (M, P, signals, K), spectra of the patterns, each as large as its standard deviation, relative
+    # to `models.gap.estimation.noise_floor.NoiseFloor.own_error` of the plant
     table: Array
 
     def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
@@ -55,13 +44,6 @@ class ModelDiscrepancy:
 
         For trials of the same motion with another length, step or rest they are transferred
         (`models.gap.estimation.curve_transfer`).
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
         """
         shape = len(group.trials), len(group.signals), group.coefficients
         result = np.zeros((len(self.table), *shape))
@@ -80,15 +62,7 @@ class ModelDiscrepancy:
     def table_for(
         self, group: TrialGroup, trials: Sequence[Trial]
     ) -> tuple[Array | None, Knowledge]:
-        """Table for the length, step and rest of a group, and how it is known.
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
-        """
+        """Table for the length, step and rest of a group, and how it is known."""
         first = trials[group.trials[0]]
         if group.key == self.key:
             return self.table, "measured"
@@ -99,15 +73,7 @@ class ModelDiscrepancy:
 
 
 def write_patterns(patterns: Sequence[ModelDiscrepancy], path: Path = PATH) -> None:
-    """Write patterns of several motions to a .npz file, in single precision.
-
-    Parameters
-    ----------
-    patterns : sequence of ModelDiscrepancy
-        One for each motion.
-    path : Path
-        File to write.
-    """
+    """Write patterns of several motions to a .npz file, in single precision."""
     arrays: dict[str, Any] = {}
     for k, own in enumerate(patterns):
         arrays |= {
@@ -120,18 +86,7 @@ def write_patterns(patterns: Sequence[ModelDiscrepancy], path: Path = PATH) -> N
 
 
 def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
-    """Read patterns from a .npz file.
-
-    Parameters
-    ----------
-    path : Path
-        Of `write_patterns`.
-
-    Raises
-    ------
-    InputError
-        If the file is none of these.
-    """
+    """Read patterns from a .npz file."""
     try:
         with np.load(path) as file:
             return tuple(
@@ -151,17 +106,7 @@ def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
 def patterns_for(
     plant: Plant, keys: Sequence[str], own: Sequence[ModelDiscrepancy] = ()
 ) -> tuple[ModelDiscrepancy, ...]:
-    """Patterns of a plant for some motions: its own, else those shipped; none for other loads.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    keys : sequence of str
-        Of the groups of trials.
-    own : sequence of ModelDiscrepancy
-        Measured for its trials (`python -m models calibrate`).
-    """
+    """Patterns of a plant for some motions: its own, else those shipped; none for other loads."""
     if plant.load != "link":
         return ()
     wanted = {motion_of(key) for key in keys}
@@ -176,19 +121,10 @@ def patterns_for(
 def patterns_of(residuals: Array, noise: Array, count: int) -> Array:
     """Largest patterns in the residuals of many links, in units of the noise.
 
-    Parameters
-    ----------
-    residuals : ndarray, shape (links, P, signals, K)
-        Spectra of the nuisance fit's residual on each, without noise.
-    noise : ndarray, shape (signals, K)
-        Variance of the noise that trials have.
-    count : int
-        Number of patterns M (`GapSettings.discrepancy_patterns`), at most that of the links.
-
-    Returns
-    -------
-    ndarray, shape (M, P, signals, K)
-        Principal components, each with its standard deviation.
+    Shapes: `residuals` (links, P, signals, K), `noise` (signals, K).
+    `residuals`: spectra of the nuisance fit's residual on each, without noise.
+    `count`: number of patterns M (`GapSettings.discrepancy_patterns`), at most that of the links.
+    Returns shape (M, P, signals, K), principal components, each with its standard deviation.
     """
     links = len(residuals)
     scale = np.sqrt(noise)

@@ -48,74 +48,40 @@ from models.trials.trial import Trial
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Spectra of the noise floor.
+    """Spectra of the noise floor."""
 
-    Attributes
-    ----------
-    frequency_hz : ndarray, shape (F,)
-        Of the spectra.
-    noise, model : dict of str to ndarray, shape (F,)
-        Variance of a coefficient by signal.
-    curves : dict
-        Mean error by motion and payload: group key → payload in kg → signal → (K,).
-    repeats : float
-        Trials that went into each mean curve.
-    learned : bool
-        Whether the plant file carried it.
-    formulation : dict
-        Error of the equations of the effects named so far, by payload in kg and signal, (F,);
-        correlated like the model's error.
-    rest_s : dict of str to float
-        Rest before the motion by group key of `curves`; the rig's where it is not told.
-    patterns : tuple of ModelDiscrepancy
-        How the plant's own error varies from one link to the next, by motion, where that was
-        measured.
-    link_change : float
-        How much the link differs from the one that the plant was identified on, relative to the
-        links that the patterns were measured on: the patterns grow with it.
-    ratios : PayloadRatios
-        Of noise and model at each payload to their means.
-    amplification_power : dict of float to float
-        Factor on the power of noise and model by payload in kg, where repetitions at hand differ
-        far more than the floor expects; 1 at other payloads.
-    """
-
-    frequency_hz: Array
-    noise: Mapping[str, Array]
+    frequency_hz: Array  # (F,)
+    noise: Mapping[str, Array]  # (F,), variance of a coefficient by signal
     model: Mapping[str, Array]
+    # Mean error by motion and payload: group key → payload in kg → signal → (K,)
     curves: Mapping[str, PayloadCurves] = field(default_factory=dict)
-    repeats: float = 1.0
-    learned: bool = True
+    repeats: float = 1.0  # Trials that went into each mean curve
+    learned: bool = True  # Whether the plant file carried it
+    # Error of the equations of the effects named so far, by payload in kg and signal, (F,);
+    # correlated like the model's error
     formulation: PayloadCurves = field(default_factory=dict)
+    # Rest before the motion by group key of `curves`; the rig's where it is not told
     rest_s: Mapping[str, float] = field(default_factory=dict)
+    # How the plant's own error varies from one link to the next, by motion, where that was measured
     patterns: tuple[ModelDiscrepancy, ...] = ()
+    # How much the link differs from the one that the plant was identified on, relative to the links
+    # that the patterns were measured on: the patterns grow with it
     link_change: float = 1.0
-    ratios: PayloadRatios = NO_RATIOS
+    ratios: PayloadRatios = NO_RATIOS  # Of noise and model at each payload to their means
+    # Factor on the power of noise and model by payload in kg, where repetitions at hand differ far
+    # more than the floor expects; 1 at other payloads
     amplification_power: Mapping[float, float] = field(default_factory=dict)
 
     def own_error(self, signal: str, hz: Array) -> Array:
         """Standard deviation of the mean error that `identify` left, at some frequencies.
 
-        Parameters
-        ----------
-        signal : str
-            Of the floor.
-        hz : ndarray, shape (K,)
-            Frequencies in Hz.
+        Shapes: `hz` (K,).
         """
         power = self.model[signal] + self.noise[signal] / self.repeats
         return np.sqrt(np.interp(hz, self.frequency_hz, power))
 
     def pattern_rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
-        """Patterns of the plant's own error, shape (M, trials, signals, K); M = 0 without any.
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
-        """
+        """Patterns of the plant's own error, shape (M, trials, signals, K); M = 0 without any."""
         shape = len(group.trials), len(group.signals), group.coefficients
         if not self.patterns:
             return np.zeros((0, *shape))
@@ -128,15 +94,7 @@ class NoiseFloor:
         return self.link_change * rows
 
     def pattern_knowledge(self, group: TrialGroup, trials: Sequence[Trial]) -> Knowledge:
-        """How the patterns of a group are known.
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
-        """
+        """How the patterns of a group are known."""
         for patterns in self.patterns:
             _, knowledge = patterns.table_for(group, trials)
             if knowledge != "unknown":
@@ -150,13 +108,6 @@ class NoiseFloor:
 
         A curve that was measured on trials of the same motion with another length, step or rest is
         transferred (`models.gap.estimation.curve_transfer`).
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
         """
         first = trials[group.trials[0]]
         rest_s = first.meta.rest_samples * first.step_s
@@ -190,14 +141,8 @@ class NoiseFloor:
         Without it the few coefficients with the least noise would decide which effect fits best,
         and every named effect would need others to correct its equation.
 
-        Parameters
-        ----------
-        groups, trials : sequence
-            Of the residuals.
-        gap : list of ndarray, shape (trials, signals, K)
-            Residual spectra of the plant whose nuisance was fitted, less the mean error.
-        settings : GapSettings
-            Tuned numbers.
+        Shapes: `gap` (trials, signals, K).
+        `gap`: residual spectra of the plant whose nuisance was fitted, less the mean error.
         """
         table: dict[float, dict[str, list[Array]]] = {}
         for group, rows in zip(groups, gap, strict=True):
@@ -218,13 +163,7 @@ class NoiseFloor:
         )
 
     def completed_by(self, other: NoiseFloor) -> NoiseFloor:
-        """Floor with the spectra of another one for the signals that it lacks.
-
-        Parameters
-        ----------
-        other : NoiseFloor
-            Of more signals.
-        """
+        """Floor with the spectra of another one for the signals that it lacks."""
         lacking = [s for s in other.noise if s not in self.noise]
         at, hz = self.frequency_hz, other.frequency_hz
         noise = {s: np.interp(at, hz, other.noise[s]) for s in lacking}
@@ -240,15 +179,6 @@ class NoiseFloor:
         """Inverse Cholesky factors, shape (signals, K, trials, trials).
 
         A signal of which the floor knows nothing does not count: its factors are zero.
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
-        settings : GapSettings
-            Tuned numbers.
         """
         own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
@@ -309,17 +239,7 @@ class NoiseFloor:
         trials: Sequence[Trial],
         settings: GapSettings = DEFAULT_SETTINGS,
     ) -> Array:
-        """Error to expect of the plant, shape (trials, signals, K); zero where none is known.
-
-        Parameters
-        ----------
-        group : TrialGroup
-            Of one motion.
-        trials : sequence of Trial
-            All trials of the residuals.
-        settings : GapSettings
-            Tuned numbers.
-        """
+        """Error to expect of the plant, shape (trials, signals, K); zero where none is known."""
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known, _ = self.curves_for(group, trials)
         payload = [trials[k].meta.payload_kg for k in group.trials]
@@ -337,14 +257,6 @@ def smoothed(power: Array, settings: GapSettings) -> Array:
 
 
 def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
-    """Frequencies of the coefficients of a group, shape (K,).
-
-    Parameters
-    ----------
-    group : TrialGroup
-        Of one motion.
-    trials : sequence of Trial
-        All trials of the residuals.
-    """
+    """Frequencies of the coefficients of a group, shape (K,)."""
     first = trials[group.trials[0]]
     return coefficient_frequencies_hz(group.coefficients, len(first), first.step_s)

@@ -40,15 +40,6 @@ def with_noise_floor(
 
     Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
     of one and of two joints have a floor each.
-
-    Parameters
-    ----------
-    plant : Plant
-        As identified.
-    trials : sequence of Trial
-        Those it was identified on.
-    settings : GapSettings
-        Tuned numbers.
     """
     floors: dict[str, FloorRecord] = {}
     trials = aligned(TrialSet(tuple(trials)))
@@ -111,14 +102,7 @@ def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
 def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoint:
     """Fit of the free fit parameters against a floor, from the plant as given.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the trials.
-    floor : NoiseFloor
-        Of their signals.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that may change.
+    Shapes: `free` (p,).
     """
     estimator = GaussNewton(residuals, floor)
     return estimator.fit(estimator.start(), free)
@@ -129,12 +113,7 @@ def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] =
 
     A signal that `identify` did not see has the spectrum of the nuisance fit's residual.
 
-    Parameters
-    ----------
-    residuals : Residuals
-        Of the trials where the gap is looked for.
-    patterns : sequence of ModelDiscrepancy
-        Of the plant's own error on such trials; for other motions those shipped.
+    `patterns`: of the plant's own error on such trials; for other motions those shipped.
     """
     known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
     if known is not None:
@@ -150,20 +129,7 @@ def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] =
 
 
 def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
-    """Floor that the plant file carries for a number of joints; None where it carries none.
-
-    Parameters
-    ----------
-    plant : Plant
-        As read from its file.
-    dof : int
-        Number of joints.
-
-    Raises
-    ------
-    InputError
-        If it is damaged.
-    """
+    """Floor that the plant file carries for a number of joints; None where it carries none."""
     record = plant.provenance.noise_floor.get(str(dof))
     if record is None:
         return None

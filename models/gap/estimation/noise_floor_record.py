@@ -31,13 +31,7 @@ def floor_to_record(floor: NoiseFloor) -> FloorRecord:
 
 
 def floor_from_record(record: FloorRecord) -> NoiseFloor:
-    """Floor that a plant file keeps.
-
-    Raises
-    ------
-    ValueError
-        If a spectrum is no row of numbers, or not as long as its frequencies.
-    """
+    """Floor that a plant file keeps."""
     floor = _as_written(record)
     ratios = [
         v for table in (floor.ratios.noise, floor.ratios.model) for own in table.values()

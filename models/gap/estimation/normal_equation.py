@@ -23,47 +23,22 @@ def sum_of_squares(rows: Sequence[Array]) -> float:
 
 
 def mean_square(rows: Sequence[Array]) -> float:
-    """Mean of the squares of the rows of all groups.
-
-    Examples
-    --------
-    >>> mean_square([np.array([1.0, 3.0]), np.array([[2.0], [0.0]])])
-    3.5
-    """
+    """Mean of the squares of the rows of all groups."""
     return sum_of_squares(rows) / sum(r.size for r in rows)
 
 
 @dataclass(frozen=True)
 class NormalEquation:
-    """J'J x = J'r with rows and columns scaled to a unit diagonal.
+    """J'J x = J'r with rows and columns scaled to a unit diagonal."""
 
-    Attributes
-    ----------
-    scaled : ndarray, shape (k, k)
-        J'J, its diagonal one.
-    size : ndarray, shape (k,)
-        Root of the diagonal of J'J.
-
-    Examples
-    --------
-    >>> equation = NormalEquation.of(np.array([[4.0, 0.0], [0.0, 1e-8]]))
-    >>> equation.solve(np.array([2.0, 1e-8]), 0.0)
-    array([0.5, 1. ])
-    """
-
-    scaled: Array
-    size: Array
+    scaled: Array  # (k, k), J'J, its diagonal one
+    size: Array  # (k,), root of the diagonal of J'J
 
     @classmethod
     def of(cls, normal: Array, index: NDArray[np.intp] | None = None) -> NormalEquation:
         """Equation of a matrix J'J, or of some of its rows and columns.
 
-        Parameters
-        ----------
-        normal : ndarray, shape (n, n)
-            Matrix J'J.
-        index : ndarray of int, shape (k,), optional
-            Rows and columns that are used.
+        Shapes: `normal` (n, n), `index` (k,).
         """
         matrix = normal if index is None else normal[np.ix_(index, index)]
         size = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
@@ -76,12 +51,7 @@ class NormalEquation:
     def solve(self, right: Array, ridge: float) -> Array:
         """Solution x for the right-hand side J'r, shape (k,) or (k, columns).
 
-        Parameters
-        ----------
-        right : ndarray, shape (k,) or (k, columns)
-            Right-hand side J'r.
-        ridge : float
-            Added to the diagonal of the scaled matrix.
+        Shapes: `right` (k,) or (k, columns).
         """
         size = self.size if right.ndim == 1 else self.size[:, None]
         return np.asarray(np.linalg.solve(self.regular(ridge), right / size) / size)

@@ -33,17 +33,7 @@ def nuisance_biases(
     point: FitPoint,
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> dict[str, float]:
-    """Sum z by kind of variation, see the module's text.
-
-    Parameters
-    ----------
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    point : FitPoint
-        Fit of the nuisance, with the named effects.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Sum z by kind of variation, see the module's text."""
     by_kind: dict[str, list[float]] = {}
     kinds = set(settings.nuisance_bias_kinds)
     if not settings.same_link:

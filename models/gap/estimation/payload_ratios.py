@@ -35,17 +35,10 @@ RatioTable = Mapping[float, Mapping[str, Array]]
 
 @dataclass(frozen=True)
 class PayloadRatios:
-    """Ratios by payload and signal.
+    """Ratios by payload and signal."""
 
-    Attributes
-    ----------
-    frequency_hz : ndarray, shape (POINTS,)
-        Where the ratios are known.
-    noise, model : dict
-        Of what differs between repetitions, and of the plant's own error.
-    """
-
-    frequency_hz: Array
+    frequency_hz: Array  # (POINTS,)
+    # Of what differs between repetitions, and of the plant's own error
     noise: RatioTable = field(default_factory=dict)
     model: RatioTable = field(default_factory=dict)
 
@@ -75,14 +68,7 @@ def payload_ratios(
 ) -> PayloadRatios:
     """Ratios from residuals of repeated trials; none where a payload or a repetition is alone.
 
-    Parameters
-    ----------
-    hz : ndarray, shape (K,)
-        Frequencies of the coefficients.
-    signals : sequence of str
-        Of the residuals.
-    parts : mapping of float to ndarray, shape (repetitions, signals, K)
-        Residual spectra by payload in kg.
+    Shapes: `hz` (K,), `parts` (repetitions, signals, K).
     """
     if len(parts) < 2 or any(len(rows) < 2 for rows in parts.values()):
         return NO_RATIOS
@@ -100,10 +86,7 @@ def ratio_frequencies_hz(hz: Array) -> Array:
 def smooth_variance(repetitions: Array) -> Array:
     """Variance between repetitions of a trial, smoothed over frequency.
 
-    Parameters
-    ----------
-    repetitions : ndarray, shape (R, signals, K)
-        Residual spectra.
+    Shapes: `repetitions` (R, signals, K).
     """
     return _smooth(np.var(repetitions, axis=0, ddof=1))
 

@@ -20,15 +20,7 @@ PayloadCurves = Mapping[float, Mapping[str, Array]]
 
 
 def rows_by_payload(curves: PayloadCurves, signal: str) -> tuple[list[float], list[Array]]:
-    """Payloads in kg at which a signal was measured, ascending, and its spectra.
-
-    Parameters
-    ----------
-    curves : mapping
-        Spectra.
-    signal : str
-        Name.
-    """
+    """Payloads in kg at which a signal was measured, ascending, and its spectra."""
     rows = [(p, own[signal]) for p, own in sorted(curves.items()) if signal in own]
     return [p for p, _ in rows], [row for _, row in rows]
 
@@ -38,14 +30,7 @@ def transfer_weights(
 ) -> Array:
     """Weights of the errors at measured payloads in the error to expect at others, shape (n, P).
 
-    Parameters
-    ----------
-    at_kg : array_like, shape (n,)
-        Payloads wanted.
-    measured_kg : array_like, shape (P,)
-        Payloads measured, all different.
-    reach_kg : float
-        Distance over which the error changes.
+    Shapes: `at_kg` (n,), `measured_kg` (P,).
     """
     known = _correlation(measured_kg, measured_kg, reach_kg)
     across = _correlation(at_kg, measured_kg, reach_kg)
@@ -55,13 +40,7 @@ def transfer_weights(
 def unknown_fraction(
     at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
 ) -> Array:
-    """Covariance of what is unknown of the error, as a fraction of its variance, shape (n, n).
-
-    Parameters
-    ----------
-    at_kg, measured_kg, reach_kg :
-        As for `transfer_weights`.
-    """
+    """Covariance of what is unknown of the error, as a fraction of its variance, shape (n, n)."""
     prior = _correlation(at_kg, at_kg, reach_kg)
     across = _correlation(at_kg, measured_kg, reach_kg)
     return np.asarray(prior - transfer_weights(at_kg, measured_kg, reach_kg) @ across.T)
@@ -70,12 +49,7 @@ def unknown_fraction(
 def covariance(power: Array, correlation: Array) -> Array:
     """Covariance between trials, shape (K, trials, trials).
 
-    Parameters
-    ----------
-    power : ndarray, shape (trials, K)
-        Variance of each trial.
-    correlation : ndarray, shape (trials, trials)
-        Between them.
+    Shapes: `power` (trials, K), `correlation` (trials, trials).
     """
     size = np.sqrt(power).T
     return np.asarray(size[:, :, None] * size[:, None, :] * correlation)

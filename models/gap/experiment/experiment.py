@@ -30,52 +30,24 @@ from models.trials.trial import TrialSet
 
 @dataclass(frozen=True)
 class FixedMotion:
-    """A motion of the menu that the limits allow, and what it separates.
-
-    Attributes
-    ----------
-    label : str
-        Of the menu.
-    motion : Motion
-        With amplitude, period and phase.
-    payload_kg : float
-        Payload.
-    pairs : tuple of PairSeparation
-        In the order of the experiment's pairs.
-    """
+    """A motion of the menu that the limits allow, and what it separates."""
 
     label: str
-    motion: Motion
+    motion: Motion  # With amplitude, period and phase
     payload_kg: float
-    pairs: tuple[PairSeparation, ...]
+    pairs: tuple[PairSeparation, ...]  # In the order of the experiment's pairs
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A designed motion beside the motions of the menu.
-
-    Attributes
-    ----------
-    rivals : tuple of Rival
-        Hypotheses, likeliest first.
-    pairs : tuple of (int, int)
-        Of rivals.
-    design : Design
-        The motion.
-    fixed : tuple of FixedMotion
-        With every payload.
-    limits : Limits
-        Of the robot.
-    least_separation : float
-        d′ from which two hypotheses count as separated.
-    """
+    """A designed motion beside the motions of the menu."""
 
     rivals: tuple[Rival, ...]
     pairs: tuple[tuple[int, int], ...]
     design: Design
     fixed: tuple[FixedMotion, ...]
     limits: Limits
-    least_separation: float
+    least_separation: float  # d′ from which two hypotheses count as separated
 
     @property
     def separable(self) -> tuple[int, ...]:
@@ -139,37 +111,7 @@ def design_experiment(
     report: ReportProgress = lambda text, further: None, settings: GapSettings = DEFAULT_SETTINGS,
     patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Experiment:  # fmt: skip
-    """Design the motion that separates the hypotheses of a diagnosis best.
-
-    Parameters
-    ----------
-    rivals : sequence of Rival
-        Hypotheses of the diagnosis, see `models.gap.experiment.rival.rivals_of`.
-    plant : Plant
-        As given to it.
-    trials : TrialSet
-        That it looked at.
-    limits : Limits
-        Of the robot, as in force.
-    seconds : float
-        Duration of the motion.
-    payloads_kg : sequence of float
-        To choose from; by default those of `default_payloads_kg`.
-    seed : int
-        Of the random starts.
-    report : callable
-        Called with one phrase after each step.
-    settings : GapSettings
-        Of the diagnosis.
-    patterns : sequence of ModelDiscrepancy
-        Of the plant's own error, measured for it (`models.gap.calibration`).
-
-    Raises
-    ------
-    InputError
-        If there is nothing to separate, the plant is not the link, a limit of the angle leaves 0
-        out, or a payload is more than twice the heaviest of the trials.
-    """
+    """Design the motion that separates the hypotheses of a diagnosis best."""
     _check(rivals, plant, trials, limits, seconds, payloads_kg, settings)
     model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
     report("trials at hand judged", 3)
@@ -221,11 +163,6 @@ def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
 
     On a new motion the plant's own error grows with payload. Measured on the rig with nothing
     hidden, a designed motion of up to 1 Hz, tip: 1.7 noise floors with 1 kg, 7.6 with 2 kg.
-
-    Parameters
-    ----------
-    trials : TrialSet
-        At hand.
     """
     known = sorted({t.meta.payload_kg for t in trials})
     return tuple(sorted({known[0], known[len(known) // 2]}))
@@ -263,15 +200,7 @@ def _fixed_motions(
 
 
 def experiment_in_words(found: Experiment, motion: Path) -> str:
-    """What the motion separates, as text.
-
-    Parameters
-    ----------
-    found : Experiment
-        The design.
-    motion : Path
-        Its file.
-    """
+    """What the motion separates, as text."""
     document, best = found.design.document, found.best_fixed
     lines = [
         f"{motion}: {document.duration_s:g} s, up to {document.amplitude_rad:.3f} rad, "
@@ -294,13 +223,7 @@ def experiment_in_words(found: Experiment, motion: Path) -> str:
 
 
 def better_fixed_in_words(fixed: FixedMotion) -> str:
-    """Fixed motion that separates more than the designed one, as an operator sets it.
-
-    Parameters
-    ----------
-    fixed : FixedMotion
-        Of `Experiment.better_fixed`.
-    """
+    """Fixed motion that separates more than the designed one, as an operator sets it."""
     motion = fixed.motion
     return (
         f"the {fixed.label} with {fixed.payload_kg:g} kg in its place, it separates more: [motion] "
@@ -310,15 +233,7 @@ def better_fixed_in_words(fixed: FixedMotion) -> str:
 
 
 def write_motion(document: MotionDocument, path: Path) -> None:
-    """Write a motion file.
-
-    Parameters
-    ----------
-    document : MotionDocument
-        The motion.
-    path : Path
-        TOML file.
-    """
+    """Write a motion file."""
     entries = {k: v for k, v in msgspec.to_builtins(document).items() if v is not None}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, tomli_w.dumps(entries).encode())

@@ -16,15 +16,6 @@ from models.shared.svg_drawing import Drawing
 
 
 def write_experiment_page(found: Experiment, path: Path) -> Path:
-    """Write the page of an experiment.
-
-    Parameters
-    ----------
-    found : Experiment
-        The design.
-    path : Path
-        Page to write; returned.
-    """
     document, fixed = found.design.document, found.better_fixed
     advice = (
         f"Run {better_fixed_in_words(fixed)}. Diagnose its trial together with those at hand."

@@ -63,24 +63,12 @@ KEPT_STARTS: Final = 2
 
 @dataclass(frozen=True)
 class Design:
-    """A motion and what it separates.
-
-    Attributes
-    ----------
-    document : MotionDocument
-        For the robot.
-    trial : Trial
-        Planned: conditions and goals.
-    pairs : tuple of PairSeparation
-        In the order of `SeparationModel.pairs`.
-    score : float
-        Least score of the pairs that it can separate.
-    """
+    """A motion and what it separates."""
 
     document: MotionDocument
-    trial: Trial
-    pairs: tuple[PairSeparation, ...]
-    score: float
+    trial: Trial  # Planned: conditions and goals
+    pairs: tuple[PairSeparation, ...]  # In the order of `SeparationModel.pairs`
+    score: float  # Least score of the pairs that it can separate
 
 
 @dataclass(frozen=True)
@@ -101,21 +89,7 @@ class _Programme:
 
 
 class MotionDesigner:
-    """Search for the coefficients.
-
-    Parameters
-    ----------
-    model : SeparationModel
-        Rivals and trials at hand.
-    limits : Limits
-        Of the robot, as in force.
-    seconds : float
-        Duration of the motion.
-    seed : int
-        Of the random starts.
-    report : callable
-        Called with one phrase after each step.
-    """
+    """Search for the coefficients."""
 
     def __init__(
         self, model: SeparationModel, limits: Limits, seconds: float, seed: int,
@@ -160,13 +134,7 @@ class MotionDesigner:
         return np.asarray(np.array([q.separation**2 for q in pairs]) + self._weight)
 
     def design(self, payloads_kg: tuple[float, ...]) -> Design:
-        """Best motion over starts and payloads.
-
-        Parameters
-        ----------
-        payloads_kg : tuple of float
-            That the operator can attach.
-        """
+        """Best motion over starts and payloads."""
         starts: list[tuple[float, int, Array, float]] = []
         tried = self._starts()
         kept = min(KEPT_STARTS, len(tried) * len(payloads_kg))
@@ -229,13 +197,7 @@ class MotionDesigner:
         return self.excess_of(self.trial(x, payload_kg))
 
     def excess_of(self, trial: Trial) -> float:
-        """The same for a planned trial.
-
-        Parameters
-        ----------
-        trial : Trial
-            Conditions and goals.
-        """
+        """The same for a planned trial."""
         worst = -np.inf
         for values in self.model.values:
             y = self.model.twin.run(trial, values)

@@ -34,16 +34,8 @@ def goal_limits(
 ) -> tuple[Array, Array]:
     """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals.
 
-    Parameters
-    ----------
-    basis : ndarray, shape (n, c)
-        Goal in rad by each coefficient of one joint.
-    limits : Limits
-        Of the robot.
-    dof : int
-        Number of joints; their coefficients follow each other in x.
-    row_step : int
-        Rows from one that counts to the next.
+    Shapes: `basis` (n, c).
+    `dof`: number of joints; their coefficients follow each other in x.
     """
     rate = np.diff(basis, axis=0) / PERIOD_S
     both: tuple[tuple[Array, float, float], ...] = (
@@ -74,16 +66,7 @@ def twin_limits(
     Current, following error and tip; negative where the limit is kept. What is closer to its limit
     at rest than the margin may use half of what is left there.
 
-    Parameters
-    ----------
-    y : ndarray, shape (n, outputs)
-        Of the twin.
-    outputs : sequence of str
-        Their names.
-    goal_rad : ndarray, shape (n, joints)
-        Goals.
-    limits : Limits
-        Of the robot.
+    Shapes: `y` (n, outputs), `goal_rad` (n, joints).
     """
     result: list[tuple[Array, dict[str, float]]] = []
 

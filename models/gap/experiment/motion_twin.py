@@ -25,12 +25,7 @@ from models.trials.trial import Trial
 class MotionTwin:
     """The twin that holds every effect, on trials of one number of joints.
 
-    Parameters
-    ----------
-    model : StepModel
-        The twin.
-    fit_parameters : sequence of FitParameter
-        Directions in which it may be changed; all act on every trial.
+    `fit_parameters`: directions in which it may be changed; all act on every trial.
     """
 
     def __init__(self, model: StepModel, fit_parameters: Sequence[FitParameter]) -> None:
@@ -69,21 +64,7 @@ class MotionTwin:
 
 
 class CoefficientTwin:
-    """The twin with the coefficients of a Fourier series as its parameters.
-
-    Parameters
-    ----------
-    model : StepModel
-        The twin.
-    duration_s : float
-        Of the motion.
-    harmonics : tuple of int
-        Cycles in the duration.
-    dof : int
-        Joints.
-    rest_samples : int
-        Rows at rest before the motion.
-    """
+    """The twin with the coefficients of a Fourier series as its parameters."""
 
     def __init__(
         self, model: StepModel, duration_s: float, harmonics: tuple[int, ...], dof: int,
@@ -100,31 +81,14 @@ class CoefficientTwin:
     def slopes(self, payload_kg: float, p: Array, coefficients: Array) -> tuple[Array, Array]:
         """Outputs, and their derivatives by the coefficients, shape (n, outputs, coefficients).
 
-        Parameters
-        ----------
-        payload_kg : float
-            Payload.
-        p : ndarray
-            Parameters of the twin.
-        coefficients : ndarray, shape (joints * count,)
-            Of the series, joint after joint.
+        Shapes: `coefficients` (joints * count,).
         """
         u = np.column_stack([self.basis, np.full(len(self.basis), payload_kg)])
         return self._sensitive.simulate(u[:-1], PERIOD_S, np.concatenate([p, coefficients]), u[0])
 
 
 def with_coefficients(model: StepModel, count: int, dof: int) -> StepModel:
-    """Model whose goals are sums of inputs, weighted by further parameters.
-
-    Parameters
-    ----------
-    model : StepModel
-        Twin with the inputs `goal_j_rad` and `payload_kg`.
-    count : int
-        Inputs `basis_k` that replace the goals.
-    dof : int
-        Joints; each has its own weights.
-    """
+    """Model whose goals are sums of inputs, weighted by further parameters."""
     inputs = tuple(Variable(f"basis_{k + 1}", "1") for k in range(count))
     others = tuple(v for v in model.inputs if not v.name.startswith("goal_"))
     weights = tuple(

@@ -27,21 +27,11 @@ BOUND_SLACK: Final = 1e-6
 
 @dataclass(frozen=True)
 class Rival:
-    """One hypothesis.
+    """One hypothesis."""
 
-    Attributes
-    ----------
-    effects : tuple of str
-        What would be missing; nothing if it is empty.
-    probability : float
-        Posterior, that of its supersets included.
-    parameters : mapping of str to float
-        Fitted values by name of the plant's parameter.
-    """
-
-    effects: tuple[str, ...]
-    probability: float
-    parameters: Mapping[str, float]
+    effects: tuple[str, ...]  # What would be missing; nothing if it is empty
+    probability: float  # Posterior, that of its supersets included
+    parameters: Mapping[str, float]  # Fitted values by name of the plant's parameter
 
     @property
     def label(self) -> str:
@@ -54,16 +44,6 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
 
     A set that holds another listed one, and more, adds an effect too small to show: no motion
     separates the two, so its probability goes to those that it holds, in equal parts.
-
-    Parameters
-    ----------
-    hypotheses : sequence of HypothesisRecord
-        Of gap.json.
-
-    Raises
-    ------
-    InputError
-        If one has an effect that the catalogue lacks, or none has a probability.
     """
     listed = [h for h in hypotheses if h.effects]
     sets = [frozenset(h.effects) for h in listed]
@@ -87,22 +67,7 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
 
 
 def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitParameter]) -> Array:
-    """Values of the fit parameters at a hypothesis, shape (p,); variations of trials are zero.
-
-    Parameters
-    ----------
-    rival : Rival
-        The hypothesis.
-    plant : Plant
-        As given.
-    fit_parameters : sequence of FitParameter
-        Nuisance, variation and effects.
-
-    Raises
-    ------
-    InputError
-        If a value is beyond the bounds of its fit parameter.
-    """
+    """Values of the fit parameters at a hypothesis, shape (p,); variations of trials are zero."""
     full = plant_with_every_effect(plant).parameters
     values = np.zeros(len(fit_parameters))
     taken: set[str] = set()
@@ -124,15 +89,7 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
 
 
 def credible_set(rivals: Sequence[Rival], held: float = HELD_PROBABILITY) -> tuple[Rival, ...]:
-    """Fewest hypotheses that together hold a probability, likeliest first.
-
-    Parameters
-    ----------
-    rivals : sequence of Rival
-        Likeliest first.
-    held : float
-        Probability to hold.
-    """
+    """Fewest hypotheses that together hold a probability, likeliest first."""
     total, kept = 0.0, []
     for rival in rivals:
         kept.append(rival)

@@ -43,31 +43,18 @@ class Quadratic:
     normal: Array
 
     def cost(self, change: Array) -> float:
-        """Value at a change."""
         rising = change @ self.normal @ change - 2 * self.gradient @ change
         return float(self.constant + rising)
 
 
 @dataclass(frozen=True)
 class PairSeparation:
-    """d′ of a pair, and the refit of the second rival.
+    """d′ of a pair, and the refit of the second rival."""
 
-    Attributes
-    ----------
-    separation : float
-        Of the trials at hand and the planned one together.
-    before : float
-        Of the trials at hand alone.
-    refitted : ndarray, shape (p,)
-        All fit parameters of the second rival after its refit.
-    residual : ndarray, shape (signals * K,)
-        What the refit leaves of the planned trial, in noise floors.
-    """
-
-    separation: float
-    before: float
-    refitted: Array
-    residual: Array
+    separation: float  # Of the trials at hand and the planned one together
+    before: float  # Of the trials at hand alone
+    refitted: Array  # (p,), all fit parameters of the second rival after its refit
+    residual: Array  # (signals * K,), what the refit leaves of the planned trial, in noise floors
 
     @property
     def gained(self) -> float:
@@ -76,30 +63,7 @@ class PairSeparation:
 
 
 class SeparationModel:
-    """Rivals, and what the trials at hand know of them.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given to the diagnosis.
-    trials : sequence of Trial
-        At hand; of one number of joints.
-    rivals : sequence of Rival
-        At least two.
-    settings : GapSettings
-        Of the diagnosis.
-    patterns : sequence of ModelDiscrepancy
-        Of the plant's own error, measured for it.
-
-    Attributes
-    ----------
-    pairs : list of (int, int)
-        Rivals: the first is taken as true and the second is refitted, that with fewer effects.
-    twin : MotionTwin
-        Of the plant with every effect.
-    values : list of ndarray
-        Of the fit parameters, by rival.
-    """
+    """Rivals, and what the trials at hand know of them."""
 
     def __init__(
         self, plant: Plant, trials: Sequence[Trial], rivals: Sequence[Rival], settings: GapSettings,
@@ -216,14 +180,7 @@ class SeparationModel:
     def spectra(self, trial: Trial, y: Array, white: Array) -> Array:
         """Outputs (n, outputs[, …]) in noise floors, (signals * K[, …]).
 
-        Parameters
-        ----------
-        trial : Trial
-            Planned.
-        y : ndarray
-            Outputs or their derivatives.
-        white : ndarray, shape (signals, K)
-            Of `whitening`.
+        Shapes: `white` (signals, K).
         """
         rows = []
         for b, signal in enumerate(self.signals):
@@ -234,13 +191,7 @@ class SeparationModel:
         return np.concatenate(rows)
 
     def separations(self, trial: Trial) -> list[PairSeparation]:
-        """d′ of every pair once a planned trial is run.
-
-        Parameters
-        ----------
-        trial : Trial
-            Conditions and goals.
-        """
+        """d′ of every pair once a planned trial is run."""
         white = self.whitening(trial)
         both = [self.twin.slopes(trial, v) for v in self.values]
         if not all(np.isfinite(y).all() and np.isfinite(s).all() for y, s in both):

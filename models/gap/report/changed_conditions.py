@@ -29,20 +29,11 @@ UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressu
 
 
 class ChangedCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Condition with values that no trial of the plant has.
+    """Condition with values that no trial of the plant has."""
 
-    Attributes
-    ----------
-    condition : str
-        Time between two rows, payload, or pressure.
-    unit : str
-        SI unit.
-    plant, trials : tuple of float
-        Values in the trials of the plant; those at hand that are none of them.
-    """
-
-    condition: Condition
+    condition: Condition  # Time between two rows, payload, or pressure
     unit: str
+    # Values in the trials of the plant; those at hand that are none of them
     plant: tuple[float, ...]
     trials: tuple[float, ...]
 
@@ -52,14 +43,8 @@ def changed_conditions(
 ) -> tuple[ChangedCondition, ...]:
     """Conditions that changed since a plant was identified.
 
-    Parameters
-    ----------
-    provenance : Provenance
-        Of the plant; that of a plant without fitted trials tells no pressure.
-    floor : NoiseFloor
-        Of the plant file; one that was not learned tells nothing.
-    trials : sequence of Trial
-        At hand.
+    `provenance`: of the plant; that of a plant without fitted trials tells no pressure.
+    `floor`: of the plant file; one that was not learned tells nothing.
     """
     known: dict[Condition, set[float]] = {
         "step_s": {step for key in floor.curves if (step := step_of(key)) is not None},

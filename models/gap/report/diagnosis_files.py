@@ -27,29 +27,8 @@ def write_diagnosis(
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    trials : TrialSet
-        To compare with.
-    inputs : DiagnosisInputs
-        Where both come from.
-    out : Path
-        Directory to write.
-    report : callable
-        Called after each part of the work.
-    leave_out : sequence of str
-        Effects that may not be named.
-    patterns : sequence of ModelDiscrepancy
-        Of the plant's own error, as for `models.gap.diagnosis.diagnose`.
-    settings : GapSettings
-        Tuned numbers, and whether the link is known to be the same.
-
-    Returns
-    -------
-    tuple
-        The diagnosis, its document, and the page.
+    `settings`: tuned numbers, and whether the link is known to be the same.
+    Returns the diagnosis, its document, and the page.
     """
     found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
     trials = without_odd(trials, found.odd)

@@ -79,11 +79,6 @@ def effects_to_check(document: GapDocument) -> dict[str, str]:
     """Check of each effect that is named, looks like a named one, or is not excluded; likely first.
 
     The effect that would take up most of what is left is checked too.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
     """
     known = document.effect_probabilities
     named = [e for row in document.named if row.kept for e in row.effect.split(" + ")]
@@ -96,12 +91,6 @@ def effects_to_check(document: GapDocument) -> dict[str, str]:
 
 
 def further_missing(document: GapDocument) -> FurtherEffect | None:
-    """Effect that would explain more beside the named ones than noise and their equations miss.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
-    """
+    """Effect that would explain more beside the named ones than noise and their equations miss."""
     further = document.tested[-1].further if document.tested else None
     return further if further is not None and further.is_missing else None

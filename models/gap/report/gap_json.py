@@ -125,27 +125,17 @@ class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Evidence for a named effect.
+    """Evidence for a named effect."""
 
-    Attributes
-    ----------
-    separation, least : float
-        Its d′, and the least that it needs.
-    held_out_gain, held_out_error : float or None
-        Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors,
-        and what it must exceed.
-    strength_standard_deviation : float
-        Fraction by which its strength differs between payloads, signals and bands.
-    strength_holds : bool
-        Whether that is tolerable.
-    """
-
-    separation: float
+    separation: float  # Its d′, and the least that it needs
     least: float
+    # Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors, and
+    # what it must exceed
     held_out_gain: float | None
     held_out_error: float | None
+    # Fraction by which its strength differs between payloads, signals and bands
     strength_standard_deviation: float
-    strength_holds: bool
+    strength_holds: bool  # Whether that is tolerable
 
 
 class SimilarEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -327,24 +317,10 @@ class GapDocument(Document, frozen=True):
 
 
 def read_gap_document(path: Path) -> GapDocument:
-    """Read `gap.json`.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, or of another version.
-    """
+    """Read `gap.json`."""
     return read_document(path, GapDocument)
 
 
 def write_gap_document(path: Path, document: GapDocument) -> None:
-    """Write `gap.json`.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    document : GapDocument
-        Of a diagnosis.
-    """
+    """Write `gap.json`."""
     write_document(path, document)

@@ -55,19 +55,7 @@ from models.trials.trial_origin import origins_of
 def write_gap_page(
     document: GapDocument, before: Plant, after: Plant, trials: TrialSet, path: Path
 ) -> Path:
-    """Write the page of a diagnosis.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of the diagnosis.
-    before, after : Plant
-        As given, and as improved.
-    trials : TrialSet
-        Where the gap was looked for.
-    path : Path
-        Page to write; returned.
-    """
+    """Write the page of a diagnosis."""
     page = render_page(
         "The gap between plant and measurement",
         [
@@ -81,15 +69,7 @@ def write_gap_page(
 
 
 def gap_lead(document: GapDocument, gap_json: str = "OUT/gap.json") -> list[Part]:
-    """Verdict, place of the gap, the plant's tip error before and after, and what to do next.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of the diagnosis.
-    gap_json : str
-        Path of its file.
-    """
+    """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
     said = document.sentence
     for more in notes_in_words(document):
         said += f" {more[0].upper() + more[1:]}."
@@ -114,16 +94,7 @@ def gap_sections(
 ) -> list[Section]:
     """Sections of the page of a diagnosis; the last one lists the effects that were not named.
 
-    Parameters
-    ----------
-    document : GapDocument
-        Of the diagnosis.
-    before, after : Plant
-        As given, and as improved.
-    trials : TrialSet
-        Where the gap was looked for.
-    hidden : mapping of str to float, optional
-        Effects that were hidden with their strengths; adds a column to the table.
+    `hidden`: effects that were hidden with their strengths; adds a column to the table.
     """
     result = [
         Section("where", "Where the gap is", [localisation_maps(
@@ -268,18 +239,7 @@ def residual_panel(
 ) -> Panel:
     """Panel of the error of a signal over time, before and after.
 
-    Parameters
-    ----------
-    signal : str
-        The signal in words.
-    time_s : ndarray, shape (n,)
-        Times.
-    series : sequence of ndarray, shape (n,)
-        Errors before and after, in SI units.
-    unit : str
-        Their SI unit.
-    floor : float or None
-        Noise floor, in SI units.
+    Shapes: `time_s` (n,), `series` (n,).
     """
     shown = error_unit(unit)
     with Drawing(2.1) as (drawing, ax):

@@ -167,19 +167,7 @@ def errors_in_floors(
     floor: Mapping[str, SignalFloor],
     goal_not_followed_at_row: Mapping[str, int],
 ) -> dict[str, SignalGap]:
-    """Root mean square of each signal's error, and the same in noise floors.
-
-    Parameters
-    ----------
-    plant : Plant
-        To simulate with.
-    trials : sequence of Trial
-        To compare with.
-    floor : mapping of str to SignalFloor
-        By signal.
-    goal_not_followed_at_row : mapping of str to int
-        By trial, the row from which on nothing counts.
-    """
+    """Root mean square of each signal's error, and the same in noise floors."""
     compared = []
     for c in compare_with_trials(plant, trials):
         end = goal_not_followed_at_row.get(c.trial.name, len(c.trial))

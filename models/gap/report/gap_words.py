@@ -58,13 +58,7 @@ def verdict_in_words(document: GapDocument) -> str:
 
 
 def joint_of(row: NamedEffect) -> int | None:
-    """Joint that an effect changed in most; None where it changed in both, or has one strength.
-
-    Parameters
-    ----------
-    row : NamedEffect
-        With a strength for each joint.
-    """
+    """Joint that an effect changed in most; None where it changed in both, or has one strength."""
     for name, first in row.parameters.items():
         second = row.parameters.get(re.sub(r"_1(?=_|$)", "_2", name))
         if "_1" not in name or second is None:
@@ -144,12 +138,8 @@ def unexplained_in_words(document: GapDocument) -> str:
 
 
 def floor_in_words(document: GapDocument) -> str:
-    """Name of what the errors are compared with: a learned noise floor, or a spectrum in its place.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
+    """Name of what the errors are compared with: a learned noise floor, or a spectrum in its
+    place.
     """
     return "noise floor" if document.noise_floor.learned else "residual's own spectrum"
 

@@ -30,17 +30,7 @@ _SHORT: Final = {
 def localisation_maps(
     cells: Sequence[MappedRegion], trial: Trial, false_discovery_rate: float
 ) -> Figure:
-    """Draw a heat map for each way to divide the residual, all on one colour scale.
-
-    Parameters
-    ----------
-    cells : sequence of MappedRegion
-        `map` of gap.json.
-    trial : Trial
-        Whose motion is drawn above the phases.
-    false_discovery_rate : float
-        Rate at which regions were judged.
-    """
+    """Draw a heat map for each way to divide the residual, all on one colour scale."""
     most = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
     signals = sorted({c.signal for c in cells})
     panels = []

@@ -23,12 +23,7 @@ MOST_COMPARED: Final = 8
 def named_effects(document: GapDocument, hidden: Mapping[str, float] | None) -> list[Part]:
     """Table of the effects that are named, and of those that were taken out again.
 
-    Parameters
-    ----------
-    document : GapDocument
-        Of the diagnosis.
-    hidden : mapping of str to float, optional
-        Effects that were hidden with their strengths; adds a column.
+    `hidden`: effects that were hidden with their strengths; adds a column.
     """
     kept = [_row(entry, hidden, document.settings) for entry in document.named if entry.kept]
     taken_out = [
@@ -80,13 +75,7 @@ def _consistency(evidence: NamingEvidence) -> str | Markup:
 
 
 def compared_effects(document: GapDocument) -> list[Figure]:
-    """Figure of the first effect found beside those that explain the gap next best, each alone.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of the diagnosis.
-    """
+    """Figure of the first effect found beside those that explain the gap next best, each alone."""
     found = [(r.effect, r.evidence.separation / r.evidence.least) for r in document.named[:1]]
     others = [
         (r.effect, r.separation / r.least) for r in document.rejected

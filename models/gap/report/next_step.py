@@ -21,15 +21,7 @@ SHOWS_AS: Final[Mapping[str, str]] = {
 
 
 def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
-    """What the user does next, in one sentence; odd trials come first.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
-    gap_json : str
-        Path of its file.
-    """
+    """What the user does next, in one sentence; odd trials come first."""
     if not document.odd_trials:
         return _next_step_of_the_rest(document, gap_json)
     names = ", ".join(o.name for o in document.odd_trials)
@@ -126,13 +118,7 @@ def _next_step_outside(document: GapDocument) -> str:
 
 
 def is_plant_as_given(document: GapDocument) -> bool:
-    """Whether the plant that was written is the one as given.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
-    """
+    """Whether the plant that was written is the one as given."""
     named = {e for row in document.named if row.kept for e in row.effect.split(" + ")}
     return not (document.refitted or named - _withheld(document))
 
@@ -145,12 +131,7 @@ def _withheld(document: GapDocument) -> set[str]:
 def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSettings) -> str:
     """Whether a fixed motion tells an effect from its look-alikes, and which.
 
-    Parameters
-    ----------
-    separated_by : SeparatingMotion, optional
-        The best motion of the menu.
-    settings : GapSettings
-        With the d′ below which effects cannot be told apart.
+    `settings`: with the d′ below which effects cannot be told apart.
     """
     largest = max(separated_by.separation.values(), default=0.0) if separated_by else 0.0
     if separated_by is None or largest < settings.indistinguishable_separation:
@@ -159,16 +140,5 @@ def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSetti
 
 
 def in_percent(probability: float) -> str:
-    """Probability as a person reads it: no finite number of trials gives 0 or 100 %.
-
-    Parameters
-    ----------
-    probability : float
-        From 0 to 1.
-
-    Examples
-    --------
-    >>> in_percent(0.002), in_percent(0.674), in_percent(1.0)
-    ('<1%', '67%', '99%')
-    """
+    """Probability as a person reads it: no finite number of trials gives 0 or 100 %."""
     return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"

@@ -35,20 +35,8 @@ def separating_motion(
 ) -> tuple[str, dict[str, float]]:
     """Motion of the menu that tells a named effect from its look-alikes best.
 
-    Parameters
-    ----------
-    found : Diagnosis
-        Whose fitted plant has the named effect.
-    trials : sequence of Trial
-        Where the gap was looked for.
-    alike : sequence of LookAlike
-        Of one inclusion; at least one.
-
-    Returns
-    -------
-    tuple
-        Its name, and for every motion the least d′ from any of them; the menu is that of the link,
-        less what is faster than a servo without a bus watchdog may be.
+    Returns its name, and for every motion the least d′ from any of them; the menu is that of the
+    link, less what is faster than a servo without a bus watchdog may be.
     """
     if found.fitted.load != "link":
         return NO_MOTION, {}

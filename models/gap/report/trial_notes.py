@@ -18,13 +18,7 @@ VARIATION_IN_WORDS: Final[Mapping[str, str]] = {
 
 
 def notes_in_words(document: GapDocument) -> list[str]:
-    """One phrase for each thing that a reader has to know of the trials.
-
-    Parameters
-    ----------
-    document : GapDocument
-        Of a diagnosis.
-    """
+    """One phrase for each thing that a reader has to know of the trials."""
     notes = (
         _odd_trials(document), _separate_joints(document), _goal_not_followed(document),
         _nuisance_bias(document), _rows_fitted(document), _own_error(document), _patterns(document),
@@ -55,18 +49,7 @@ def _from_what(odd: OddTrial) -> str:
 
 
 def variation_in_words(kind: str) -> str:
-    """Kind of variation between trials, with the output that it acts on where it has one.
-
-    Parameters
-    ----------
-    kind : str
-        Key of `GapDocument.nuisance_bias`, or `OddTrial.variation`.
-
-    Examples
-    --------
-    >>> variation_in_words("frame_m tip_z_m"), variation_in_words("friction")
-    ('mocap frame along z', 'friction')
-    """
+    """Kind of variation between trials, with the output that it acts on where it has one."""
     name, _, output = kind.partition(" ")
     along = f" along {output[4]}" if output.startswith("tip_") else ""
     return VARIATION_IN_WORDS.get(name, name) + along

@@ -22,13 +22,6 @@ def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float
     held-out trials only the variation between trials is fitted, as the noise floor allows it, from
     where it ended in the trials of the same payload: a large gap that is not yet explained affects
     it.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        Its results.
-    trials : TrialSet
-        Where the gap was looked for.
     """
     fit, held_out = trials.split()
     fitted, tested = (_estimator(found, t.trials) for t in (fit, held_out if held_out else fit))

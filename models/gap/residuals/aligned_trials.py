@@ -24,11 +24,6 @@ def aligned(trials: TrialSet) -> TrialSet:
     """Trials whose rest is that of their goals, those of one motion with equal rests and ends.
 
     A trial that is shorter than others by more than `MOST_CUT` leaves them as they are.
-
-    Parameters
-    ----------
-    trials : TrialSet
-        As recorded.
     """
     starts = [motion_start(t) for t in trials]
     motions: dict[str, list[int]] = defaultdict(list)

@@ -33,37 +33,18 @@ FRAME_TURNS: Final = {
 
 @dataclass(frozen=True)
 class FitParameter:
-    """One direction.
+    """One direction."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the parameter of the plant, or of the variation.
-    kind : str
-        See `Kind`.
-    parameters, outputs : dict of str to float
-        How far each parameter, and each output at once, moves per unit.
-    standard_deviation : float
-        Of the prior around zero; infinite for none.
-    low, high : float
-        Bounds.
-    trial : int, optional
-        Index of the only trial that it acts on.
-    effect : str
-        Effect that it belongs to; empty for none.
-    fitted_last : bool
-        See `models.plant.effects.Effect`.
-    """
-
-    name: str
+    name: str  # Name of the parameter of the plant, or of the variation
     kind: Kind
+    # How far each parameter, and each output at once, moves per unit
     parameters: Mapping[str, float] = field(default_factory=dict)
     outputs: Mapping[str, float] = field(default_factory=dict)
-    standard_deviation: float = math.inf
+    standard_deviation: float = math.inf  # Of the prior around zero; infinite for none
     low: float = -math.inf
     high: float = math.inf
-    trial: int | None = None
-    effect: str = ""
+    trial: int | None = None  # Index of the only trial that it acts on
+    effect: str = ""  # Effect that it belongs to; empty for none
     fitted_last: bool = False
 
 
@@ -73,15 +54,7 @@ def plant_with_every_effect(plant: Plant) -> Plant:
 
 
 def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
-    """Plant that holds effects as a search begins: those that it lacked at zero strength.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    names : sequence of str
-        Effects of the catalogue.
-    """
+    """Plant that holds effects as a search begins: those that it lacked at zero strength."""
     full = plant.with_effects(*names)
     added = [EFFECTS[e].search_start for e in names if e not in plant.effects]
     start = {n: v for own in added for n, v in own.items() if n in full.parameters}
@@ -104,17 +77,7 @@ def candidate_effects(plant: Plant) -> list[str]:
 def nuisance_fit_parameters(
     plant: Plant, dof: int, settings: GapSettings = DEFAULT_SETTINGS
 ) -> list[FitParameter]:
-    """Nominal parameters that are refitted before anything counts as missing.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    dof : int
-        Number of joints.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Nominal parameters that are refitted before anything counts as missing."""
     full = plant_with_every_effect(plant)
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
@@ -147,14 +110,7 @@ def trial_fit_parameters(
 ) -> list[FitParameter]:
     """Variation between trials: pressure, friction, payload, clock and frame of each trial.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given; of loads other than the link nothing varies.
-    trials : sequence of Trial
-        Their order numbers the fit parameters.
-    settings : GapSettings
-        Tuned numbers.
+    `plant`: as given; of loads other than the link nothing varies.
     """
     if LOADS[plant.load].kind != "link":
         return []
@@ -183,13 +139,7 @@ def trial_fit_parameters(
 
 
 def is_alike_in_joints(name: str) -> bool:
-    """Whether an effect's strength is first taken as the same in every joint.
-
-    Parameters
-    ----------
-    name : str
-        Effect of the catalogue.
-    """
+    """Whether an effect's strength is first taken as the same in every joint."""
     effect = EFFECTS[name]
     own = effect.of_each_joint or effect.port in ("bend_torque", "stiffness")
     return bool(effect.per_joint) and not own
@@ -203,17 +153,6 @@ def effect_fit_parameters(
     A servo's effect is the same in every joint, but for offsets (`Effect.of_each_joint`); that of
     the bend may differ by plane. Both then have a strength for each. What the plant believes of the
     staircase of its goals may be wrong in each joint by itself.
-
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    name : str
-        Effect of the catalogue.
-    dof : int
-        Number of joints.
-    separate_joints : bool
-        Whether every effect has a strength for each joint.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()

@@ -22,19 +22,8 @@ _COUNTS: Final = {1: "one joint", 2: "two joints"}
 
 
 def motion_in_words(key: str) -> str:
-    """Return the motion and the conditions of a group of trials; the key where it has another form.
-
-    Parameters
-    ----------
-    key : str
-        Of the group.
-
-    Examples
-    --------
-    >>> motion_in_words("2dof sinusoid 0.5236rad 4.352s 1.571rad 572x0.017s load_mass_kg=0.5")
-    'sinusoid of ±30°, period 4.352 s, joint 2 leads by 90°, two joints, load mass 0.5 kg'
-    >>> motion_in_words("1dof steps 0.5236rad 0s 0rad 572x0.017s")
-    'steps of ±30°, one joint'
+    """Return the motion and the conditions of a group of trials; the key where it has another
+    form.
     """
     found = _KEY.fullmatch(key)
     if found is None:
@@ -52,19 +41,7 @@ def motion_in_words(key: str) -> str:
 
 
 def groups_in_words(keys: Iterable[str]) -> str:
-    """Return groups of trials in words, their length told where else two would read alike.
-
-    Parameters
-    ----------
-    keys : iterable of str
-        Of the groups.
-
-    Examples
-    --------
-    >>> said = groups_in_words(f"1dof steps 0.35rad 0s 0rad {n}x0.017s" for n in (100, 200))
-    >>> said.split("; ")[1].replace("\u00a0", " ")
-    'steps of ±20.1°, one joint, 200 rows of 17.0 ms'
-    """
+    """Return groups of trials in words, their length told where else two would read alike."""
     words = {key: motion_in_words(key) for key in keys}
     times = Counter(words.values())
     return "; ".join(

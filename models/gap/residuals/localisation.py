@@ -27,29 +27,15 @@ from models.trials.trial import Trial
 
 @dataclass(frozen=True)
 class GapRegion:
-    """One region of one signal, by one factor.
+    """One region of one signal, by one factor."""
 
-    Attributes
-    ----------
-    signal, factor, level : str
-        For example tip_x_m, "phase", "3/8".
-    floors : float
-        Root mean square of the residual in noise floors; 1 is noise.
-    mean : float
-        Its mean, with sign: measured minus simulated.
-    p : float
-        Fraction of the bootstrap's draws that are as large.
-    significant : bool
-        Under the false-discovery rate.
-    """
-
-    signal: str
+    signal: str  # For example tip_x_m, "phase", "3/8"
     factor: str
     level: str
-    floors: float
-    mean: float
-    p: float
-    significant: bool = False
+    floors: float  # Root mean square of the residual in noise floors; 1 is noise
+    mean: float  # Its mean, with sign: measured minus simulated
+    p: float  # Fraction of the bootstrap's draws that are as large
+    significant: bool = False  # Under the false-discovery rate
 
 
 def locate_gap(
@@ -61,16 +47,7 @@ def locate_gap(
 ) -> list[GapRegion]:
     """Regions of all signals and factors, largest first.
 
-    Parameters
-    ----------
-    groups, trials : sequence
-        Of the residuals.
-    white : list of ndarray, shape (trials, signals, K)
-        Residual in noise floors.
-    settings : GapSettings
-        Tuned numbers.
-    seed : int
-        Of the bootstrap.
+    Shapes: `white` (trials, signals, K).
     """
     rng = np.random.default_rng(seed)
     regions: list[GapRegion] = []
@@ -237,20 +214,7 @@ NOTHING_LOCATED: Final = (
 def location_sentence(
     regions: Sequence[GapRegion], settings: GapSettings = DEFAULT_SETTINGS
 ) -> str:
-    """Location of the gap in one sentence.
-
-    Parameters
-    ----------
-    regions : sequence of GapRegion
-        As `locate_gap` returns them.
-    settings : GapSettings
-        Tuned numbers.
-
-    Examples
-    --------
-    >>> location_sentence([])
-    'With link and set-up refitted, no signal, stroke or payload stands out from the noise floor.'
-    """
+    """Location of the gap in one sentence."""
     found = [c for c in regions if c.significant]
     if not found:
         return NOTHING_LOCATED
@@ -287,13 +251,6 @@ def _largest(regions: Sequence[GapRegion], factor: str) -> GapRegion | None:
 
 
 def signal_in_words(signal: str) -> str:
-    """A signal in words.
-
-    Examples
-    --------
-    >>> signal_in_words("current_1_a"), signal_in_words("tip_z_m")
-    ('the current of joint 1', "the tip's height")
-    """
     if signal in IN_WORDS:
         return IN_WORDS[signal]
     quantity, joint, _ = (*signal.split("_"), "", "")[:3]

@@ -32,38 +32,16 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Batch:
-    """Trials that run in lockstep.
-
-    Attributes
-    ----------
-    trials : tuple of int
-        Their indices.
-    first : ndarray, shape (m, inputs)
-        Inputs at the start of each.
-    u : ndarray, shape (m, n - 1, inputs)
-        Inputs of each step.
-    step_s : float
-        Length of a step in s.
-    """
+    """Trials that run in lockstep."""
 
     trials: tuple[int, ...]
-    first: Array = field(repr=False)
-    u: Array = field(repr=False)
+    first: Array = field(repr=False)  # (m, inputs)
+    u: Array = field(repr=False)  # (m, n - 1, inputs)
     step_s: float
 
 
 class LockstepRuns:
-    """Runs of trials by a compiled model, plain and with derivatives.
-
-    Parameters
-    ----------
-    model : StepModel
-        With its `rate`.
-    moved : sequence of str
-        Parameters to differentiate by.
-    trials : sequence of Trial
-        With the columns of the model's inputs.
-    """
+    """Runs of trials by a compiled model, plain and with derivatives."""
 
     def __init__(self, model: StepModel, moved: Sequence[str], trials: Sequence[Trial]) -> None:
         self._trials = trials
@@ -75,15 +53,7 @@ class LockstepRuns:
         self._batches: dict[tuple[int, ...], list[Batch]] = {}
 
     def outputs(self, which: Iterable[int], p: Callable[[int], Array]) -> dict[int, Array]:
-        """Outputs (n, outputs) of some trials.
-
-        Parameters
-        ----------
-        which : iterable of int
-            Their indices.
-        p : callable
-            From such an index to the model's parameters.
-        """
+        """Outputs (n, outputs) of some trials."""
 
         def run(batch: Batch) -> list[Array]:
             own = np.stack([p(k) for k in batch.trials])
@@ -100,14 +70,9 @@ class LockstepRuns:
     ) -> dict[int, Result]:
         """What is made of the derivatives of the outputs of some trials.
 
-        Parameters
-        ----------
-        which, p
-            As for `outputs`.
-        wanted : ndarray of bool, shape (moved,)
-            Parameters to differentiate by; derivatives by the others are zero.
-        use : callable
-            From an index and the derivatives (n, outputs, moved) to the result.
+        Shapes: `wanted` (moved,).
+        `wanted`: parameters to differentiate by; derivatives by the others are zero.
+        `use`: from an index and the derivatives (n, outputs, moved) to the result.
         """
 
         def run(batch: Batch) -> list[Result]:

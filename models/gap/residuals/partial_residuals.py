@@ -23,15 +23,10 @@ class SquaredError:
 class PartialResiduals(Residuals):
     """Residuals in which only the given rows count; trials without any are left out.
 
-    Parameters
-    ----------
-    whole : Residuals
-        Of all trials; its compiled models are shared.
-    counted : mapping of int to ndarray, shape (n,)
-        1 for each row that counts, 0 otherwise, by index of the trial.
-    derivatives : callable
-        From values and the fit parameters wanted to the derivatives of `whole`, as
-        `Residuals.jacobian`: one run of all trials serves every part of them.
+    Shapes: `counted` (n,).
+    `counted`: 1 for each row that counts, 0 otherwise, by index of the trial.
+    `derivatives`: from values and the fit parameters wanted to the derivatives of `whole`, as
+    `Residuals.jacobian`: one run of all trials serves every part of them.
     """
 
     def __init__(
@@ -64,10 +59,7 @@ class PartialResiduals(Residuals):
     def squared_errors(self, values: Array) -> dict[str, SquaredError]:
         """Raw errors by signal, over the rows that count and where something was measured.
 
-        Parameters
-        ----------
-        values : ndarray, shape (p,)
-            Of all fit parameters.
+        Shapes: `values` (p,).
         """
         total: dict[str, SquaredError] = {}
         runs = self._runs(values)

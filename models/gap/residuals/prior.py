@@ -25,25 +25,13 @@ enough to hold the mean, large enough to keep matrices regular."""
 
 
 def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:
-    """Precision of each fit parameter's own prior, shape (p,); 0 for none.
-
-    Parameters
-    ----------
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    """
+    """Precision of each fit parameter's own prior, shape (p,); 0 for none."""
     deviation = np.array([q.standard_deviation for q in fit_parameters])
     return np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
 
 
 def prior_matrix(fit_parameters: Sequence[FitParameter]) -> Array:
-    """Precision matrix of all fit parameters together, shape (p, p).
-
-    Parameters
-    ----------
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    """
+    """Precision matrix of all fit parameters together, shape (p, p)."""
     matrix = np.diag(prior_precision(fit_parameters))
     for kind in SHARED_AS_NUISANCE:
         own = np.array([q.kind == "trial" and q.name == kind for q in fit_parameters])

@@ -38,24 +38,12 @@ LARGEST_DERIVATIVE: Final = 1e60
 
 @dataclass(frozen=True)
 class TrialGroup:
-    """Trials of one motion, whose spectra can be compared coefficient by coefficient.
+    """Trials of one motion, whose spectra can be compared coefficient by coefficient."""
 
-    Attributes
-    ----------
-    key : str
-        Motion, its amplitude, period and number of joints, and the trial's other conditions.
-    trials : tuple of int
-        Their indices.
-    signals : tuple of str
-        That simulation and measurement share.
-    coefficients : int
-        Number that is kept.
-    """
-
-    key: str
+    key: str  # Motion, its amplitude, period and number of joints, and the trial's other conditions
     trials: tuple[int, ...]
-    signals: tuple[str, ...]
-    coefficients: int
+    signals: tuple[str, ...]  # That simulation and measurement share
+    coefficients: int  # Number that is kept
 
 
 def trial_group_key(trial: Trial) -> str:
@@ -69,20 +57,7 @@ def trial_group_key(trial: Trial) -> str:
 
 
 def check_duration(trial: Trial, settings: GapSettings = DEFAULT_SETTINGS) -> None:
-    """Refuse a trial that is too short to have a spectrum.
-
-    Parameters
-    ----------
-    trial : Trial
-        To be compared with a plant.
-    settings : GapSettings
-        Tuned numbers.
-
-    Raises
-    ------
-    InputError
-        If its spectrum has fewer coefficients than the bands of a strength consistency need.
-    """
+    """Refuse a trial that is too short to have a spectrum."""
     hz = settings.highest_frequency_hz
     least = settings.consistency_bands * settings.least_band_coefficients
     if coefficient_count(len(trial), trial.step_s, hz) < least:
@@ -94,31 +69,7 @@ def check_duration(trial: Trial, settings: GapSettings = DEFAULT_SETTINGS) -> No
 
 
 class Residuals:
-    """Residuals of the twin that holds every effect, over trials, as spectra.
-
-    Parameters
-    ----------
-    plant : Plant
-        Where all fit parameters are zero.
-    trials : sequence of Trial
-        To compare with; of one number of joints.
-    fit_parameters : sequence of FitParameter
-        Directions in which the twin may be changed.
-    settings : GapSettings
-        Tuned numbers.
-
-    Attributes
-    ----------
-    groups : list of TrialGroup
-        By motion.
-    model : StepModel
-        The twin with every effect.
-
-    Raises
-    ------
-    InputError
-        If the trials are of one and of two joints, or nothing is measured in one of them.
-    """
+    """Residuals of the twin that holds every effect, over trials, as spectra."""
 
     def __init__(
         self,
@@ -195,12 +146,7 @@ class Residuals:
     def jacobian(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
         """Derivatives of the simulated spectra, (trials, signals, K, wanted) for each group.
 
-        Parameters
-        ----------
-        values : ndarray, shape (p,)
-            Of all fit parameters.
-        wanted : ndarray of bool, shape (p,)
-            Fit parameters to differentiate by.
+        Shapes: `values` (p,), `wanted` (p,).
         """
         group = {k: g for g in self.groups for k in g.trials}
         slopes = self._simulated.slopes(
@@ -272,12 +218,7 @@ class Residuals:
     def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
         """Spectra (…, trials, signals, K) in which only the rows that count are not zero.
 
-        Parameters
-        ----------
-        g : TrialGroup
-            Of one motion.
-        spectra : ndarray, shape (..., trials, signals, K)
-            Of whole trials.
+        Shapes: `spectra` (..., trials, signals, K).
         """
         result = spectra.copy()
         for a, k in enumerate(g.trials):
@@ -303,18 +244,8 @@ def rows_that_follow(
     There the current saturates and the joint falls behind. Two such falls differ, so no simulation
     follows them. Where angle or current were not measured every row counts.
 
-    Parameters
-    ----------
-    trial : Trial
-        As measured.
-    usual_error_rad : ndarray, shape (joints,)
-        Following error that is to be expected.
-    settings : GapSettings
-        Tuned numbers.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    Shapes: `usual_error_rad` (joints,).
+    Returns shape (n,).
     """
     joints = range(1, trial.meta.dof + 1)
     if any(q not in trial.columns for j in joints for q in _FOLLOWED.format(j=j).split()):

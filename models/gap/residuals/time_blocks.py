@@ -30,14 +30,8 @@ def in_time_blocks(
 ) -> TrialSet:
     """Blocks of a single trial, where the plant can begin in motion; else the trials as they are.
 
-    Parameters
-    ----------
-    plant : Plant
-        Its drive declares a rate at the start if a trial may begin in motion.
-    trials : TrialSet
-        As recorded.
-    settings : GapSettings
-        Tuned numbers: the number of blocks, and the least rows of each.
+    `plant`: its drive declares a rate at the start if a trial may begin in motion.
+    `settings`: tuned numbers: the number of blocks, and the least rows of each.
     """
     if len(trials) != 1:
         return trials

@@ -25,18 +25,8 @@ def bounded_candidate(
     Other parameters of the effect that ended at a bound keep the plant's value, and the rest is
     fitted again.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    candidate : Candidate
-        As refitted.
-    here : FitPoint
-        Fit without it.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted with it.
-    refused : list of RefusedEffect
-        Gets an entry where the strength ended at a bound.
+    Shapes: `free` (p,).
+    `refused`: gets an entry where the strength ended at a bound.
     """
     parameters = estimator.residuals.fit_parameters
     strengths = strength_names(estimator, candidate.effects)
@@ -67,15 +57,7 @@ def bounded_candidate(
 
 
 def strength_names(estimator: GaussNewton, effects: tuple[str, ...]) -> set[str]:
-    """Names of the strengths of some effects.
-
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    effects : tuple of str
-        Effects of the catalogue.
-    """
+    """Names of the strengths of some effects."""
     residuals = estimator.residuals
     full, dof = plant_with_every_effect(residuals.plant), residuals.trials[0].meta.dof
     return {name for effect in effects for name in full.strengths(effect, dof)}

@@ -15,37 +15,20 @@ from models.plant.effects import EFFECTS
 
 @dataclass
 class Candidate:
-    """A candidate (one effect, or two) and its fit.
-
-    Attributes
-    ----------
-    effects : tuple of str
-        Names.
-    point : FitPoint
-        Where the fit ended.
-    gain : float
-        Fall of the cost.
-    least : float
-        Least d′ that the effects must reach.
-    least_on_same_link : float
-        The same on a link that did not change since the plant was identified.
-    predicted : float
-        Fall of the cost that derivatives predict.
-    held_out_gain, held_out_error : float
-        Fall of the cost on trials left out and of the nuisance's prior, and what it must exceed;
-        not a number before cross-validation.
-    held : frozenset of int
-        Fit parameters of its own that keep their first value because they ended at a bound.
-    """
+    """A candidate (one effect, or two) and its fit."""
 
     effects: tuple[str, ...]
     point: FitPoint
-    gain: float
-    least: float
+    gain: float  # Fall of the cost
+    least: float  # Least d′ that the effects must reach
+    # The same on a link that did not change since the plant was identified
     least_on_same_link: float
-    predicted: float = 0.0
+    predicted: float = 0.0  # Fall of the cost that derivatives predict
+    # Fall of the cost on trials left out and of the nuisance's prior, and what it must exceed; not
+    # a number before cross-validation
     held_out_gain: float = np.nan
     held_out_error: float = np.nan
+    # Fit parameters of its own that keep their first value because they ended at a bound
     held: frozenset[int] = frozenset()
 
     @property
@@ -68,13 +51,7 @@ class Candidate:
         return float(np.sqrt(max(2 * self.gain, 0.0)))
 
     def missed_fraction(self, settings: GapSettings) -> float:
-        """Fraction of d′ that the equations of the effects may miss.
-
-        Parameters
-        ----------
-        settings : GapSettings
-            Tuned numbers.
-        """
+        """Fraction of d′ that the equations of the effects may miss."""
         by_port = settings.further_effect_fraction_by_port
         general = settings.further_effect_fraction
         return max(by_port.get(EFFECTS[e].port, general) for e in self.effects)
@@ -82,36 +59,22 @@ class Candidate:
 
 @dataclass
 class SearchResult:
-    """Result of the effect search.
+    """Result of the effect search."""
 
-    Attributes
-    ----------
-    before, after : FitPoint
-        Fit of nuisance and trial variation alone, and with the named effects.
-    named : list of str
-        In order of inclusion, without those deleted again.
-    rounds : list of list of Candidate
-        Refitted candidates of each round, best first.
-    screened : dict of str to float
-        d′ of every effect in the first round's screen.
-    unexcited : list of str
-        Effects that these trials could not show at any strength within bounds.
-    chosen : list of Candidate
-        Included in each round.
-    refused : list of RefusedEffect
-        Candidates whose strength ended at a bound, and what the acceptance takes out.
-    explored : dict of frozenset of str to FitPoint
-        Best fit of each set of effects that was tried, against the same floor.
-    """
-
-    before: FitPoint
+    before: FitPoint  # Fit of nuisance and trial variation alone, and with the named effects
     after: FitPoint
+    # In order of inclusion, without those deleted again
     named: list[str] = field(default_factory=list)
+    # Refitted candidates of each round, best first
     rounds: list[list[Candidate]] = field(default_factory=list)
+    # D′ of every effect in the first round's screen
     screened: dict[str, float] = field(default_factory=dict)
+    # Effects that these trials could not show at any strength within bounds
     unexcited: list[str] = field(default_factory=list)
-    chosen: list[Candidate] = field(default_factory=list)
+    chosen: list[Candidate] = field(default_factory=list)  # Included in each round
+    # Candidates whose strength ended at a bound, and what the acceptance takes out
     refused: list[RefusedEffect] = field(default_factory=list)
+    # Best fit of each set of effects that was tried, against the same floor
     explored: dict[frozenset[str], FitPoint] = field(default_factory=dict)
 
     def explore(self, effects: Sequence[str], point: FitPoint) -> None:
@@ -130,22 +93,8 @@ def beyond_limits(
     equations that were included before: at most 10 to 20 % of their d′ for a candidate whose
     strength is the same everywhere, 35 % for any other.
 
-    Parameters
-    ----------
-    candidate : Candidate
-        As refitted.
-    found : SearchResult
-        What was included before.
-    left : float
-        Mean squared residual with the candidate, in noise floors.
-    settings : GapSettings
-        Tuned numbers.
-
-    Returns
-    -------
-    tuple of float
-        Beyond its least d′; beside an error of the equations before; the same if its strength is
-        not consistent.
+    Returns beyond its least d′; beside an error of the equations before; the same if its strength
+    is not consistent.
     """
     beyond = 2 * candidate.gain - max(left, 1.0) * candidate.least**2
     missed = missed_by(found.chosen, settings)
@@ -156,29 +105,11 @@ def beyond_limits(
 
 
 def may_pass(candidate: Candidate, found: SearchResult, settings: GapSettings) -> bool:
-    """Whether a further candidate may pass its limits after its refit.
-
-    Parameters
-    ----------
-    candidate : Candidate
-        As screened.
-    found : SearchResult
-        What was included before.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Whether a further candidate may pass its limits after its refit."""
     reach = settings.refit_growth * 2 * max(candidate.gain, candidate.predicted)
     return reach > candidate.least_on_same_link**2 + missed_by(found.chosen, settings)
 
 
 def missed_by(chosen: Sequence[Candidate], settings: GapSettings) -> float:
-    """Squared d′ that the equations of included effects may miss.
-
-    Parameters
-    ----------
-    chosen : sequence of Candidate
-        Included.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Squared d′ that the equations of included effects may miss."""
     return sum((c.missed_fraction(settings) * c.separation) ** 2 for c in chosen)

@@ -35,15 +35,7 @@ FOLD_KEYS: Final[Mapping[str, Callable[[Trial], object]]] = {
 
 
 def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
-    """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that.
-
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    without, with_ : tuple
-        Fitted model without the candidate, and with it.
-    """
+    """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that."""
     size = _contributions(estimator, without, with_)
     return np.array(
         [
@@ -81,14 +73,9 @@ def nuisance_prior_fall(estimator: GaussNewton, without: FittedModel, with_: Fit
 def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:
     """Indices of the trials that are left out together, in at least two folds where there are.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        All of them.
-    contributions : ndarray, shape (trials,)
-        Square of what an effect changes in each trial, in noise floors.
-    least : float
-        Sum of these in a fold from which the effect acts on it.
+    Shapes: `contributions` (trials,).
+    `contributions`: square of what an effect changes in each trial, in noise floors.
+    `least`: sum of these in a fold from which the effect acts on it.
     """
     for key in (*FOLD_KEYS.values(), _repetition):
         keys = [str(key(t)) for t in trials]

@@ -25,16 +25,7 @@ def unexcited_effects(
 ) -> list[str]:
     """Effects whose whole range changes these trials by less than can be told apart.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    point : FitPoint
-        Fit of nuisance and trial variation alone.
-    base : ndarray of bool, shape (p,)
-        Fit parameters of nuisance and trial variation.
-    of : mapping of str to ndarray of bool
-        Those of each effect, its strength first.
+    Shapes: `base` (p,).
     """
     result = []
     normal = estimator.linearise(point).normal
@@ -69,24 +60,8 @@ def strengths_far_from_zero(
     effect with a dead zone gets a ladder, and a short fit from its best rung: the nuisance around
     it may have made up for the effect.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    here : FitPoint
-        Present fit.
-    others : sequence of FitPoint
-        Further values of the other fit parameters, with derivatives: the plant as given.
-    cost : float
-        Least so far with the effect.
-    effect : str
-        Its name.
-    own : ndarray of bool, shape (p,)
-        Its fit parameters, the strength first.
-    free : ndarray of bool, shape (p,)
-        All fit parameters that are fitted with it.
-    flat : bool
-        Whether its derivatives vanish at zero.
+    Shapes: `own` (p,), `free` (p,).
+    `others`: further values of the other fit parameters, with derivatives: the plant as given.
     """
     if flat:
         steps, found = estimator.settings.candidate_start_steps, []
@@ -145,16 +120,7 @@ def strength_ladder(
 ) -> list[FitPoint]:
     """Points along the strength of an effect, denser around the best.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    here : FitPoint
-        Values of the other fit parameters.
-    effect : str
-        Its name.
-    own : ndarray of bool, shape (p,)
-        Its fit parameters, the strength first.
+    Shapes: `own` (p,).
     """
     residuals, settings = estimator.residuals, estimator.settings
     at = int(np.flatnonzero(own)[0])

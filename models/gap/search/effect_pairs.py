@@ -20,16 +20,7 @@ def promising_pairs(
 ) -> list[tuple[EffectPair, FitPoint]]:
     """Pairs whose derivatives predict the largest fall of the cost, each after one step.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    here : FitPoint
-        Present fit.
-    named, effects : sequence of str
-        Named so far, and those that may be.
-    free : callable
-        Fit parameters that are fitted with some effects, ndarray of bool.
+    `free`: fit parameters that are fitted with some effects, ndarray of bool.
     """
     rows = []
     for pair in itertools.combinations(effects, 2):

@@ -44,25 +44,7 @@ ReportProgress = Callable[[str, int], None]
 class EffectSearch:
     """Search over the effects of a catalogue.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of residuals whose fit parameters are nuisance, trial variation and effects.
-    catalogue : sequence of str
-        Effects that may be named.
-    report : callable
-        See `ReportProgress`.
-
-    Attributes
-    ----------
-    first, estimator : GaussNewton
-        As given, and with a floor that allows for the error of an effect's equation.
-    of : dict of str to ndarray of bool
-        Fit parameters of each effect; those `fitted_last` only where the noise floor is learned.
-    held : ndarray of bool, shape (p,)
-        Fit parameters that keep the plant's value because they ended at a bound.
-    excluded : frozenset of str
-        Refused in an earlier search.
+    `estimator`: of residuals whose fit parameters are nuisance, trial variation and effects.
     """
 
     def __init__(
@@ -104,15 +86,7 @@ class EffectSearch:
         return found
 
     def search_without(self, earlier: SearchResult, effects: Collection[str]) -> SearchResult:
-        """Search from an earlier first round on, without effects that were refused.
-
-        Parameters
-        ----------
-        earlier : SearchResult
-            Its `first_round`, on a learned floor.
-        effects : collection of str
-            That may not be named.
-        """
+        """Search from an earlier first round on, without effects that were refused."""
         self.held[:] = False
         self.excluded = frozenset(effects)
         found = replace(earlier, named=[], chosen=[], refused=[], rounds=earlier.rounds[:1])

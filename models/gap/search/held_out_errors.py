@@ -38,15 +38,7 @@ Fold = dict[int, Array]
 def held_out_folds(
     trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
 ) -> dict[str, list[Fold]]:
-    """Folds by what is left out.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        All of them.
-    settings : GapSettings
-        Tuned numbers.
-    """
+    """Folds by what is left out."""
     found: dict[str, list[Fold]] = {}
     for words, key in FOLD_KEYS.items():
         folds = _by_value(trials, key)
@@ -75,13 +67,7 @@ def _by_value(trials: Sequence[Trial], key: Callable[[Trial], object]) -> list[F
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of a model on what it was not fitted to.
-
-    Attributes
-    ----------
-    folds : tuple of dict of str to SquaredError
-        By fold and signal.
-    """
+    """Errors of a model on what it was not fitted to."""
 
     folds: tuple[Mapping[str, SquaredError], ...]
 
@@ -122,20 +108,7 @@ def _ratio(own: float, other: float) -> float:
 
 
 class HeldOut:
-    """Left-out parts of the trials of a search, each with an estimator of all others.
-
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of all trials.
-
-    Attributes
-    ----------
-    folds : dict of str to list of Fold
-        See `held_out_folds`.
-    given : HeldOutErrors
-        Of the plant as given.
-    """
+    """Left-out parts of the trials of a search, each with an estimator of all others."""
 
     def __init__(self, estimator: GaussNewton) -> None:
         self.estimator, self.residuals = estimator, estimator.residuals
@@ -148,12 +121,7 @@ class HeldOut:
     def errors(self, point: FitPoint, free: Array) -> HeldOutErrors:
         """Errors on each fold of a model that was fitted to all others.
 
-        Parameters
-        ----------
-        point : FitPoint
-            Fit of the model to all trials.
-        free : ndarray of bool, shape (p,)
-            Fit parameters that were fitted.
+        Shapes: `free` (p,).
         """
         values = [self._refitted(rest, point, free) for rest, _ in self._parts]
         plant = self.residuals.plant
@@ -199,16 +167,8 @@ def is_written(plant: Plant, residuals: Residuals, k: int, free: Array) -> bool:
     The variation of a trial, a shift of the mocap frame and its clock are no parameters of a plant
     that does not have the effect.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    residuals : Residuals
-        Of the fit.
-    k : int
-        Number of the fit parameter.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted: the effects among them would be added.
+    Shapes: `free` (p,).
+    `free`: fit parameters that were fitted: the effects among them would be added.
     """
     q = residuals.fit_parameters[k]
     if q.trial is not None:
@@ -232,15 +192,6 @@ def lowers_held_out_error(
     With a learned floor d′ has already told the effect from noise: any fall is enough. Without one
     the mean fall over the folds must exceed its standard error (the one-standard-error rule of
     Breiman et al. 1984) and a least fraction.
-
-    Parameters
-    ----------
-    with_, without : HeldOutErrors
-        Of the fits with the effect and without it.
-    learned : bool
-        Whether the noise floor is learned.
-    settings : GapSettings
-        Tuned numbers.
     """
     fraction = with_.fraction_of(without)
     if learned:
@@ -256,14 +207,7 @@ def flattened(floor: NoiseFloor, groups: Sequence[TrialGroup], rows: Sequence[Ar
     A fit against it lowers the error in SI units. Without a learned floor the spectrum of the
     residual says little about noise: it discounts the slow errors, which are the largest.
 
-    Parameters
-    ----------
-    floor : NoiseFloor
-        Whose signals and frequencies are kept.
-    groups : sequence of TrialGroup
-        Of the residuals.
-    rows : list of ndarray, shape (trials, signals, K)
-        Residual spectra by group.
+    Shapes: `rows` (trials, signals, K).
     """
     noise = {}
     for signal, spectrum in floor.noise.items():

@@ -49,55 +49,35 @@ STUDY_KG: Final = (0.0, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class KnownError:
-    """What is known of the plant's own error on some trials.
+    """What is known of the plant's own error on some trials."""
 
-    Attributes
-    ----------
-    patterns : bool
-        Whether they are known of the motion of any trial.
-    other_motions : float
-        Fraction of the trials whose motion the plant was not identified on.
-    other_payloads : float
-        What is unknown of the error at the payloads of the other trials
-        (`models.gap.estimation.payload_transfer`), as a fraction of what is unknown in the middle
-        of two payloads that are 1 kg apart; the mean over all trials.
-    """
-
-    patterns: bool = True
+    patterns: bool = True  # Whether they are known of the motion of any trial
+    # Fraction of the trials whose motion the plant was not identified on
     other_motions: float = 0.0
+    # What is unknown of the error at the payloads of the other trials
+    # (`models.gap.estimation.payload_transfer`), as a fraction of what is unknown in the middle of
+    # two payloads that are 1 kg apart; the mean over all trials
     other_payloads: float = 0.0
 
 
 class NullDistribution(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """Distribution of d′ where nothing is missing; the content of `null_distribution.json`.
+    """Distribution of d′ where nothing is missing; the content of `null_distribution.json`."""
 
-    Attributes
-    ----------
-    sets : int
-        Data sets without an effect that it was measured on.
-    threshold : float
-        Least d′ of a named effect, in standard deviations of its d′ here. That of the settings: the
-        file does not hold it.
-    explained : float
-        Mean squared residual, in noise floors, up to which nothing counts as left, on a link that
-        changed by one.
-    explained_growth : float
-        Growth of its logarithm with the change of the link.
-    repetitions_pooled : bool
-        Whether it was measured with a floor pooled with repetitions at hand
-        (`models.gap.estimation.measured_floor`); the search then does the same.
-    standard_deviation, unchanged_deviation : dict of str to float
-        Root mean square of d′ by effect on a link that changed by one, and on an unchanged one, at
-        least 1; 1 for effects that are not listed.
-    """
-
-    sets: int = 0
+    sets: int = 0  # Data sets without an effect that it was measured on
+    # Least d′ of a named effect, in standard deviations of its d′ here. That of the settings: the
+    # file does not hold it.
     threshold: float = DEFAULT_SETTINGS.least_threshold
+    # Mean squared residual, in noise floors, up to which nothing counts as left, on a link that
+    # changed by one
     explained: float
-    explained_growth: float = 0.0
+    explained_growth: float = 0.0  # Growth of its logarithm with the change of the link
+    # Whether it was measured with a floor pooled with repetitions at hand
+    # (`models.gap.estimation.measured_floor`); the search then does the same
     repetitions_pooled: bool = False
+    # Root mean square of d′ by effect on a link that changed by one, and on an unchanged one, at
+    # least 1; 1 for effects that are not listed
     standard_deviation: dict[str, float] = {}
     unchanged_deviation: dict[str, float] = {}
 
@@ -108,13 +88,8 @@ class NullDistribution(
 
         A residual of `GapSettings.noise_residual` is noise on any link.
 
-        Parameters
-        ----------
-        change : float
-            Relative to the links that it was measured on
-            (`models.gap.estimation.link_change`).
-        settings : GapSettings
-            Tuned numbers.
+        `change`: relative to the links that it was measured on
+        (`models.gap.estimation.link_change`).
         """
         explained = self.explained * float(np.exp(self.explained_growth * (change - 1)))
         return msgspec.structs.replace(
@@ -130,16 +105,7 @@ class NullDistribution(
         return self.unchanged_deviation.get(effect, 1.0)
 
     def least(self, effects: Sequence[str]) -> float:
-        """Least d′ that effects must reach together.
-
-        Examples
-        --------
-        >>> null = NullDistribution(
-        ...     threshold=5.0, explained=1.6, standard_deviation={"creep": 2.0}
-        ... )
-        >>> null.least(["creep"]), null.least(["backlash"])
-        (10.0, 5.0)
-        """
+        """Least d′ that effects must reach together."""
         squares = sum(self.standard_deviation.get(e, 1.0) ** 2 for e in effects)
         return self.threshold * float(np.sqrt(squares))
 
@@ -152,13 +118,7 @@ def null_distributions() -> dict[str, NullDistribution]:
 
 
 def known_error(estimator: GaussNewton) -> KnownError:
-    """What is known of the plant's own error on the trials of an estimator.
-
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of their residuals.
-    """
+    """What is known of the plant's own error on the trials of an estimator."""
     patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
     residuals, reach_kg = estimator.residuals, estimator.settings.payload_reach_kg
     middle = unknown_fraction([MIDDLE], STUDY_KG, reach_kg).item()
@@ -183,19 +143,10 @@ def null_distribution_of(
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    dof : int
-        Number of joints of the trials.
-    known : KnownError
-        What is known of the plant's own error on them. Without patterns that counts which was
-        measured without, if it was. On motions and at payloads that the plant was not identified on
-        the variance of d′ is at least that of one joint there, with two joints too [assumed], in as
-        far as the trials are of these.
-    settings : GapSettings
-        Tuned numbers.
+    `known`: what is known of the plant's own error on them. Without patterns that counts which was
+    measured without, if it was. On motions and at payloads that the plant was not identified on the
+    variance of d′ is at least that of one joint there, with two joints too [assumed], in as far as
+    the trials are of these.
     """
     measured = null_distributions() if plant.load == "link" else {}
     assumed = NullDistribution(
@@ -255,17 +206,6 @@ def calibrated_null_distribution(
     the change of the link. The largest of each effect is left out: one rig that no plant describes
     would set the size for all effects. The residual is log-normal, mean and standard deviation of
     its logarithm linear in the change of the link.
-
-    Parameters
-    ----------
-    separations : sequence of mapping
-        d′ by effect on each data set.
-    left : sequence of float
-        Mean squared residual of each, in noise floors.
-    changes : sequence of float
-        Change of the link in each.
-    settings : GapSettings
-        Tuned numbers.
     """
     effects = sorted({e for row in separations for e in row})
     size = np.sqrt(np.maximum(left, 1.0))

@@ -19,26 +19,14 @@ from models.plant.plant import Plant
 
 @dataclass(frozen=True)
 class OffendingValue:
-    """Fitted value at a bound, or a sum beyond its limit.
+    """Fitted value at a bound, or a sum beyond its limit."""
 
-    Attributes
-    ----------
-    index : tuple of int
-        Fit parameters that are to blame.
-    name, unit : str
-        Parameter of the plant or variation, or the sum in words; its SI unit.
-    value, limit : float
-        Of it, and the bound or limit.
-    said : str
-        The same as one sentence.
-    """
-
-    index: tuple[int, ...]
-    name: str
+    index: tuple[int, ...]  # Fit parameters that are to blame
+    name: str  # Parameter of the plant or variation, or the sum in words; its SI unit
     unit: str
     value: float
     limit: float
-    said: str
+    said: str  # The same as one sentence
 
 
 def values_at_bounds(
@@ -53,18 +41,7 @@ def values_at_bounds(
     The strength of an effect that the plant lacks counts at zero too, be that its bound or not: the
     fit found none of it, in no plane of the bending.
 
-    Parameters
-    ----------
-    plant : Plant
-        As given.
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    point : FitPoint
-        Where the fit ended.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted.
-    settings : GapSettings
-        Tuned numbers.
+    Shapes: `free` (p,).
     """
     known = plant_with_every_effect(plant).parameters
     found = []
@@ -109,16 +86,7 @@ def impossible_values(
 ) -> list[OffendingValue]:
     """Sums that the plant to be written violates and the plant as given does not.
 
-    Parameters
-    ----------
-    given, written : Plant
-        As given, and with the fitted values.
-    payloads_kg : sequence of float
-        Declared payloads of the trials, kg.
-    fit_parameters : sequence of FitParameter
-        Of the residuals.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted.
+    Shapes: `free` (p,).
     """
     before = {
         row.what
@@ -151,46 +119,22 @@ missing."""
 
 
 class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Effect that was taken out again, or a refitted value that was undone.
+    """Effect that was taken out again, or a refitted value that was undone."""
 
-    Attributes
-    ----------
-    effect : str
-        Name, or several joined by " + "; empty where the value is nuisance, which then keeps the
-        value of the plant as given.
-    kind : str
-        See `RefusalKind`.
-    reason : str
-        One sentence without its full stop.
-    name : str
-        Parameter, sum or signal that is to blame; empty for all signals together.
-    value, limit : float
-        Of it; a held-out error is a fraction of that without the effect or of the plant as given.
-    unit : str
-        Their SI unit.
-    """
-
+    # Name, or several joined by " + "; empty where the value is nuisance, which then keeps the
+    # value of the plant as given
     effect: str
     kind: RefusalKind
-    reason: str
-    name: str
+    reason: str  # One sentence without its full stop
+    name: str  # Parameter, sum or signal that is to blame; empty for all signals together
+    # Of it; a held-out error is a fraction of that without the effect or of the plant as given
     value: float
     limit: float
     unit: str
 
 
 def refusal_of_value(effect: str, kind: RefusalKind, found: OffendingValue) -> RefusedEffect:
-    """Refusal because of a fitted value.
-
-    Parameters
-    ----------
-    effect : str
-        Effect that is refused; empty for nuisance.
-    kind : str
-        See `RefusalKind`.
-    found : OffendingValue
-        The value.
-    """
+    """Refusal because of a fitted value."""
     return RefusedEffect(
         effect=effect, kind=kind, reason=found.said, name=found.name, value=found.value,
         limit=found.limit, unit=found.unit,
@@ -201,15 +145,7 @@ def refusals(
     effects: Iterable[str], kind: RefusalKind, reason: str, value: float = 0.0,
     limit: float = 0.0, name: str = "",
 ) -> list[RefusedEffect]:  # fmt: skip
-    """Refusals of several effects for one reason.
-
-    Parameters
-    ----------
-    effects : iterable of str
-        Names.
-    kind, reason, value, limit, name :
-        See `RefusedEffect`; without a unit.
-    """
+    """Refusals of several effects for one reason."""
     return [
         RefusedEffect(
             effect=e, kind=kind, name=name, value=value, limit=limit, unit="1", reason=reason

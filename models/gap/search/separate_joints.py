@@ -23,14 +23,8 @@ def joints_differ(
 ) -> bool:
     """Whether effects with a strength for each joint explain much more than those with one.
 
-    Parameters
-    ----------
-    search : EffectSearch
-        After its first round, with one strength for all joints.
-    found : SearchResult
-        Of that round.
-    separate : sequence of FitParameter
-        The same fit parameters, with a strength for each joint.
+    `search`: after its first round, with one strength for all joints.
+    `separate`: the same fit parameters, with a strength for each joint.
     """
     best = max(found.rounds[0], key=lambda c: c.gain, default=None)
     if best is None or not search.has_gap(best.point):

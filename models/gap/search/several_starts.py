@@ -19,14 +19,8 @@ def refitted_from_both_signs(
     The present fit is among the starts, so the cost of a nested model never rises. What is
     `fitted_last` is freed where the others ended.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    screened, here : FitPoint
-        Screened start, and the fit without the effect.
-    free, own : ndarray of bool, shape (p,)
-        Fit parameters that are fitted, and those of the effect among them.
+    Shapes: `free`, `own` (p,).
+    `free`, `own`: fit parameters that are fitted, and those of the effect among them.
     """
     settings = estimator.settings
     starts = [screened]
@@ -59,18 +53,9 @@ def refitted_from_far_strengths(
     A delay and friction that compensate each other form separate valleys of the cost, and no step
     leads from one into the next.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Of the trials.
-    chosen, here : FitPoint
-        Fit of the choice so far, and the fit without it.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that are fitted.
-    strengths : sequence of int
-        Fit parameters that are strengths of the choice.
-    is_open : callable
-        Whether so much is left that more starts are worth their time.
+    Shapes: `free` (p,).
+    `chosen`, `here`: fit of the choice so far, and the fit without it.
+    `is_open`: whether so much is left that more starts are worth their time.
     """
     settings = estimator.settings
     best = estimator.fit(chosen, free, settings.nuisance_fit_steps)

@@ -28,24 +28,12 @@ from models.gap.residuals.spectrum import Array
 
 @dataclass(frozen=True)
 class StrengthConsistency:
-    """Difference of an effect's strengths between payloads, signals and bands.
+    """Difference of an effect's strengths between payloads, signals and bands."""
 
-    Attributes
-    ----------
-    standard_deviation : float
-        D of the module's text, as a fraction of the strength.
-    probability : float
-        Of a larger χ² if strengths differ by no more than is tolerated.
-    tolerated : float
-        Fraction by which they may differ.
-    holds : bool
-        Whether one strength fits everywhere.
-    """
-
-    standard_deviation: float
-    probability: float
-    tolerated: float
-    holds: bool
+    standard_deviation: float  # D of the module's text, as a fraction of the strength
+    probability: float  # Of a larger χ² if strengths differ by no more than is tolerated
+    tolerated: float  # Fraction by which they may differ
+    holds: bool  # Whether one strength fits everywhere
 
 
 def strength_consistency_of(
@@ -53,16 +41,7 @@ def strength_consistency_of(
 ) -> StrengthConsistency:
     """Consistency of the strength of one effect.
 
-    Parameters
-    ----------
-    estimator : GaussNewton
-        Whose floor allows for errors of the equations.
-    point : FitPoint
-        Common fit.
-    free : ndarray of bool, shape (p,)
-        Fit parameters that were fitted.
-    own : ndarray of bool, shape (p,)
-        Those of the effect.
+    Shapes: `free` (p,), `own` (p,).
     """
     settings = estimator.settings
     tolerated = settings.tolerated_difference_fraction
@@ -91,15 +70,7 @@ def strength_consistency_of(
 def strengths_hold(
     estimator: GaussNewton, point: FitPoint, free: Array, own: Iterable[Array]
 ) -> bool:
-    """Whether the strengths of several effects are the same everywhere.
-
-    Parameters
-    ----------
-    estimator, point, free :
-        As for `strength_consistency_of`.
-    own : iterable of ndarray of bool
-        Fit parameters of each effect.
-    """
+    """Whether the strengths of several effects are the same everywhere."""
     return all(strength_consistency_of(estimator, point, free, row).holds for row in own)
 
 

@@ -71,30 +71,14 @@ less likely noise, and the more a stand-in leaves, the less it is what is missin
 
 @dataclass(frozen=True)
 class Question:
-    """What one regression answers.
+    """What one regression answers."""
 
-    Attributes
-    ----------
-    answer : str
-        Its probability is fitted.
-    names : tuple of str
-        Evidence that it is fitted to.
-    kinds : tuple of str
-        Data sets that count.
-    """
-
-    answer: Answer
-    names: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    answer: Answer  # Its probability is fitted
+    names: tuple[str, ...]  # Evidence that it is fitted to
+    kinds: tuple[Kind, ...]  # Data sets that count
 
     def rows(self, tests: Sequence[AnswerTest]) -> list[AnswerTest]:
-        """Tests that count, where all evidence was measured.
-
-        Parameters
-        ----------
-        tests : sequence of AnswerTest
-            Of any kinds.
-        """
+        """Tests that count, where all evidence was measured."""
         return [
             test
             for test in tests
@@ -111,17 +95,10 @@ catalogue lacks: a wrong name for one that it has tells nothing of these."""
 
 @dataclass(frozen=True)
 class Regularisation:
-    """What holds a regression back where tests are few.
+    """What holds a regression back where tests are few."""
 
-    Attributes
-    ----------
-    inverse_penalty : float
-        Of the coefficients of standardised evidence.
-    tail : float
-        Fraction of the tests beyond either bound of an evidence; without bounds where it is 0.
-    """
-
-    inverse_penalty: float = 1.0
+    inverse_penalty: float = 1.0  # Of the coefficients of standardised evidence
+    # Fraction of the tests beyond either bound of an evidence; without bounds where it is 0
     tail: float = 0.0
 
 
@@ -135,15 +112,6 @@ def bounds(
 
     They are quantiles of the tests in which the evidence is not 0, which is said where there is
     nothing to tell.
-
-    Parameters
-    ----------
-    rows : sequence of AnswerTest
-        That count (`Question.rows`).
-    question : Question
-        What is asked.
-    tail : float
-        See `Regularisation`.
     """
     found = {}
     for name in question.names if tail else ():
@@ -157,17 +125,7 @@ def bounds(
 def fitted_regression(
     tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
 ) -> Regression:
-    """Regression of one answer on its evidence; its coefficients are not standardised.
-
-    Parameters
-    ----------
-    tests : sequence of AnswerTest
-        To be fitted to, of any kinds.
-    question : Question
-        What is asked.
-    regularisation : Regularisation
-        What holds it back.
-    """
+    """Regression of one answer on its evidence; its coefficients are not standardised."""
     rows = question.rows(tests)
     within = bounds(rows, question, regularisation.tail)
     columns = [
@@ -196,13 +154,7 @@ def fitted_regression(
 def left_out(
     tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
 ) -> list[float]:
-    """Probability of the answer in each test that counts, by a regression without its rig.
-
-    Parameters
-    ----------
-    tests, question, regularisation
-        See `fitted_regression`.
-    """
+    """Probability of the answer in each test that counts, by a regression without its rig."""
     models = _without_each_rig(tests, question, regularisation)
     return [
         models[test.rig].probability(test.evidence, test.effects) for test in question.rows(tests)
@@ -212,7 +164,6 @@ def left_out(
 def _without_each_rig(
     tests: Sequence[AnswerTest], question: Question, regularisation: Regularisation
 ) -> dict[str, Regression]:
-    """Regression without a rig, by its name."""
     return {
         rig: fitted_regression([t for t in tests if t.rig != rig], question, regularisation)
         for rig in {test.rig for test in tests}
@@ -220,15 +171,7 @@ def _without_each_rig(
 
 
 def loss(tests: Sequence[AnswerTest], question: Question, probabilities: Sequence[float]) -> float:
-    """Mean negative logarithm of the probability of what is true.
-
-    Parameters
-    ----------
-    tests, question
-        See `fitted_regression`.
-    probabilities : sequence of float
-        Of the answer in each test that counts.
-    """
+    """Mean negative logarithm of the probability of what is true."""
     rows = question.rows(tests)
     right = [
         p if test.answer == question.answer else 1 - p
@@ -243,11 +186,6 @@ def fitted(
     """Regression with the least loss, and what it says of each test when its rig is left out.
 
     It says so of data sets of every kind, where the evidence was measured.
-
-    Parameters
-    ----------
-    tests, question
-        See `fitted_regression`.
     """
     best = min(
         REGULARISATIONS,

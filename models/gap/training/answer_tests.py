@@ -27,31 +27,13 @@ KIND_WEIGHT: Final[dict[Kind, float]] = {
 
 
 class AnswerTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One test of names.
-
-    Attributes
-    ----------
-    rig : str
-        Name of the rig.
-    data_set : int
-        Seed of the data set's noise: one data set may have several tests.
-    kind : str
-        Of the data set.
-    same_link : bool
-        Whether the plant was identified on this link.
-    effects : tuple of str
-        What the tests left, judged together.
-    answer : str
-        The true one.
-    evidence : Evidence
-        For these effects.
-    """
+    """One test of names."""
 
     rig: str
-    data_set: int
-    kind: Kind
-    same_link: bool
-    effects: tuple[str, ...]
+    data_set: int  # Seed of the data set's noise: one data set may have several tests
+    kind: Kind  # Of the data set
+    same_link: bool  # Whether the plant was identified on this link
+    effects: tuple[str, ...]  # What the tests left, judged together
     answer: Answer
     evidence: Evidence
 
@@ -62,11 +44,6 @@ def labelled(results: Iterable[dict[str, Any]]) -> list[AnswerTest]:
     Names that are wrong stand in for something else: to these the answer is "outside". Where
     nothing was left to name, an effect of the catalogue may be there all the same. A denied effect
     that the whole catalogue does not tell from its stand-in has no true answer.
-
-    Parameters
-    ----------
-    results : iterable of dict
-        Of `models.gap.training.case_run`, with their cases.
     """
     found = []
     for result in results:
@@ -93,11 +70,6 @@ def weights(tests: Sequence[AnswerTest]) -> list[float]:
     """Weight of each test; they add up to one.
 
     Data sets of one kind share the weight of the kind, tests of one data set that of the set.
-
-    Parameters
-    ----------
-    tests : sequence of AnswerTest
-        To be fitted to.
     """
     of_set = Counter((t.rig, t.data_set) for t in tests)
     sets = Counter(kind for _, kind in {((t.rig, t.data_set), t.kind) for t in tests})
@@ -106,13 +78,7 @@ def weights(tests: Sequence[AnswerTest]) -> list[float]:
 
 
 def with_new(known: Sequence[AnswerTest], new: Sequence[AnswerTest]) -> list[AnswerTest]:
-    """Known tests and new ones; those of a data set that was diagnosed again are replaced.
-
-    Parameters
-    ----------
-    known, new : sequence of AnswerTest
-        Of the table, and of some results.
-    """
+    """Known tests and new ones; those of a data set that was diagnosed again are replaced."""
     again = {(t.rig, t.data_set) for t in new}
     return [*(t for t in known if (t.rig, t.data_set) not in again), *new]
 
@@ -121,11 +87,6 @@ def with_left(tests: Sequence[AnswerTest]) -> list[AnswerTest]:
     """Tests with what was left beside the names, where it was not recorded the mean of the rest.
 
     Where nothing was named all of the gap was left.
-
-    Parameters
-    ----------
-    tests : sequence of AnswerTest
-        Of the table.
     """
     known = [t.evidence.left for t in tests if t.effects and t.evidence.left is not None]
     mean = sum(known) / max(len(known), 1)
@@ -144,13 +105,7 @@ def read_answer_tests() -> list[AnswerTest]:
 
 
 def write_answer_tests(tests: Sequence[AnswerTest]) -> None:
-    """Replace the table.
-
-    Parameters
-    ----------
-    tests : sequence of AnswerTest
-        In any order.
-    """
+    """Replace the table."""
     ordered = sorted(tests, key=lambda t: (t.rig, t.data_set))
     PATH.write_bytes(msgspec.json.Encoder().encode_lines(ordered))
 

@@ -85,17 +85,6 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     """Change that is to be found.
 
     Where the plant has no such effect, nor a parameter for it, the rig's own is added.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified without effects.
-    rig : RigParameters
-        Of the case.
-    effect : str
-        Hidden effect.
-    hidden : float
-        Its hidden strength.
     """
     known = effect in plant.effects or DELAY_OF.get(effect) in plant.parameters
     return hidden if known else hidden + rig[rig.effects()[effect]]
@@ -116,26 +105,7 @@ def study_trials(
     motion: str = "study",
     payloads: str = "study",
 ) -> list[Trial]:
-    """Trials of some payloads, each repeated once.
-
-    Parameters
-    ----------
-    rig : RigParameters
-        With the hidden effects.
-    seed : int
-        Of trial variation and noise.
-    joints : int
-        Driven joints, 1 or 2.
-    motion : str
-        Name of the motion, of `models.gap.training.cases.MOTIONS`.
-    payloads : str
-        Name of the payloads, of `models.gap.training.cases.PAYLOAD_SETS`.
-
-    Raises
-    ------
-    InputError
-        If the link folds, or the arm hangs before the motion begins: nobody records that.
-    """
+    """Trials of some payloads, each repeated once."""
     trials = [
         run_case(rig, TrialCase(motion_named(motion, joints), payload, trial, seed))
         for payload in PAYLOAD_SETS[payloads]

@@ -77,45 +77,19 @@ the 0.2 m of a calibration square [assumed]."""
 
 @dataclass(frozen=True)
 class HiddenCase:
-    """One data set.
+    """One data set."""
 
-    Attributes
-    ----------
-    kind : str
-        One effect, none, two, or one that the catalogue is denied.
-    hidden : dict of str to float
-        Strengths.
-    nuisance : dict of str to float
-        Factors on the rig's parameters.
-    seed : int
-        Of trial variation and noise.
-    rig : str
-        Name of the rig.
-    joints : int
-        Driven joints, 1 or 2.
-    frame_turn_rad : dict of str to float
-        Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty).
-    """
-
-    kind: Kind
+    kind: Kind  # One effect, none, two, or one that the catalogue is denied
     hidden: dict[str, float]
-    nuisance: dict[str, float]
-    seed: int
+    nuisance: dict[str, float]  # Factors on the rig's parameters
+    seed: int  # Of trial variation and noise
     rig: str = DEFAULT_RIG
     joints: int = 1
+    # Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty)
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
 
 
 def motion_named(name: str, joints: int) -> Motion:
-    """Motion of a name.
-
-    Parameters
-    ----------
-    name : str
-        Of `MOTIONS`.
-    joints : int
-        Driven joints, 1 or 2.
-    """
     return replace(MOTIONS[name], dof=joints)
 
 
@@ -129,18 +103,8 @@ def drawn_case(
 ) -> HiddenCase:
     """Draw one case.
 
-    Parameters
-    ----------
-    rng : Generator
-        Of the draw.
-    kind : str
-        See `HiddenCase`.
-    hidden : sequence of (str, float)
-        Effects, each with its size: 1 is about what matters (`TYPICAL`).
-    rig, joints
-        See `HiddenCase`.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
+    `hidden`: effects, each with its size: 1 is about what matters (`TYPICAL`).
+    `same_link`: whether the link is the one that the plant was identified on.
     """
     nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
     strengths = {e: _strength(rng, e, size) for e, size in hidden}
@@ -165,22 +129,11 @@ def hidden_cases(
 ) -> Iterator[HiddenCase]:
     """Draw the cases of one rig.
 
-    Parameters
-    ----------
-    rig : str
-        Name of the rig.
-    usual, faint : int
-        Data sets with one effect of either size, each with another effect.
-    nulls, pairs, outside : int
-        Without an effect, with two, and with one that the catalogue is denied.
-    seed : int
-        Of the draw.
-    same_link : bool
-        Whether the link is the one that the plant was identified on.
-    joints : int
-        Driven joints, 1 or 2.
-    effects : sequence of str
-        Effects to draw from; all of the catalogue where it is empty.
+    `usual`, `faint`: data sets with one effect of either size, each with another effect.
+    `nulls`, `pairs`, `outside`: without an effect, with two, and with one that the catalogue is
+    denied.
+    `same_link`: whether the link is the one that the plant was identified on.
+    `effects`: effects to draw from; all of the catalogue where it is empty.
     """
     rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
 

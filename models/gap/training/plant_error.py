@@ -56,17 +56,7 @@ OTHER_MOTIONS: Final = ("small", "slow", "multisine", "triangle")
 
 
 def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
-    """Measurement of the patterns of the study's motion.
-
-    Parameters
-    ----------
-    links : int
-        Changed links of each rig.
-    directory : Path
-        Of the results.
-    joints : int
-        Driven joints, 1 or 2.
-    """
+    """Measurement of the patterns of the study's motion."""
     diagnosed = tuple(TrialCase(Motion(dof=joints), payload_kg, 1) for payload_kg in PAYLOADS_KG)
     own = directory / f"own_error_{joints}dof"
     return PatternWork(identification_cases(joints, "study"), diagnosed, links, own)
@@ -75,17 +65,9 @@ def pattern_work(links: int, directory: Path, joints: int) -> PatternWork:
 def null_case(rig: int, link: int, directory: str, joints: int, known: OwnErrorKnown) -> None:
     """Save the d′ of each effect on one link, and the residual without any.
 
-    Parameters
-    ----------
-    rig, link : int
-        Numbers of rig and link; the patterns are those of other rigs.
-    directory : str
-        Of the results.
-    joints : int
-        Driven joints, 1 or 2.
-    known : str
-        What counts as known of the plant's own error; with nothing the motion is one of
-        `OTHER_MOTIONS` in turn, with other_payloads the payloads lie between those of the plant.
+    `rig`, `link`: numbers of rig and link; the patterns are those of other rigs.
+    `known`: what counts as known of the plant's own error; with nothing the motion is one of
+    `OTHER_MOTIONS` in turn, with other_payloads the payloads lie between those of the plant.
     """
     path = _null_file(directory, rig, link, joints, known)
     motion = OTHER_MOTIONS[(rig + link) % len(OTHER_MOTIONS)] if known == "nothing" else "study"
@@ -146,15 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def write_shipped_patterns(work: PatternWork, rigs: Sequence[int]) -> None:
-    """Measure the patterns of a motion, and put them in the place of those that are shipped.
-
-    Parameters
-    ----------
-    work : PatternWork
-        What is measured.
-    rigs : sequence of int
-        Numbers of drawn rigs.
-    """
+    """Measure the patterns of a motion, and put them in the place of those that are shipped."""
     progress = Progress("own error", len(rigs))
     with worker_pool(2) as pool:
         run_pattern_work(work, rigs, pool, progress.step)
@@ -170,16 +144,7 @@ def write_null_distribution(
 ) -> None:
     """Diagnose links without an effect; write the null distribution of a number of joints.
 
-    Parameters
-    ----------
-    rigs, links : sequence of int
-        Numbers; link 0 is the one that the plant knows.
-    directory : str
-        Of the results.
-    joints : int
-        Driven joints, 1 or 2.
-    known : str
-        As for `null_case`.
+    `rigs`, `links`: numbers; link 0 is the one that the plant knows.
     """
     work = [(k, n, directory, joints, known) for n in links for k in rigs]
     files = [_null_file(directory, k, n, joints, known) for k, n, *_ in work]
@@ -197,13 +162,7 @@ def write_null_distribution(
 
 
 def link_seed(rig: int, link: int) -> int:
-    """Seed of the trials of a link: no two links share noise.
-
-    Parameters
-    ----------
-    rig, link : int
-        Numbers.
-    """
+    """Seed of the trials of a link: no two links share noise."""
     return zlib.crc32(f"drawn_{rig}, link {link}".encode())
 
 

@@ -27,17 +27,6 @@ def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "stud
     """Plant file of a rig; identified where it is not there yet.
 
     A plant for two joints is identified on motions of one joint and of both, as the study's.
-
-    Parameters
-    ----------
-    rig : str
-        Name of a rig.
-    directory : Path
-        Of the plant files.
-    joints : int
-        Driven joints, 1 or 2.
-    motion : str
-        Name of the motion, of `models.gap.training.cases.MOTIONS`.
     """
     seed = zlib.crc32(f"identification of {rig}".encode())  # rigs share no noise
     cases = repeated(identification_cases(joints, motion), 2, seed)
@@ -45,15 +34,7 @@ def plant_of_rig(rig: str, directory: Path, joints: int = 1, motion: str = "stud
 
 
 def plants_of_rigs(robots: Collection[Robot], directory: Path) -> dict[Robot, Path]:
-    """Plant file of each robot; those that are not there yet are identified, two at a time.
-
-    Parameters
-    ----------
-    robots : collection of tuple
-        Rig, driven joints and motion, see `plant_of_rig`.
-    directory : Path
-        Of the plant files.
-    """
+    """Plant file of each robot; those that are not there yet are identified, two at a time."""
     missing = [robot for robot in robots if not plant_path(directory, *robot).exists()]
     if len(missing) > 1:
         progress = Progress("plants of the rigs", len(missing))
@@ -78,15 +59,7 @@ def plant_path(directory: Path, rig: str, joints: int, motion: str) -> Path:
 
 
 def identification_cases(joints: int, motion: str) -> tuple[TrialCase, ...]:
-    """Conditions that a plant is identified on.
-
-    Parameters
-    ----------
-    joints : int
-        Driven joints of the robot, 1 or 2.
-    motion : str
-        Name of the motion, of `models.gap.training.cases.MOTIONS`.
-    """
+    """Conditions that a plant is identified on."""
     return tuple(
         TrialCase(motion_named(motion, dof), payload_kg, 1)
         for dof in range(1, joints + 1)
@@ -95,20 +68,7 @@ def identification_cases(joints: int, motion: str) -> tuple[TrialCase, ...]:
 
 
 def required_noise_floor(plant: Plant, joints: int = 1) -> NoiseFloor:
-    """Noise floor of a plant for one joint or two.
-
-    Parameters
-    ----------
-    plant : Plant
-        Identified on repeated trials.
-    joints : int
-        Driven joints, 1 or 2.
-
-    Raises
-    ------
-    InputError
-        If the plant carries none.
-    """
+    """Noise floor of a plant for one joint or two."""
     floor = noise_floor_of(plant, joints)
     if floor is None:
         raise InputError(plant.name, "carries no noise floor", "identify it on repeated trials")

@@ -52,25 +52,13 @@ LEAST, MOST = 0.003, 1.0
 
 
 class FoundStrength(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Strength of a rightly named effect, in the catalogue's unit.
-
-    Attributes
-    ----------
-    rig : str
-        Name of the rig.
-    effect : str
-        Name in the catalogue.
-    found, hidden : float
-        Strength in the plant, and in the rig.
-    chance_error : float
-        Standard error without that of the equation.
-    """
+    """Strength of a rightly named effect, in the catalogue's unit."""
 
     rig: str
-    effect: str
-    found: float
+    effect: str  # Name in the catalogue
+    found: float  # Strength in the plant, and in the rig
     hidden: float
-    chance_error: float
+    chance_error: float  # Standard error without that of the equation
 
     @property
     def hidden_in(self) -> tuple[str, str, float]:
@@ -107,13 +95,7 @@ class FoundDeviation(NamedTuple):
 
 
 def found_strengths(results: Iterable[dict[str, Any]]) -> list[FoundStrength]:
-    """Strengths of the rightly named effects of some results.
-
-    Parameters
-    ----------
-    results : iterable of dict
-        Of `models.gap.training.case_run`, with their cases.
-    """
+    """Strengths of the rightly named effects of some results."""
     found = []
     for result in results:
         if result.get("impossible") or result["case"]["kind"] not in ("single", "pair"):
@@ -132,15 +114,6 @@ def found_strengths(results: Iterable[dict[str, Any]]) -> list[FoundStrength]:
 
 
 def fitted_error(strengths: Sequence[FoundStrength], log_deviation: float) -> EquationError:
-    """Errors of the equations.
-
-    Parameters
-    ----------
-    strengths : sequence of FoundStrength
-        To be fitted to.
-    log_deviation : float
-        One of `LOG_DEVIATIONS`.
-    """
     by_port, by_effect = defaultdict(list), defaultdict(list)
     for strength in strengths:
         by_port[EFFECTS[strength.effect].port].append(strength)
@@ -181,15 +154,7 @@ def _written(size: float) -> float:
 def deviations_left_out(
     strengths: Sequence[FoundStrength], log_deviation: float
 ) -> list[FoundDeviation]:
-    """Deviation of each strength, by the errors of the other rigs.
-
-    Parameters
-    ----------
-    strengths : sequence of FoundStrength
-        To be fitted to.
-    log_deviation : float
-        One of `LOG_DEVIATIONS`.
-    """
+    """Deviation of each strength, by the errors of the other rigs."""
     found = []
     for rig in sorted({s.rig for s in strengths}):
         error = fitted_error([s for s in strengths if s.rig != rig], log_deviation)

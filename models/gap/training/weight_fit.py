@@ -39,30 +39,14 @@ LOGARITHM_FLOOR: Final = 0.01
 
 
 class ExplainedSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Sets of effects that one diagnosis held to be possible.
-
-    Attributes
-    ----------
-    rig : str
-        Name of the rig.
-    data_set : int
-        Seed of the data set's noise.
-    missing : tuple of str
-        Effects that were hidden, and are in the catalogue.
-    catalogue : float
-        Probability that the effects that were named, or any, are missing.
-    effects : int
-        Of the catalogue.
-    sets : tuple of (tuple of str, float)
-        Effects of each set, and its score.
-    """
+    """Sets of effects that one diagnosis held to be possible."""
 
     rig: str
-    data_set: int
-    missing: tuple[str, ...]
-    catalogue: float
+    data_set: int  # Seed of the data set's noise
+    missing: tuple[str, ...]  # Effects that were hidden, and are in the catalogue
+    catalogue: float  # Probability that the effects that were named, or any, are missing
     effects: int
-    sets: tuple[tuple[tuple[str, ...], float], ...]
+    sets: tuple[tuple[tuple[str, ...], float], ...]  # Effects of each set, and its score
 
     def loss(self, odds: float, mean: float) -> float:
         """Negative logarithm of the probability of what was hidden, summed over the effects."""
@@ -84,11 +68,6 @@ def explained_sets(results: Iterable[dict[str, Any]]) -> list[ExplainedSets]:
     """Sets of every diagnosis that held any to be possible.
 
     A denied effect that the whole catalogue does not tell from its stand-in has no true answer.
-
-    Parameters
-    ----------
-    results : iterable of dict
-        Of `models.gap.training.case_run`, with their cases.
     """
     found = []
     for result in results:
@@ -107,13 +86,7 @@ def explained_sets(results: Iterable[dict[str, Any]]) -> list[ExplainedSets]:
 
 
 def losses(found: Sequence[ExplainedSets]) -> dict[tuple[float, float], float]:
-    """Mean loss of each pair of values.
-
-    Parameters
-    ----------
-    found : sequence of ExplainedSets
-        Of rigs for tuning.
-    """
+    """Mean loss of each pair of values."""
     pairs = [(odds, mean) for odds in ODDS for mean in MEANS]
     return {pair: float(np.mean([row.loss(*pair) for row in found])) for pair in pairs}
 
@@ -121,14 +94,8 @@ def losses(found: Sequence[ExplainedSets]) -> dict[tuple[float, float], float]:
 def excess_errors(
     found: Sequence[ExplainedSets], least: tuple[float, float]
 ) -> dict[tuple[float, float], float]:
-    """Standard error of each pair's mean loss beyond that of the least one; rigs are independent.
-
-    Parameters
-    ----------
-    found : sequence of ExplainedSets
-        Of rigs for tuning.
-    least : tuple of float
-        Pair of the least mean loss.
+    """Standard error of each pair's mean loss beyond that of the least one; rigs are
+    independent.
     """
     result = {}
     for pair in ((odds, mean) for odds in ODDS for mean in MEANS):

@@ -30,13 +30,8 @@ def whole_decisions(
 ) -> Decisions:
     """Decision on each data set.
 
-    Parameters
-    ----------
-    names : mapping of AnswerTest to float
-        Probability of the effects of each test.
-    outside : mapping of AnswerTest to float
-        Probability of something outside of the catalogue where these are wrong; 0 for a test that
-        is missing here.
+    `outside`: probability of something outside of the catalogue where these are wrong; 0 for a test
+    that is missing here.
     """
     tests: dict[tuple[str, int], list[AnswerTest]] = defaultdict(list)
     for test in names:
@@ -59,13 +54,7 @@ def _answers(names: float, outside: float) -> Answers:
 
 
 def mean_cost(decisions: Decisions) -> float:
-    """Mean cost of the decisions, where each kind has the weight of what users bring.
-
-    Parameters
-    ----------
-    decisions : sequence of (AnswerTest, str)
-        From `whole_decisions`.
-    """
+    """Mean cost of the decisions, where each kind has the weight of what users bring."""
     of = Counter(test.kind for test, _ in decisions)
     cost: dict[Kind, float] = defaultdict(float)
     for test, outcome in decisions:
@@ -76,13 +65,7 @@ def mean_cost(decisions: Decisions) -> float:
 
 
 def decisions_table(decisions: Decisions) -> str:
-    """Outcomes by kind of data set and link, one kind a line.
-
-    Parameters
-    ----------
-    decisions : sequence of (AnswerTest, str)
-        From `whole_decisions`.
-    """
+    """Outcomes by kind of data set and link, one kind a line."""
     counts: dict[tuple[str, str], Counter[Outcome]] = defaultdict(Counter)
     for test, outcome in decisions:
         counts["link unchanged" if test.same_link else "link changed", test.kind][outcome] += 1

@@ -61,34 +61,16 @@ LIGHT: Final = 0.3
 
 @dataclass(frozen=True)
 class ShapedLoops:
-    """Loops of one joint at one payload, for pictures.
-
-    Attributes
-    ----------
-    joint : int
-        Number of the joint, from 1.
-    payload_kg : float
-        Mass at the tip.
-    rates_rad_s : ndarray, shape (n,)
-        Frequencies.
-    responses : list of ndarray of complex
-        One per linearisation of `VARIANTS`.
-    """
+    """Loops of one joint at one payload, for pictures."""
 
     joint: int
     payload_kg: float
-    rates_rad_s: Array
-    responses: list[Response]
+    rates_rad_s: Array  # (n,)
+    responses: list[Response]  # One per linearisation of `VARIANTS`
 
 
 def frequencies(period_s: float) -> Array:
-    """Return the angular frequencies at which loops are judged, up to Nyquist's.
-
-    Parameters
-    ----------
-    period_s : float
-        Control period.
-    """
+    """Return the angular frequencies at which loops are judged, up to Nyquist's."""
     end = np.pi / period_s
     return np.concatenate([np.geomspace(0.05, 2.0, 50), np.arange(2.05, 30.0, 0.05),
                            np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
@@ -97,19 +79,7 @@ def frequencies(period_s: float) -> Array:
 def design_feedback(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
 ) -> FeedbackDesign:
-    """Design the feedback of a plan.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period.
-    payloads_kg : sequence of float
-        Grid of the plan.
-    """
+    """Design the feedback of a plan."""
     twins = LinearTwins(plant, dof, period_s)
     filters: list[tuple[RateFilter, ...]] = []
     responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
@@ -129,17 +99,7 @@ def design_feedback(
 def margins_of(
     design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
 ) -> tuple[tuple[LoopMargins, ...], ...]:
-    """Least margins of each loop at each payload, the other loop closed.
-
-    Parameters
-    ----------
-    design : FeedbackDesign
-        The filters.
-    twins : LinearTwins
-        Linearisations to judge them on.
-    payloads_kg : sequence of float
-        Payloads of the filters.
-    """
+    """Least margins of each loop at each payload, the other loop closed."""
     return _margins(shaped_loops(design, twins, payloads_kg), twins.dof)
 
 
@@ -162,13 +122,7 @@ def _margins(loops: Sequence[ShapedLoops], dof: int) -> tuple[tuple[LoopMargins,
 def shaped_loops(
     design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
 ) -> list[ShapedLoops]:
-    """Responses of the loops by payload and joint, each opened with the other one closed.
-
-    Parameters
-    ----------
-    design, twins, payloads_kg
-        See `margins_of`.
-    """
+    """Responses of the loops by payload and joint, each opened with the other one closed."""
     responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
     return _opened(design, twins.period_s, responses)
 
@@ -197,26 +151,12 @@ def _opened(
 
 
 def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
-    """Return a filter as python-control has it.
-
-    Parameters
-    ----------
-    own : RateFilter
-        Of a design.
-    period_s : float
-        Control period.
-    """
+    """Return a filter as python-control has it."""
     return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
 
 
 def keeps_margins(design: FeedbackDesign) -> bool:
-    """Whether every loop keeps the margins that are required.
-
-    Parameters
-    ----------
-    design : FeedbackDesign
-        With its margins.
-    """
+    """Whether every loop keeps the margins that are required."""
     return all(
         m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
         for own in design.margins

@@ -29,32 +29,14 @@ _SETTLE_STEPS: Final = 200
 
 @dataclass(frozen=True)
 class LinearMode:
-    """Mode of a linearised twin.
+    """Mode of a linearised twin."""
 
-    Attributes
-    ----------
-    frequency_rad_s : float
-        Magnitude of its pole.
-    damping : float
-        Damping ratio; 1 for a real pole.
-    """
-
-    frequency_rad_s: float
-    damping: float
+    frequency_rad_s: float  # Magnitude of its pole
+    damping: float  # Damping ratio; 1 for a real pole
 
 
 class LinearTwins:
-    """Linearisations of a plant's twin over one control period.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    dof : int
-        Number of joints.
-    period_s : float
-        Control period, over which the goals are held.
-    """
+    """Linearisations of a plant's twin over one control period."""
 
     def __init__(self, plant: Plant, dof: int, period_s: float) -> None:
         model = plant.step_model(dof)
@@ -78,16 +60,8 @@ class LinearTwins:
     ) -> control.StateSpace:  # fmt: skip
         """Return the twin about rest, with goals as inputs; names carry units.
 
-        Parameters
-        ----------
-        payload_kg : float
-            Mass at the tip.
-        angles_rad : ndarray, shape (dof,), optional
-            Goals at which the arm rests; by default zero.
-        sliding : bool
-            Whether dry friction is left out, as while the joints move.
-        stiffness : float
-            Factor on the stiffness of the link.
+        Shapes: `angles_rad` (dof,).
+        `sliding`: whether dry friction is left out, as while the joints move.
         """
         model, dof = self._model, self.dof
         p = model.parameter_values(self._changes(sliding, stiffness))
@@ -115,15 +89,7 @@ class LinearTwins:
 
 
 def tip_part(system: control.StateSpace, dof: int) -> control.StateSpace:
-    """Part of a linearised twin from the goals to the planned coordinates of the tip.
-
-    Parameters
-    ----------
-    system : StateSpace
-        Of `LinearTwins.at`.
-    dof : int
-        Number of joints.
-    """
+    """Part of a linearised twin from the goals to the planned coordinates of the tip."""
     rows = [system.output_labels.index(n) for n in ("tip_x_m", "tip_y_m")[:dof]]
     return control.ss(system.A, system.B, system.C[rows], system.D[rows], system.dt)
 
@@ -131,12 +97,7 @@ def tip_part(system: control.StateSpace, dof: int) -> control.StateSpace:
 def frequency_response(system: control.StateSpace, rates_rad_s: Array) -> NDArray[np.complex128]:
     """Frequency response of a sampled system, shape (n, outputs, inputs).
 
-    Parameters
-    ----------
-    system : StateSpace
-        Discrete.
-    rates_rad_s : ndarray, shape (n,)
-        Angular frequencies.
+    Shapes: `rates_rad_s` (n,).
     """
     z = np.exp(1j * rates_rad_s * system.dt)
     eye = np.eye(len(system.A))

@@ -20,10 +20,7 @@ def gain_margin(loop: Response) -> float:
     The loop is an integrator around a stable plant: it is stable at small gain, and the least gain
     at which its response meets −1 ends that.
 
-    Parameters
-    ----------
-    loop : ndarray of complex, shape (n,)
-        Response at rising frequencies.
+    Shapes: `loop` (n,).
     """
     imag = loop.imag
     at = np.flatnonzero(imag[:-1] * imag[1:] <= 0.0)
@@ -35,10 +32,7 @@ def gain_margin(loop: Response) -> float:
 def phase_margin_rad(loop: Response) -> float:
     """Least distance of the phase from −180° where the gain is 1; infinite where it never is.
 
-    Parameters
-    ----------
-    loop : ndarray of complex, shape (n,)
-        Response at rising frequencies.
+    Shapes: `loop` (n,).
     """
     size = np.abs(loop)
     at = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) <= 0.0)
@@ -49,12 +43,7 @@ def phase_margin_rad(loop: Response) -> float:
 def crossover_rad_s(loop: Response, rates_rad_s: Array) -> float:
     """Lowest frequency at which the gain falls below 1.
 
-    Parameters
-    ----------
-    loop : ndarray of complex, shape (n,)
-        Response.
-    rates_rad_s : ndarray, shape (n,)
-        Its frequencies, rising.
+    Shapes: `loop` (n,), `rates_rad_s` (n,).
     """
     size = np.abs(loop)
     after = int(np.argmax(size < 1.0))
@@ -65,15 +54,7 @@ def crossover_rad_s(loop: Response, rates_rad_s: Array) -> float:
 
 
 def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> float:
-    """Highest factor on every loop with which all keep the margins; 0 for none.
-
-    Parameters
-    ----------
-    loops : list of ndarray of complex
-        Responses.
-    gain_db, phase_rad : float
-        Least margins.
-    """
+    """Highest factor on every loop with which all keep the margins; 0 for none."""
     by_gain = min(gain_margin(loop) for loop in loops) * 10.0 ** (-gain_db / 20.0)
     for factor in min(by_gain, 1e6) * np.geomspace(1.0, 1e-3, 120):
         if all(phase_margin_rad(factor * loop) >= phase_rad for loop in loops):

@@ -25,21 +25,6 @@ def with_feedback(
     """Add feedback; where it cannot be, return the plan as it was, and why.
 
     It needs loops that keep the margins, and limits that leave room for corrections.
-
-    Parameters
-    ----------
-    plan : TipPlan
-        Without feedback.
-    plant : Plant
-        That was inverted.
-    limits : Limits
-        Limits of the robot.
-    twin : TipTwin
-        Twin of the plant.
-    inverter : Inverter
-        That found the goals.
-    found : sequence of Inverse
-        The goals, one for each payload.
     """
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
     if not keeps_margins(design):

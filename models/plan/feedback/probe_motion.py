@@ -31,19 +31,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tone:
-    """Tone of the motion that swells and fades.
+    """Tone of the motion that swells and fades."""
 
-    Attributes
-    ----------
-    over_mode : float
-        Frequency over that of the first mode with the heaviest payload.
-    amplitude_rad : float
-        Largest amplitude.
-    begin, end : float
-        Where in the motion it begins and ends, 0 to 1.
-    """
-
-    over_mode: float
+    over_mode: float  # Frequency over that of the first mode with the heaviest payload
     amplitude_rad: float
     begin: float
     end: float
@@ -95,14 +85,7 @@ ROOM: Final = 0.9
 def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
     """Goals of a probing motion, shape (n, dof), from rest to rest at zero.
 
-    Parameters
-    ----------
-    mode_rad_s : float
-        Frequency of the first mode with the heaviest payload.
-    dof : int
-        Joints; the second moves a quarter of a period later.
-    period_s : float
-        Control period.
+    `dof`: joints; the second moves a quarter of a period later.
     """
     period_rows = 2.0 * np.pi / mode_rad_s / period_s
     rows, still = (round(n * period_rows) for n in (PERIODS, REST_PERIODS))
@@ -119,24 +102,7 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
 def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
-    """Design the probing motion of a plan.
-
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    twin : TipTwin
-        Its twin.
-    payloads_kg : sequence of float
-        Grid of the plan.
-    limits : Limits
-        Limits of the robot.
-
-    Raises
-    ------
-    InputError
-        If the motion breaks a limit, or the link has no mode that it could excite.
-    """
+    """Design the probing motion of a plan."""
     linear = LinearTwins(plant, twin.dof, twin.period_s).at(payloads_kg[-1])
     light = [m.frequency_rad_s for m in modes(linear) if m.damping < 0.3]
     if not light or light[0] * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
@@ -173,17 +139,7 @@ def design_probe(
 
 
 def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = False) -> float:
-    """Standard deviation that the relative stiffness is expected to have after the motion.
-
-    Parameters
-    ----------
-    probe : ProbeDesign
-        The design.
-    payload_kg : float
-        Mass at the tip, with the plant's own stiffness.
-    known : bool
-        Whether the payload is known.
-    """
+    """Standard deviation that the relative stiffness is expected to have after the motion."""
     p, masses = np.array(probe.expected), np.array(probe.payloads_kg)
     i = int(np.argmin(np.abs(probe.stiffness)))
     j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)

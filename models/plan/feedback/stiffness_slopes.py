@@ -32,18 +32,8 @@ def stiffness_slopes(
 ) -> StiffnessSlopes:
     """Derive a plan for one payload by the relative stiffness of the link.
 
-    Parameters
-    ----------
-    plant : Plant
-        The plant.
-    twin : TipTwin
-        Its twin.
-    inverter : Inverter
-        That found the plan.
-    found : Inverse
-        The plan.
-    driven : CompiledModel
-        The plant's link, driven by measured angles with the payload given: the observer's link.
+    `driven`: the plant's link, driven by measured angles with the payload given: the observer's
+    link.
     """
     changes = {
         n: (1.0 + STIFFER) * p.value for n, p in plant.parameters.items() if n.startswith(STIFFNESS)

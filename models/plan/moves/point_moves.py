@@ -21,14 +21,8 @@ Array = NDArray[np.float64]
 def rate_limited(start_rad: Array, end_rad: Array, limits: Limits, period_s: float) -> Array:
     """Goals of the fastest move within rate and acceleration, all joints together, shape (n, dof).
 
-    Parameters
-    ----------
-    start_rad, end_rad : ndarray, shape (dof,)
-        First and last goals; the last row is the end.
-    limits : Limits
-        Limits of the goals.
-    period_s : float
-        Control period.
+    Shapes: `start_rad`, `end_rad` (dof,).
+    `start_rad`, `end_rad`: first and last goals; the last row is the end.
     """
     distance, most = float(np.max(np.abs(end_rad - start_rad))), limits.acceleration_rad_s2
     rate = min(limits.rate_rad_s, math.sqrt(distance * most))
@@ -43,13 +37,7 @@ def rate_limited(start_rad: Array, end_rad: Array, limits: Limits, period_s: flo
 
 
 def zvd_impulses(mode: VibrationMode) -> list[tuple[float, float]]:
-    """Delay in s and weight of each of the three impulses.
-
-    Parameters
-    ----------
-    mode : VibrationMode
-        That shall not vibrate.
-    """
+    """Delay in s and weight of each of the three impulses."""
     k, half = mode.decay, mode.half_period_s
     total = (1.0 + k) ** 2
     return [(0.0, 1.0 / total), (half, 2.0 * k / total), (2.0 * half, k * k / total)]
@@ -58,14 +46,7 @@ def zvd_impulses(mode: VibrationMode) -> list[tuple[float, float]]:
 def shaped(column: Array, impulses: list[tuple[float, float]], period_s: float) -> Array:
     """Sum of delayed copies of a column that rests at its first value before, shape (n,).
 
-    Parameters
-    ----------
-    column : ndarray, shape (n,)
-        One value per period.
-    impulses : list of (float, float)
-        Delay in s, not necessarily whole periods, and weight.
-    period_s : float
-        Control period.
+    Shapes: `column` (n,).
     """
     rows = np.arange(len(column), dtype=np.float64)
     copies = [w * np.interp(rows - delay / period_s, rows, column) for delay, w in impulses]

@@ -47,19 +47,6 @@ def map_rest(
     """Map places of the tip to the goals that bring it to rest there.
 
     The approach begins upright: a ramp of 4 s to the goals, which are then held for 10 s.
-
-    Parameters
-    ----------
-    plant : Plant
-        Plant of the link.
-    dof : int
-        Joints.
-    period_s : float
-        Control period of the robot.
-    payloads_kg : sequence of float
-        Rising.
-    reach_m : float
-        Largest coordinate.
     """
     twin = TipTwin(plant.step_model(dof), dof, period_s)
     places = np.linspace(-reach_m, reach_m, PLACES[dof])

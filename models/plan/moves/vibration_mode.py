@@ -20,18 +20,10 @@ SEEN: Final = 0.1
 
 @dataclass(frozen=True)
 class VibrationMode:
-    """One mode.
+    """One mode."""
 
-    Attributes
-    ----------
-    rate_rad_s : float
-        Natural angular frequency, undamped.
-    damping_ratio : float
-        Fraction of the critical damping.
-    """
-
-    rate_rad_s: float
-    damping_ratio: float
+    rate_rad_s: float  # Natural angular frequency, undamped
+    damping_ratio: float  # Fraction of the critical damping
 
     @property
     def half_period_s(self) -> float:
@@ -47,19 +39,7 @@ class VibrationMode:
 def first_modes(twin: TipTwin, goal_rad: Array, payload_kg: float) -> list[VibrationMode]:
     """Slowest vibration of the tip along each planned axis, about rest.
 
-    Parameters
-    ----------
-    twin : TipTwin
-        The twin.
-    goal_rad : ndarray, shape (dof,)
-        Goals at which it rests.
-    payload_kg : float
-        Mass at the tip.
-
-    Raises
-    ------
-    ValueError
-        If the tip vibrates in no mode.
+    Shapes: `goal_rad` (dof,).
     """
     by_state, tip_by_state = twin.derivatives_at_rest(goal_rad, payload_kg)
     values, vectors = np.linalg.eig(by_state)

@@ -27,17 +27,7 @@ Masses = Mapping[tuple[int, int], Expr]
 
 
 def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
-    """Add a uniform slender rod between two nodes.
-
-    Parameters
-    ----------
-    masses : dict of (int, int) to SX
-        Masses of the nodes, changed in place.
-    mass_kg : SX
-        Mass of the rod.
-    start, end : int
-        Nodes at its ends, start < end.
-    """
+    """Add a uniform slender rod between two nodes."""
     for pair, fraction in (((start, start), 3), ((start, end), 6), ((end, end), 3)):
         masses[pair] = masses.get(pair, 0) + mass_kg / fraction
 
@@ -51,23 +41,10 @@ def lagrange_equations(
 ) -> tuple[Expr, Expr]:
     """Mass matrix and force of velocity and gravity terms, over joint angles, then bends.
 
-    Parameters
-    ----------
-    nodes_m : sequence of SX, shape (3,)
-        Positions r of the nodes in the frame of the base, functions of the bends.
-    masses : mapping of (int, int) to SX
-        See `Masses`.
-    joints : (sequence of SX, sequence of SX)
-        Angles and rates of the one or two joints, see `symbolic_base_rotation`.
-    bends : (SX, SX)
-        Bends and their rates, shape (m,) each.
-    gravity_m_s2 : SX, shape (3,)
-        Acceleration by gravity in the world.
-
-    Returns
-    -------
-    mass_matrix : SX, shape (n, n)
-    force : SX, shape (n,)
+    Shapes: `nodes_m` (3,), `gravity_m_s2` (3,).
+    `nodes_m`: positions r of the nodes in the frame of the base, functions of the bends.
+    `joints`: angles and rates of the one or two joints, see `symbolic_base_rotation`.
+    Returns `mass_matrix` (n, n); `force` (n,).
     """
     axes, turning, changing = _base_motion(*joints)
     weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
@@ -117,25 +94,14 @@ def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
     """Solution of a symmetric positive definite system, by LDL decomposition.
 
-    Parameters
-    ----------
-    matrix : SX, shape (n, n)
-        Symmetric positive definite.
-    right : SX, shape (n,)
-        Right-hand side.
+    Shapes: `matrix` (n, n), `right` (n,).
     """
     diagonal, upper, order = ca.ldl(matrix)
     return ca.ldl_solve(right, diagonal, upper, order)
 
 
 def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
-    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`.
-
-    Parameters
-    ----------
-    about_y, about_minus_x : SX
-        Angles in rad.
-    """
+    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
     return ca.vertcat(

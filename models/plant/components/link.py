@@ -280,7 +280,6 @@ def _direction(unit: Sequence[float]) -> str:
 
 
 def _about_z(angle_rad: Expr) -> Expr:
-    """Rotation about z."""
     cos, sin = ca.cos(angle_rad), ca.sin(angle_rad)
     return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
 
@@ -288,12 +287,9 @@ def _about_z(angle_rad: Expr) -> Expr:
 def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:
     """Rows and edges of the markers.
 
-    Returns
-    -------
-    rows : list
-        Height over the length of the link, and length of the segment below, of each row.
-    edges : list
-        Distances from the axis along x and y, and how many edges have this strain or its negative.
+    Returns `rows`: height over the length of the link, and length of the segment below, of each
+    row; `edges`: distances from the axis along x and y, and how many edges have this strain or its
+    negative.
     """
     length_m, layout = scope.p("link_length_m"), scope.layout
     if layout is None:
@@ -312,13 +308,7 @@ def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Exp
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
-    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero.
-
-    Parameters
-    ----------
-    mean, deviation : SX
-        Mean and standard deviation of x.
-    """
+    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)

@@ -54,11 +54,6 @@ def compose_driven(
     """Compose the link driven by the measured angles, payload given, current as an output.
 
     `identify` fits the link with it: without a loop a wrong gain cannot hide a wrong stiffness.
-
-    Parameters
-    ----------
-    name, scope, drive, load, effects
-        As for `models.plant.composition.twin.compose_twin`.
     """
     declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable(scope))
@@ -74,15 +69,7 @@ def compose_driven(
 
 
 def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
-    """Add the measured angles as inputs; set angle, rate and acceleration as filtered.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the plant's parameters declared.
-    effects : sequence of Effect
-        Those of the sensors are applied.
-    """
+    """Add the measured angles as inputs; set angle, rate and acceleration as filtered."""
     apply_effects(scope, ("sensor",), effects)
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
     unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
@@ -110,17 +97,7 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
 def apply_measured_motion(
     scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> None:
-    """Set the rates of the bends on joints that move as measured, and the current needed.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the motion of the joints set.
-    drive, load : Drive, PlantLoad
-        Parts of the plant.
-    effects : sequence of Effect
-        In the order of `models.plant.effects.order`.
-    """
+    """Set the rates of the bends on joints that move as measured, and the current needed."""
     load.declare(scope)
     apply_load_torques(scope, load, effects)
     mass, force = load.motion_equations(scope)

@@ -18,13 +18,7 @@ LARGEST_START_RAD: Final = 0.5
 
 
 def start_in_motion(scope: Scope) -> None:
-    """Set the initial value of every state that has a parameter `start_STATE`, after all others.
-
-    Parameters
-    ----------
-    scope : Scope
-        With its initial equilibrium.
-    """
+    """Set the initial value of every state that has a parameter `start_STATE`, after all others."""
     for name, state in scope.states.items():
         if f"start_{name}" in scope.parameters:
             state.initial = scope.p(f"start_{name}")
@@ -37,12 +31,7 @@ def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     straight link), and the drive holds the load. `rest_bend` is the equilibrium where the encoders
     show upright: the reference of the Deformation Index.
 
-    Parameters
-    ----------
-    scope : Scope
-        With all torques set.
-    force : SX
-        Velocity and gravity forces over the joints' coordinates and the bends.
+    `force`: velocity and gravity forces over the joints' coordinates and the bends.
     """
     for state in scope.states.values():  # one may start at another, e.g. at the shaped goal
         state.initial = scope.initial_value(state.initial)

@@ -25,11 +25,6 @@ def compose_imposed(
     """Compose a load on joints whose coordinates are inputs (drive `measured`).
 
     Effects of the command have nothing to act on.
-
-    Parameters
-    ----------
-    name, scope, drive, load, effects
-        As for `models.plant.composition.twin.compose_twin`.
     """
     declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable(scope))

@@ -77,13 +77,7 @@ def observer_parameters() -> tuple[Parameter, ...]:
 def compose_observer(
     name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Compose the link driven by measurement, payload estimated.
-
-    Parameters
-    ----------
-    name, scope, drive, load, effects
-        As for `models.plant.composition.twin.compose_twin`.
-    """
+    """Compose the link driven by measurement, payload estimated."""
     declare_measured_motion(scope, effects)
     measured = [scope.input(current_variable(j)) for j in scope.joints]
     payload = scope.state(payload_variable(scope), scope.p("payload_prior_kg"))
@@ -118,17 +112,7 @@ MAX_SENSITIVITY_PER_KG: Final = 20.0
 
 
 class _Sensitivity:
-    """S = ∂x/∂m of the load's states x, as states of their own.
-
-    Parameters
-    ----------
-    scope : Scope
-        Where the states are added.
-    moved : dict of str to StateVariable
-        The load's states and those of its effects.
-    mass_kg : SX
-        The symbol m in their rates.
-    """
+    """S = ∂x/∂m of the load's states x, as states of their own."""
 
     def __init__(self, scope: Scope, moved: Mapping[str, StateVariable], mass_kg: Expr) -> None:
         self._scope, self._mass_kg, self._states = scope, mass_kg, tuple(moved.values())

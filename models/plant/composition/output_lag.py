@@ -33,15 +33,7 @@ the plant's document declares."""
 def lag_outputs(
     scope: Scope, outputs: dict[str, tuple[Variable, Expr]]
 ) -> dict[str, tuple[Variable, Expr]]:
-    """Outputs with the low-pass of every joint on the signal that it belongs to.
-
-    Parameters
-    ----------
-    scope : Scope
-        Composed: the initial value of every state is set.
-    outputs : dict of str to (Variable, SX)
-        By name, in order.
-    """
+    """Outputs with the low-pass of every joint on the signal that it belongs to."""
     result = dict(outputs)
     for j, lag in scope.sensor_lag.items():
         name = lagged_output(outputs, j, scope.columns)
@@ -63,15 +55,8 @@ def lagged_output(
 ) -> str:
     """Name of the output that a joint's lag acts on (`LAGGED`).
 
-    Parameters
-    ----------
-    outputs : dict of str to (Variable, SX)
-        Of the model.
-    joint : int
-        Number of the joint.
-    columns : tuple of str
-        Columns that the plant declares. An output that is none of them is not measured, such as
-        the current of a log without it: the lag then acts on the first one that is.
+    `columns`: columns that the plant declares. An output that is none of them is not measured, such
+    as the current of a log without it: the lag then acts on the first one that is.
     """
     measured = [name for name in outputs if name in columns] or list(outputs)
     beginnings = [pattern.format(j=joint) for pattern in LAGGED]

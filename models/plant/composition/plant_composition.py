@@ -39,22 +39,7 @@ def compose_plant(
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; values are arguments, so plants share a model.
 
-    Parameters
-    ----------
-    load, drive : str
-        Kinds.
-    effects : tuple of type
-        Classes of the effects, in order.
-    parameters : tuple of (str, Parameter)
-        See `models.plant.scope.without_values`.
-    dof : int
-        Joints.
-    kind : {"twin", "observer", "driven"}
-        See `models.plant.plant.Plant.step_model`.
-    columns : tuple of str
-        Columns that the plant's document declares.
-    link : LinkDescription, optional
-        Markers, direction of gravity and largest payload; left out, those of the study's link.
+    `link`: markers, direction of gravity and largest payload; left out, those of the study's link.
     """
     scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
     known, observer = dict(parameters), kind != "twin"
@@ -71,13 +56,7 @@ def scope_of(
     columns: tuple[str, ...] = (),
     link: LinkDescription | None = None,
 ) -> Scope:
-    """Empty scope of a drive and a load.
-
-    Parameters
-    ----------
-    drive, load, dof, columns, link
-        As for `compose_plant`.
-    """
+    """Empty scope of a drive and a load."""
     own = link or STUDY_LINK
     return Scope(
         tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns,
@@ -89,19 +68,7 @@ def scope_of(
 def declared_parameters(
     scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
 ) -> list[Parameter]:
-    """Parameters of all parts, in order.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the joints.
-    drive, load : str
-        Kinds.
-    effects : list of Effect
-        In order.
-    observer : bool
-        Whether those of an observer are wanted too.
-    """
+    """Parameters of all parts, in order."""
     return [
         *DRIVES[drive]().parameters(scope),
         *LOADS[load]().parameters(scope),

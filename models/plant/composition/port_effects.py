@@ -13,14 +13,7 @@ from models.shared.catalogue import Port
 def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]) -> None:
     """Apply the effects of each port, port by port.
 
-    Parameters
-    ----------
-    scope : Scope
-        Whose quantities the effects change.
-    ports : iterable of str
-        Ports to apply, in order.
-    effects : sequence of Effect
-        All effects of the plant, in the order of `models.plant.effects.order`.
+    `effects`: all effects of the plant, in the order of `models.plant.effects.order`.
     """
     for port in ports:
         for effect in effects:
@@ -31,14 +24,7 @@ def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]
 def apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
     """Set every torque except the drive's: on the bends, on the joints and through the gears.
 
-    Parameters
-    ----------
-    scope : Scope
-        With the motion of the joints and the bends set.
-    load : PlantLoad
-        Of the plant.
-    effects : sequence of Effect
-        In the order of `models.plant.effects.order`.
+    `scope`: with the motion of the joints and the bends set.
     """
     apply_effects(scope, ("stiffness", "mass"), effects)
     load.apply_elastic_torques(scope)

@@ -37,16 +37,8 @@ def restart_where_impossible(
 ) -> StepModel:
     """Add the restarts to a model.
 
-    Parameters
-    ----------
-    model : StepModel
-        Model of the scope.
-    scope : Scope
-        Composed.
-    resting : sequence of SX
-        State at rest at the sample, in the order of the model's states.
-    jump : SX
-        Whether the sample is no continuation of the past; see `is_jump`.
+    `resting`: state at rest at the sample, in the order of the model's states.
+    `jump`: whether the sample is no continuation of the past; see `is_jump`.
     """
     x, u, p = (
         ca.vertcat(*(s.symbol for s in scope.states.values())),
@@ -80,11 +72,6 @@ def is_jump(scope: Scope) -> Expr:
 
     In steps shorter than the control period an angle may change as in one: a host that takes small
     steps holds the samples of the robot, which come once a period.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the measured motion declared.
     """
     angle = scope.suffix["angle"]
     ramps = [scope.states[f"ramp_{j}_{angle}"] for j in scope.joints]

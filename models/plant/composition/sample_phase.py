@@ -26,12 +26,7 @@ Outputs = dict[str, tuple[Variable, Expr]]
 def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
     """Outputs with every measured current as it is sampled.
 
-    Parameters
-    ----------
-    scope : Scope
-        Composed: the initial value of every state is set.
-    outputs : dict of str to (Variable, SX)
-        By name; currents at the end of the step, behind the low-pass where they have one.
+    `outputs`: by name; currents at the end of the step, behind the low-pass where they have one.
     """
     result = dict(outputs)
     for j in scope.current:
@@ -51,16 +46,8 @@ def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
 
 
 def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
-    """Current at `current_phase` of the step; the one given where the drive has no such parameter.
-
-    Parameters
-    ----------
-    scope : Scope
-        Composed: the initial value of every state is set.
-    joint : int
-        Number of the joint.
-    current : SX
-        Current at the end of the step.
+    """Current at `current_phase` of the step; the one given where the drive has no such
+    parameter.
     """
     name = f"current_phase_{joint}"
     if name not in scope.parameters:

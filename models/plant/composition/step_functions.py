@@ -25,15 +25,7 @@ COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
 
 
 def payload_variable(scope: Scope, start: float = 0.0) -> Variable:
-    """Payload as an input or output.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the largest payload of its link.
-    start : float
-        Value at the start.
-    """
+    """Payload as an input or output."""
     most_kg = scope.most_payload_kg
     start = min(start, most_kg)
     return Variable(PAYLOAD.name, PAYLOAD.unit, start, PAYLOAD.description, 0.0, most_kg)
@@ -46,17 +38,7 @@ def current_variable(joint: int) -> Variable:
 
 
 def measured_current(scope: Scope, joint: int, current: Expr) -> Expr:
-    """Motor current as the sensor measures it.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the errors of the current sensor set.
-    joint : int
-        Number of the joint.
-    current : SX
-        True current in A.
-    """
+    """Motor current as the sensor measures it."""
     return (1 + scope.current_scale[joint]) * current + scope.current_bias[joint]
 
 
@@ -69,18 +51,7 @@ def build_step_model(
 ) -> StepModel:
     """Functions of a `StepModel` from a composed scope.
 
-    Parameters
-    ----------
-    name : str
-        Of the model; a C identifier.
-    scope : Scope
-        Composed: every state has its initial value and its rate or updates.
-    outputs : dict of str to (Variable, SX)
-        By name, in order.
-    max_substep_s : float
-        Longest internal step in s.
-    inputs_at_end : bool
-        See `StepModel`.
+    `scope`: composed: every state has its initial value and its rate or updates.
     """
     x = ca.vertcat(*(s.symbol for s in scope.states.values()))
     u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))

@@ -29,19 +29,7 @@ from models.plant.step_model import StepModel, Variable
 def compose_twin(
     name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Compose the plant in closed loop.
-
-    Parameters
-    ----------
-    name : str
-        Of the model; a C identifier.
-    scope : Scope
-        With the plant's parameters declared.
-    drive, load : Drive, PlantLoad
-        Parts of the plant.
-    effects : sequence of Effect
-        In the order of `models.plant.effects.order`.
-    """
+    """Compose the plant in closed loop."""
     apply_effects(scope, ("sensor",), effects)
     drive.declare(scope)
     scope.payload_kg = scope.input(payload_variable(scope))
@@ -83,15 +71,7 @@ def compose_twin(
 
 
 def reported_angle(scope: Scope, joint: int) -> Expr:
-    """Measured coordinate of a joint behind its low-pass, to second order in its time.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the rate of every state set.
-    joint : int
-        Number of the joint.
-    """
+    """Measured coordinate of a joint behind its low-pass, to second order in its time."""
     measured = scope.measured_angle(joint)
     if joint not in scope.sensor_lag:
         return measured
@@ -100,17 +80,7 @@ def reported_angle(scope: Scope, joint: int) -> Expr:
 
 
 def declare_joint_states(scope: Scope, joint: int, initial: Expr) -> None:
-    """Add the coordinate of a joint and its rate as states.
-
-    Parameters
-    ----------
-    scope : Scope
-        To which they are added.
-    joint : int
-        Number of the joint.
-    initial : SX
-        Coordinate at the start.
-    """
+    """Add the coordinate of a joint and its rate as states."""
     angle = scope.suffix["angle"]
     unit = SI_UNIT_OF[angle]
     scope.angle[joint] = scope.state(Variable(f"joint_{joint}_{angle}", unit, nominal=0.5), initial)

@@ -150,13 +150,7 @@ def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
 
 
 def applicable(drive: type[Drive], load: type[PlantLoad]) -> list[str]:
-    """Names of the effects that a plant with this drive and this load can have.
-
-    Parameters
-    ----------
-    drive, load : type
-        Classes of the parts of the plant.
-    """
+    """Names of the effects that a plant with this drive and this load can have."""
     has = {*drive.features, *load.features}
     return [name for name in in_order(EFFECTS) if has.issuperset(EFFECTS[name].needs)]
 
@@ -164,22 +158,7 @@ def applicable(drive: type[Drive], load: type[PlantLoad]) -> list[str]:
 def check_effects(
     where: Path | str, names: Iterable[str], drive: type[Drive], load: type[PlantLoad]
 ) -> None:
-    """Refuse effects that are unknown or that the drive and the load do not allow.
-
-    Parameters
-    ----------
-    where : Path or str
-        Plant document, for the message.
-    names : iterable of str
-        Effects of the plant.
-    drive, load : type
-        Classes of its parts.
-
-    Raises
-    ------
-    InputError
-        For the first such name, with the names that are allowed.
-    """
+    """Refuse effects that are unknown or that the drive and the load do not allow."""
     known = applicable(drive, load)
     for name in names:
         if name not in EFFECTS:

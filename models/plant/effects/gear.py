@@ -49,17 +49,6 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
     ẅ depends on states only, so the load moves on an accelerated base without approximation and
     its reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
-
-    Parameters
-    ----------
-    scope : Scope
-        Whose wind-up is extended.
-    joint : int
-        Number of the joint.
-    label : str
-        Prefix of the names of the states.
-    lost, compliance : SX
-        w_lost in rad and c in rad/(N·m).
     """
     angle = scope.suffix["angle"]
     windup = scope.state(
@@ -77,16 +66,8 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
 
 def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
-    """Add a lean of the link's markers in its mount: (T² / 4) ẅ + T ẇ + w = w_l. It moves no mass.
-
-    Parameters
-    ----------
-    scope : Scope
-        Whose lean is extended.
-    joint : int
-        Number of the joint.
-    leaning, time_s : SX
-        w_l in rad, and T.
+    """Add a lean of the link's markers in its mount: (T² / 4) ẅ + T ẇ + w = w_l. It moves no
+    mass.
     """
     lean = scope.state(
         Variable(f"mount_lean_{joint}_rad", "rad", nominal=1e-3), scope.initial_value(leaning)
@@ -105,14 +86,7 @@ def open_play(scope: Scope, joint: int, half: Expr, rounding: Expr) -> None:
 
     The twist φ becomes ½ (√((φ−h)²+ε²) + φ − h) − ½ (√((φ+h)²+ε²) − φ − h), which is φ for h = 0.
 
-    Parameters
-    ----------
-    scope : Scope
-        With the torque of the gear set.
-    joint : int
-        Number of the joint.
-    half, rounding : SX
-        h, half of the play, and ε, in the unit of the joint.
+    `half`, `rounding`: h, half of the play, and ε, in the unit of the joint.
     """
     twist, rate = scope.bend["gear", joint], scope.bend_rate["gear", joint]
     beyond, before = twist - half, twist + half

@@ -72,11 +72,5 @@ _PLACE: Final = {name: place for place, name in enumerate(ORDER)}
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Names of effects in the order in which they act within a port.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Effects of the catalogue or of one's own.
-    """
+    """Names of effects in the order in which they act within a port."""
     return sorted(names, key=lambda name: (_PLACE.get(name, len(ORDER)), name))

@@ -19,19 +19,7 @@ from models.plant.scope import Expr, Scope, substitute
 
 
 def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
-    """Sum a sin(n q) + b cos(n q), with the parameters of an effect.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the parameters declared.
-    prefix : str
-        Beginning of their names.
-    joint : int
-        Number of the joint.
-    angle : SX
-        Coordinate q.
-    """
+    """Sum a sin(n q) + b cos(n q), with the parameters of an effect."""
     suffix = "{angle}" if prefix == EncoderRipple.name else "{torque}"
     turn = scope.p(prefix + "_order_{j}", joint) * angle
     sine = scope.p(prefix + "_{j}_" + suffix, joint)

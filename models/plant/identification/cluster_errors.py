@@ -36,32 +36,16 @@ TWO_SIDED: Final = 0.975
 
 
 class Group(NamedTuple):
-    """Rows that are left out together.
+    """Rows that are left out together."""
 
-    Attributes
-    ----------
-    information : ndarray, shape (k, k)
-        J'J of the rows.
-    score : ndarray, shape (k,)
-        J'r of the rows.
-    """
-
-    information: Array
-    score: Array
+    information: Array  # (k, k), J'J of the rows
+    score: Array  # (k,), J'r of the rows
 
 
 def motion_parts(trial: Trial) -> NDArray[np.int_]:
     """Part of the motion that each row belongs to: signs of angle and rate of the first joint.
 
-    Parameters
-    ----------
-    trial : Trial
-        Measured.
-
-    Returns
-    -------
-    ndarray of int, shape (n,)
-        0 to 3; zeros where no angle or position of the first joint was measured.
+    Returns shape (n,), 0 to 3; zeros where no angle or position of the first joint was measured.
     """
     for name in ("angle_1_rad", "position_1_m"):
         if name in trial.columns and len(trial) > 1:
@@ -75,13 +59,7 @@ Rows = tuple[Trial, NDArray[np.bool_], Array, Array]
 
 
 def grouped_rows(rows: Sequence[Rows]) -> tuple[dict[Hashable, Group], dict[Hashable, Group]]:
-    """Group the rows by payload, or by trial where payloads are few, and by part of the motion.
-
-    Parameters
-    ----------
-    rows : sequence of Rows
-        One for each signal of each trial.
-    """
+    """Group the rows by payload, or by trial where payloads are few, and by part of the motion."""
     few = len({trial.meta.payload_kg for trial, *_ in rows}) < LEAST_GROUPS
     by_load: dict[Hashable, Group] = {}
     by_part: dict[Hashable, Group] = {}
@@ -97,7 +75,6 @@ def grouped_rows(rows: Sequence[Rows]) -> tuple[dict[Hashable, Group], dict[Hash
 def _add_rows(
     groups: dict[Hashable, Group], key: Hashable, residual: Array, jacobian: Array
 ) -> None:
-    """Add rows to the group of a key."""
     information, score = jacobian.T @ jacobian, jacobian.T @ residual
     if key in groups:
         information, score = information + groups[key].information, score + groups[key].score
@@ -109,14 +86,8 @@ def jackknife_variance(
 ) -> Array:
     """Variance of each parameter by leaving one group out at a time; zero for too few groups.
 
-    Parameters
-    ----------
-    groups : sequence of Group
-        All rows, each in one group.
-    information : ndarray, shape (k, k)
-        J'J of all rows and of the priors.
-    low, high : ndarray, shape (k,)
-        Largest change of each parameter down and up: a refit stays within the bounds.
+    Shapes: `information` (k, k), `low`, `high` (k,).
+    `low`, `high`: largest change of each parameter down and up: a refit stays within the bounds.
     """
     count = len(groups)
     if count < LEAST_GROUPS:
@@ -135,13 +106,8 @@ def cluster_errors(
 ) -> Array:
     """Standard errors: curvature and the grouping with the larger variance together.
 
-    Parameters
-    ----------
-    groupings : sequence of mapping
-        Ways to group all rows.
-    information, low, high
-        As for `jackknife_variance`. A parameter without room on one side is at a bound: it is
-        left out, and has the error of the curvature alone.
+    `information`, `low`, `high`: as for `jackknife_variance`. A parameter without room on one side
+    is at a bound: it is left out, and has the error of the curvature alone.
     """
     curvature = np.diag(np.linalg.pinv(information, hermitian=True))
     free = np.flatnonzero((low < 0) & (high > 0))

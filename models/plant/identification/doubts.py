@@ -33,13 +33,7 @@ ALIKE_M_S2: Final = 0.3
 
 
 def doubts(found: Identification) -> list[str]:
-    """What a user has to look at, one sentence each.
-
-    Parameters
-    ----------
-    found : Identification
-        Result of the fit.
-    """
+    """What a user has to look at, one sentence each."""
     said = []
     for q in found.fitted:
         reached = bound_reached(q)
@@ -56,15 +50,7 @@ def doubts(found: Identification) -> list[str]:
 
 
 def evaluation_doubts(found: Evaluation, plant: Plant) -> list[str]:
-    """What a user has to look at where a plant is compared with other trials, one sentence each.
-
-    Parameters
-    ----------
-    found : Evaluation
-        Of the plant on the trials.
-    plant : Plant
-        That was compared.
-    """
+    """What a user has to look at where a plant is compared with other trials, one sentence each."""
     return [
         text
         for dof, error in found.dof.items()
@@ -117,21 +103,7 @@ def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
 
 
 def check_weight(plant: Plant, trials: TrialSet) -> None:
-    """Refuse trials of a link that is mounted otherwise than the plant, or carries too much.
-
-    Parameters
-    ----------
-    plant : Plant
-        To fit.
-    trials : TrialSet
-        Of the link; those of another plant pass.
-
-    Raises
-    ------
-    InputError
-        If gravity in a trial differs from the plant's in direction or size, or its payload is
-        larger than twin and observer of the described link would take.
-    """
+    """Refuse trials of a link that is mounted otherwise than the plant, or carries too much."""
     if plant.load != "link":
         return
     if plant.link is not None:

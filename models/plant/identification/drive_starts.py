@@ -23,18 +23,11 @@ from models.plant.plant import Plant
 
 @dataclass(frozen=True)
 class DriveOption:
-    """What a servo may have or lack.
+    """What a servo may have or lack."""
 
-    Attributes
-    ----------
-    none : dict of str to float
-        Beginnings of its parameters' names, with the value that stands for "none".
-    starts : tuple of tuple of float
-        Values to start from, one for each parameter.
-    """
-
+    # Beginnings of its parameters' names, with the value that stands for "none"
     none: dict[str, float]
-    starts: tuple[tuple[float, ...], ...]
+    starts: tuple[tuple[float, ...], ...]  # Values to start from, one for each parameter
 
 
 OPTIONS: Final = (
@@ -56,12 +49,8 @@ SHAPES_DIFFER: Final = 0.3
 
 
 def starts_with_option(plant: Plant) -> list[Plant]:
-    """Plants with one option more, its parameters free; none for one that the plant has or knows.
-
-    Parameters
-    ----------
-    plant : Plant
-        To start from.
+    """Plants with one option more, its parameters free; none for one that the plant has or
+    knows.
     """
     result = []
     for option in OPTIONS:
@@ -84,24 +73,14 @@ def starts_with_option(plant: Plant) -> list[Plant]:
 
 
 def with_options_of(plant: Plant, other: Plant) -> Plant:
-    """Plant with the options of another one: priors around what was found.
-
-    Parameters
-    ----------
-    plant, other : Plant
-        Of one kind of drive.
-    """
+    """Plant with the options of another one: priors around what was found."""
     begins = tuple(begin for option in OPTIONS for begin in option.none)
     return _with_parameters(plant, (q for n, q in other.parameters.items() if n.startswith(begins)))
 
 
 def starts_with_alike_servos(plant: Plant) -> list[Plant]:
-    """Plants in which each joint's goals have the shape of the other's; none where both are alike.
-
-    Parameters
-    ----------
-    plant : Plant
-        As fitted to both joints.
+    """Plants in which each joint's goals have the shape of the other's; none where both are
+    alike.
     """
     interpolation = [plant.parameters.get(SHAPE[0].format(j=j)) for j in (1, 2)]
     values = [q.value for q in interpolation if q is not None and q.role != "fixed"]

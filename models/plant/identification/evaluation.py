@@ -97,15 +97,7 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
 
 
 def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, SignalError]:
-    """Errors of each signal over all rows of all trials that it was measured in.
-
-    Parameters
-    ----------
-    plant : Plant
-        For the units of the signals.
-    comparisons : sequence of Comparison
-        Of `compare_with_trials`.
-    """
+    """Errors of each signal over all rows of all trials that it was measured in."""
     units: dict[str, str] = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
         units |= {v.name: v.unit for v in plant.step_model(dof, "twin").outputs}

@@ -15,17 +15,7 @@ from models.trials.trial import Trial
 
 
 def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
-    """Draw least and largest payload of each number of joints; returns the path (SVG).
-
-    Parameters
-    ----------
-    plant : Plant
-        To simulate.
-    trials : sequence of Trial
-        Measured.
-    path : Path
-        SVG file to write.
-    """
+    """Draw least and largest payload of each number of joints; returns the path (SVG)."""
     from matplotlib import pyplot
 
     from models.shared.svg_drawing import FILE_STYLE  # loads matplotlib

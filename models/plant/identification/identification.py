@@ -211,15 +211,7 @@ def _base_name(name: str) -> str:
 
 
 def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names to fit in the link's stage and in the drive's; friction is in both.
-
-    Parameters
-    ----------
-    plant : Plant
-        To fit.
-    planes : int
-        Joints that the trials move.
-    """
+    """Names to fit in the link's stage and in the drive's; friction is in both."""
     scope = scope_of(plant.drive, plant.load, planes)
 
     def wanted(part: Any) -> list[str]:

@@ -84,12 +84,7 @@ def _balanced_index(trial: Trial) -> Array:
 def usual_error(unit: str, measured: Sequence[Array]) -> float:
     """Error of a signal to expect before a first fit, in its unit.
 
-    Parameters
-    ----------
-    unit : str
-        Of the signal.
-    measured : sequence of ndarray, shape (n,)
-        The signal in each trial.
+    Shapes: `measured` (n,).
     """
     if unit in SCALE:
         return SCALE[unit]
@@ -101,13 +96,6 @@ def row_weights(trial: Trial, signal: str) -> Array:
     """Square root of the weight of each row of a signal.
 
     A current is weighted by its joint's rate, or not at all where that was not measured.
-
-    Parameters
-    ----------
-    trial : Trial
-        Measured.
-    signal : str
-        Name of an output.
     """
     if not signal.startswith("current_"):
         return np.ones(len(trial))
@@ -122,47 +110,19 @@ def row_weights(trial: Trial, signal: str) -> Array:
 
 @dataclass(frozen=True)
 class Solution:
-    """Result of a fit.
+    """Result of a fit."""
 
-    Attributes
-    ----------
-    plant : Plant
-        With the fitted values and their standard errors.
-    free : tuple of str
-        Parameters that were fitted.
-    cost : float
-        Half the sum of squares, prior included.
-    rms : dict of str to float
-        Residual of each signal, in its unit.
-    """
-
-    plant: Plant
-    free: tuple[str, ...]
-    cost: float
-    rms: dict[str, float]
+    plant: Plant  # With the fitted values and their standard errors
+    free: tuple[str, ...]  # Parameters that were fitted
+    cost: float  # Half the sum of squares, prior included
+    rms: dict[str, float]  # Residual of each signal, in its unit
 
 
 class Objective:
     """Residuals of a plant over trials, as a function of some parameters.
 
-    Parameters
-    ----------
-    plant : Plant
-        Values of the other parameters and priors of the free ones.
-    kind : {"twin", "driven"}
-        Model to simulate.
-    trials : sequence of Trial
-        To fit to; of one or two joints.
-    free : sequence of str
-        Names of the parameters.
-    signals : sequence of str
-        Prefixes of the outputs to compare.
-    scale : mapping of str to float, optional
-        Scale of each signal in place of `SCALE`.
-    max_substep_s : float, optional
-        Longest internal step, where the model is not stiff.
-    prior : Plant, optional
-        Plant whose values are the centres of the priors; `plant` by default.
+    `plant`: values of the other parameters and priors of the free ones.
+    `prior`: plant whose values are the centres of the priors; `plant` by default.
     """
 
     def __init__(
@@ -291,26 +251,7 @@ def fit_objective(
     tolerance: float = 1e-4,
     report: Callable[[float], None] = lambda cost: None,
 ) -> Solution:
-    """Fit by a trust-region Gauss–Newton method within the bounds.
-
-    Parameters
-    ----------
-    objective : Objective
-        Residuals to minimise.
-    start : ndarray, optional
-        Start values; the plant's by default.
-    evaluations : int
-        Largest number of runs of all trials.
-    tolerance : float
-        Relative change of the cost that ends the fit.
-    report : callable
-        Called with the cost after each evaluation.
-
-    Raises
-    ------
-    InputError
-        If the simulation does not stay finite at the start.
-    """
+    """Fit by a trust-region Gauss–Newton method within the bounds."""
 
     def residuals(values: Array) -> Array:
         result = objective(values)[0]

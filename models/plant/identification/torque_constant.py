@@ -34,15 +34,7 @@ it [assumed: a servo of ten times the torque per ampere is another servo]."""
 
 
 def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
-    """One sentence for each joint whose torque constant is another one, by one step of a fit.
-
-    Parameters
-    ----------
-    plant : Plant
-        As identified.
-    trials : sequence of Trial
-        That it was fitted to.
-    """
+    """One sentence for each joint whose torque constant is another one, by one step of a fit."""
     planes = max(t.meta.dof for t in trials)
     declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
     known = plant.parameters

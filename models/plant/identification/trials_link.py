@@ -21,20 +21,7 @@ SAME_SIZE_FRACTION: Final = 0.01
 def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
     """Refuse trials of several links, and trials of another link than the plant's.
 
-    Parameters
-    ----------
-    plant : Plant
-        To fit, train or compare with; one that is no link has nothing to compare.
-    where : Path or str
-        Its file, for the message.
-    trials : sequence of Trial
-        That are used together.
-
-    Raises
-    ------
-    InputError
-        If size, markers or gravity differ between the trials, or size, gravity or payload from
-        those that the plant takes.
+    `plant`: to fit, train or compare with; one that is no link has nothing to compare.
     """
     if plant.load != "link":
         return

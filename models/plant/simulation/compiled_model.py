@@ -34,23 +34,7 @@ _POINTER: Final = ctypes.POINTER(ctypes.c_double)
 
 
 class CompiledModel:
-    """A `StepModel` compiled to run whole trials.
-
-    Parameters
-    ----------
-    model : StepModel
-        To compile.
-
-    Attributes
-    ----------
-    model : StepModel
-        As given.
-
-    Raises
-    ------
-    InputError
-        If there is no compiler for this machine, or the library does not load.
-    """
+    """A `StepModel` compiled to run whole trials."""
 
     def __init__(self, model: StepModel) -> None:
         self.model = model
@@ -71,29 +55,7 @@ class CompiledModel:
     ) -> Array:
         """Outputs at the start and after each step.
 
-        Parameters
-        ----------
-        u, step_s, p, x
-            As for `StepModel.simulate`.
-
-        Returns
-        -------
-        ndarray, shape (n + 1, len(outputs))
-            Row k is the output at k * step_s.
-
-        Raises
-        ------
-        MemoryError
-            If the library runs out of memory.
-
-        Examples
-        --------
-        >>> from models.plant.plant import read_plant
-        >>> compiled = CompiledModel(read_plant().step_model(dof=1))
-        >>> goal_rad, payload_kg = 0.1, 1.0
-        >>> y = compiled.simulate(np.tile([goal_rad, payload_kg], (100, 1)), step_s=0.017)
-        >>> y.shape
-        (101, 6)
+        Returns shape (n + 1, len(outputs)), row k is the output at k * step_s.
         """
         u = np.ascontiguousarray(u, dtype=np.float64)
         p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
@@ -110,14 +72,8 @@ class CompiledModel:
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
-    """Parameter vector: the plant's values, replaced by the trial's geometry, conditions and start.
-
-    Parameters
-    ----------
-    model : StepModel
-        With the plant's values as start values.
-    trial : Trial
-        Measured.
+    """Parameter vector: the plant's values, replaced by the trial's geometry, conditions and
+    start.
     """
     dimensions = ("base_offset_m", "link_length_m", "link_width_m")
     own = {n: getattr(trial.meta, n) for n in dimensions if trial.meta.link_length_m}
@@ -141,21 +97,7 @@ def model_inputs(model: StepModel, trial: Trial) -> Array:
 
     A drive is enabled where no column says otherwise.
 
-    Parameters
-    ----------
-    model : StepModel
-        With inputs named like the columns.
-    trial : Trial
-        Measured.
-
-    Returns
-    -------
-    ndarray, shape (n, len(inputs))
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
+    Returns shape (n, len(inputs)).
     """
     columns = dict(trial.columns)
     for j in range(1, trial.meta.dof + 1):
@@ -175,38 +117,13 @@ def trial_inputs(model: StepModel, trial: Trial) -> tuple[Array, Array]:
 
     A twin is driven by the goal that was sent after a row until the next; a model driven by
     measurement takes the sample at the end of each step.
-
-    Parameters
-    ----------
-    model, trial
-        As for `model_inputs`.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
     """
     u = model_inputs(model, trial)
     return u[0], u[1:] if model.inputs_at_end else u[:-1]
 
 
 def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> Array:
-    """Outputs of a model at every row of a trial, shape (n, len(outputs)); see `trial_inputs`.
-
-    Parameters
-    ----------
-    compiled : CompiledModel
-        Of a plant.
-    trial : Trial
-        With the columns of the model's inputs.
-    p : ndarray, optional
-        Parameters; by default those of `trial_parameters`.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
-    """
+    """Outputs of a model at every row of a trial, shape (n, len(outputs)); see `trial_inputs`."""
     first, u = trial_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p
     return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))

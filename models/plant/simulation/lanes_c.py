@@ -50,13 +50,7 @@ _CALL: Final = re.compile(r"lanes_(sin|cos|tan|tanh|exp|log|erf)\((a\d+), lanes\
 
 
 def in_lanes(code: str) -> str:
-    """C code of functions `void name(const Real **arg, Real **res, int lanes)`.
-
-    Parameters
-    ----------
-    code : str
-        As CasADi generates it for functions of SX.
-    """
+    """C code of functions `void name(const Real **arg, Real **res, int lanes)`."""
     parts = ['#include "lanes.h"\n']
     for found in _FUNCTION.finditer(code):
         body = "\n" + found["body"]

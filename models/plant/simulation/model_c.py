@@ -19,15 +19,6 @@ def write_model_c(
     """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
 
     Arguments and results are dense vectors, also where CasADi finds them sparse.
-
-    Parameters
-    ----------
-    model : StepModel
-        To write.
-    directory : Path
-        Of both files.
-    further : mapping of str to casadi.Function, optional
-        More functions to write, as model_NAME.
     """
     generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
     functions = {name: getattr(model, name) for name in FUNCTIONS} | dict(further or {})

@@ -47,24 +47,13 @@ takes 4000. Predictors with large matrices are derived as matrices."""
 
 @dataclass(frozen=True)
 class Relations:
-    """Relations of a model, see the module's text.
+    """Relations of a model, see the module's text."""
 
-    Attributes
-    ----------
-    continuous : tuple of int
-        Places of the continuous states among the states. None where all of the model is sampled:
-        a model without a rate, or one whose inputs are measured at the end of a step.
-    functions : dict of str to casadi.Function
-        By name, without those of the model itself.
-    indicators : int
-        Number of event indicators.
-    derivatives : str
-        See `Derivatives`.
-    """
-
+    # Places of the continuous states among the states. None where all of the model is sampled: a
+    # model without a rate, or one whose inputs are measured at the end of a step.
     continuous: tuple[int, ...]
-    functions: dict[str, ca.Function]
-    indicators: int
+    functions: dict[str, ca.Function]  # By name, without those of the model itself
+    indicators: int  # Number of event indicators
     derivatives: Derivatives
 
     @property
@@ -74,15 +63,7 @@ class Relations:
 
 
 def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relations:
-    """Derive the relations of a model.
-
-    Parameters
-    ----------
-    model : StepModel
-        With or without a rate.
-    derivatives : str
-        See `Derivatives`.
-    """
+    """Derive the relations of a model."""
     symbols = _symbols(model)
     rate, kinks = ca.SX(0, 1), ca.SX(0, 1)
     continuous: tuple[int, ...] = ()

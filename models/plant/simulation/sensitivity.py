@@ -35,33 +35,9 @@ class SensitiveModel:
     Runge–Kutta steps, so it is the derivative of the discrete run, not an approximation of one of
     the continuous run. The outputs are those of `CompiledModel`, bit by bit.
 
-    Parameters
-    ----------
-    model : StepModel
-        With its `rate`.
-    wrt : sequence of str
-        Names of parameters.
-    max_substep_s : float, optional
-        Other longest sub-step, for a model that is not stiff.
-    lanes : int
-        Trials that can run in lockstep: 1, 2, 4 or 8. Four take the time of two, but for the
-        functions of the C library.
-
-    Attributes
-    ----------
-    model : StepModel
-        With that longest sub-step.
-    wrt : tuple of str
-        As given.
-    lanes : int
-        As given.
-
-    Raises
-    ------
-    ValueError
-        If the model has no `rate`.
-    InputError
-        If there is no compiler for this machine, or the library does not load.
+    `max_substep_s`: other longest sub-step, for a model that is not stiff.
+    `lanes`: trials that can run in lockstep: 1, 2, 4 or 8. Four take the time of two, but for the
+    functions of the C library.
     """
 
     def __init__(
@@ -88,26 +64,11 @@ class SensitiveModel:
     ) -> tuple[Array, Array]:
         """Outputs and their derivatives at the start and after each step.
 
-        Parameters
-        ----------
-        u, step_s, p
-            As for `StepModel.simulate`.
-        first : ndarray, shape (len(inputs),), optional
-            Inputs at the start; by default those of the first step.
-        wanted : ndarray of bool, shape (len(wrt),), optional
-            Parameters whose derivatives are computed; the others are zero. By default all.
-
-        Returns
-        -------
-        y : ndarray, shape (n + 1, len(outputs))
-            Row k is the output at k * step_s.
-        slope : ndarray, shape (n + 1, len(outputs), len(wrt))
-            Its derivatives.
-
-        Raises
-        ------
-        MemoryError
-            If the library runs out of memory.
+        Shapes: `first` (len(inputs),), `wanted` (len(wrt),).
+        `first`: inputs at the start; by default those of the first step.
+        `wanted`: parameters whose derivatives are computed; the others are zero. By default all.
+        Returns `y` (n + 1, len(outputs)): row k is the output at k * step_s; `slope` (n + 1,
+        len(outputs), len(wrt)).
         """
         p = np.asarray(self.model.parameter_values() if p is None else p)
         first = np.asarray(u[0] if first is None else first)
@@ -124,32 +85,10 @@ class SensitiveModel:
     ) -> tuple[Array, Array]:
         """Runs of several trials in lockstep; each has the bits of a run of its own.
 
-        Parameters
-        ----------
-        u : ndarray, shape (m, n, len(inputs))
-            Inputs of each trial; at most as many trials as there are lanes.
-        step_s : float
-            As for `simulate`.
-        p : ndarray, shape (m, len(parameters))
-            Parameters of each trial.
-        first : ndarray, shape (m, len(inputs))
-            Inputs at the start.
-        wanted : ndarray of bool, shape (len(wrt),), optional
-            As for `simulate`.
-
-        Returns
-        -------
-        y : ndarray, shape (m, n + 1, len(outputs))
-            Outputs.
-        slope : ndarray, shape (m, n + 1, len(outputs), len(wrt))
-            Their derivatives.
-
-        Raises
-        ------
-        ValueError
-            If there are no trials, or more than lanes.
-        MemoryError
-            If the library runs out of memory.
+        Shapes: `u` (m, n, len(inputs)), `p` (m, len(parameters)), `first` (m, len(inputs)),
+        `wanted` (len(wrt),).
+        `u`: inputs of each trial; at most as many trials as there are lanes.
+        Returns `y` (m, n + 1, len(outputs)); `slope` (m, n + 1, len(outputs), len(wrt)).
         """
         if not 1 <= len(u) <= self.lanes:
             raise ValueError(f"{len(u)} trials in {self.lanes} lanes")
@@ -171,24 +110,7 @@ def run_sensitive_trial(
 ) -> tuple[Array, Array]:
     """Outputs of a model at every row of a trial, and their derivatives.
 
-    Parameters
-    ----------
-    sensitive : SensitiveModel
-        Of a plant.
-    trial, p
-        As for `models.plant.simulation.compiled_model.run_trial`.
-
-    Returns
-    -------
-    y : ndarray, shape (n, len(outputs))
-        As of `models.plant.simulation.compiled_model.run_trial`.
-    slope : ndarray, shape (n, len(outputs), len(wrt))
-        Its derivatives.
-
-    Raises
-    ------
-    InputError
-        If a column is missing.
+    Returns `y` (n, len(outputs)); `slope` (n, len(outputs), len(wrt)).
     """
     first, u = trial_inputs(sensitive.model, trial)
     p = trial_parameters(sensitive.model, trial) if p is None else p
@@ -202,18 +124,10 @@ work with its functions at once may corrupt its memory. The compiler needs no lo
 
 @dataclass(frozen=True)
 class _Compiled:
-    """Derivatives of a model, compiled.
+    """Derivatives of a model, compiled."""
 
-    Attributes
-    ----------
-    library : ctypes.CDLL
-        `run_sensitive.c` with the code of the model.
-    initial : casadi.Function
-        Of the start, as `write_sensitivity_c` builds it.
-    """
-
-    library: ctypes.CDLL
-    initial: Any
+    library: ctypes.CDLL  # `run_sensitive.c` with the code of the model
+    initial: Any  # Of the start, as `write_sensitivity_c` builds it
 
     def start(self, u: Array, p: Array) -> tuple[Array, Array]:
         """State at rest of each trial, and its slope."""

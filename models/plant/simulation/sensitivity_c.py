@@ -36,22 +36,8 @@ def write_sensitivity_c(
 ) -> tuple[list[Path], Any]:
     """Write `tables.h` and the C code of the derivatives; build the function of the start.
 
-    Parameters
-    ----------
-    model : StepModel
-        With its `rate`.
-    index : sequence of int
-        Indices of the chosen parameters.
-    directory : Path
-        Of the files.
-
-    Returns
-    -------
-    sources : list of Path
-        The C files.
-    start : casadi.Function
-        Of inputs and parameters: the state at rest, and its slope in the N_ROWS rows and N_COLUMNS
-        columns of `tables.h`.
+    Returns `start`: of inputs and parameters: the state at rest, and its slope in the N_ROWS rows
+    and N_COLUMNS columns of `tables.h`.
     """
     initial = _Derivatives(model.initial, index)
     derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
@@ -113,13 +99,7 @@ def _write(path: Path, text: str) -> None:
 
 
 class _Constants:
-    """What functions of a model calculate from the parameters and the length of a step alone.
-
-    Parameters
-    ----------
-    parameters : int
-        Number of the model's parameters.
-    """
+    """What functions of a model calculate from the parameters and the length of a step alone."""
 
     def __init__(self, parameters: int) -> None:
         self._p, self._step_s = ca.SX.sym("p", parameters), ca.SX.sym("step_s")
@@ -129,14 +109,7 @@ class _Constants:
     def take_out(self, results: Sequence[Any], p: Any, lengths: Sequence[Any]) -> list[Any]:
         """Results of a function in which symbols stand for what is constant.
 
-        Parameters
-        ----------
-        results : sequence of casadi.SX
-            Column vectors.
-        p : casadi.SX
-            Parameters of the function.
-        lengths : sequence of casadi.SX
-            Arguments of the function that hold the length of a step.
+        `lengths`: arguments of the function that hold the length of a step.
         """
         ends = np.cumsum([0, *(part.numel() for part in results)]).tolist()
         whole, known = ca.vertcat(*results), [p, *lengths]
@@ -166,17 +139,7 @@ def _constant_in(what: str, derived: Mapping[str, _Derivatives]) -> tuple[Any, l
 
 
 class _Derivatives:
-    """Value of a function of a model, and its derivatives by states and chosen parameters.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        Function whose value is calculated.
-    index : sequence of int
-        Indices of the chosen parameters.
-    smooth : casadi.Function, optional
-        Function to differentiate in its place.
-    """
+    """Value of a function of a model, and its derivatives by states and chosen parameters."""
 
     def __init__(self, function: Any, index: Sequence[int], smooth: Any = None) -> None:
         sizes = [function.size1_in(k) for k in range(function.n_in())]

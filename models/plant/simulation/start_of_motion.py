@@ -27,18 +27,6 @@ def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
     rate agrees with that of every shorter one: intersection of confidence intervals
     [Goldenshluger & Nemirovski 1997; Katkovnik 1999]. The noise is that of the third differences,
     which a smooth motion hardly has.
-
-    Parameters
-    ----------
-    trial : Trial
-        Measured.
-    column : str
-        Name of the column.
-
-    Returns
-    -------
-    tuple of float
-        In the column's unit and per second; zero where less than five rows were measured.
     """
     longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
     time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]

@@ -22,21 +22,7 @@ from models.shared.kinematics import Array
 class BaseJoints:
     """Angles and rates of the joints, which move the stub of the rod.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    rod : elastica.CosseratRod
-        Its first element is the stub.
-    root_mass_kg : float
-        Mass of the rod's node on the plate.
-    gravity_m_s2 : ndarray, shape (3,)
-        In the world frame.
-
-    Attributes
-    ----------
-    angle_rad, rate_rad_s : list of float
-        Of joints 1 and 2; with one driven joint the second stays at zero.
+    Shapes: `gravity_m_s2` (3,).
     """
 
     def __init__(
@@ -81,15 +67,7 @@ class BaseJoints:
         )
 
     def accelerate(self, torque_nm: list[float], step_s: float) -> None:
-        """Change the rates by servo torques, weight and the rod's reaction for a time.
-
-        Parameters
-        ----------
-        torque_nm : list of float
-            Of each driven joint.
-        step_s : float
-            Time.
-        """
+        """Change the rates by servo torques, weight and the rod's reaction for a time."""
         rod, height, point = self._rod, self._height_m, self._point
         w1, w2 = self.rate_rad_s
         c1, s1, c2, s2 = self._turn

@@ -31,34 +31,10 @@ class CosseratRig:
     The rod, the joints and the servos advance by the position Verlet method in substeps that the
     stiffest section admits; the section law, the drag and the leak are renewed in every step.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        With hidden effects and the variation of the trial included.
-    dof : int
-        Number of driven joints.
-    payload_kg : float
-        Declared payload.
-    eccentricity_m : tuple of float
-        Offset of the payload's centre from the axis, towards +x and +y.
-    gravity : sequence of float, shape (3,)
-        Direction of gravity in the world frame; its length does not matter.
-    sections : int
-        Of the span, a multiple of four.
-
-    Raises
-    ------
-    InputError
-        If the structure makes a choice that is the MuJoCo link's.
-
-    Attributes
-    ----------
-    servos : list of RigServo
-        One per driven joint.
-    link : RodLink
-        The rod.
-    joints : BaseJoints
-        The base joints.
+    Shapes: `gravity` (3,).
+    `parameters`: with hidden effects and the variation of the trial included.
+    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
+    `gravity`: direction of gravity in the world frame; its length does not matter.
     """
 
     def __init__(

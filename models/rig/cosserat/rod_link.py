@@ -47,30 +47,7 @@ class TipLoad:
 class RodLink:
     """Link on a plate whose pose and velocity are prescribed.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    load : TipLoad
-        Payload.
-    gravity_m_s2 : ndarray, shape (3,)
-        In the world frame.
-    sections : int
-        Sections of the span.
-
-    Attributes
-    ----------
-    rod : elastica.CosseratRod
-        Its arrays have coordinates first, then node or element.
-    law : SectionLaw
-        Bending of the sections.
-    substeps : int
-        Number of steps of the servos in one step of the rig.
-    splits : int
-        Number of steps of the rod in one of them; more than one while sections are stiffer than
-        at small bends.
-    root_mass_kg : float
-        Mass of the node that is fixed to the plate.
+    Shapes: `gravity_m_s2` (3,).
     """
 
     def __init__(
@@ -205,12 +182,8 @@ class RodLink:
     def begin_step(self, plate_rad_s: Array, leaking_s: float) -> None:
         """Renew the law, the drag and the markers at the start of a step of the rig.
 
-        Parameters
-        ----------
-        plate_rad_s : ndarray, shape (2, 1)
-            Rate of the plate about its own axes x and y.
-        leaking_s : float
-            Time since the pressure started to leak.
+        Shapes: `plate_rad_s` (2, 1).
+        `plate_rad_s`: rate of the plate about its own axes x and y.
         """
         rod = self.rod
         self._keep_pose()

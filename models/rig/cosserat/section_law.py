@@ -53,24 +53,7 @@ def stiffness_factor(parameters: RigParameters) -> float:
 
 
 class SectionLaw:
-    """Moments and tangent stiffness of the root patch and all sections, with their memory.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Time between two calls of `advance`.
-    sections : int
-        Number of sections of the span.
-
-    Attributes
-    ----------
-    stiffness_nm_rad : ndarray, shape (sections + 1,)
-        Elastic stiffness at small bends.
-    stiffest_nm_rad : ndarray, shape (sections + 1,)
-        Largest tangent stiffness at small bends.
-    """
+    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
@@ -151,14 +134,8 @@ class SectionLaw:
     def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
         """Elastic moment and its derivative.
 
-        Parameters
-        ----------
-        size_rad : ndarray, shape (sections + 1,)
-            Length of the measure of bend; positive.
-
-        Returns
-        -------
-        moment_nm, tangent_nm_rad : ndarray, shape (sections + 1,)
+        Shapes: `size_rad` (sections + 1,).
+        Returns `moment_nm`, `tangent_nm_rad` (sections + 1,).
         """
         stiffness = self.stiffness_nm_rad
         room = self._limit_nm - self._wrinkle_nm
@@ -178,19 +155,10 @@ class SectionLaw:
     def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
         """Advance the memory to these bends; compute moments and their tangent.
 
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (sections + 1, 2)
-            Bend of each section towards +x and +y, one step after the last call's.
-        leaking_s : float
-            Time since the pressure started to leak.
-
-        Returns
-        -------
-        moment_nm : ndarray, shape (sections + 1, 2)
-            Restoring moment.
-        tangent_nm_rad : ndarray, shape (sections + 1, 2, 2)
-            Stiffness against bends until the next call.
+        Shapes: `angle_rad` (sections + 1, 2).
+        `angle_rad`: bend of each section towards +x and +y, one step after the last call's.
+        Returns `moment_nm` (sections + 1, 2); `tangent_nm_rad` (sections + 1, 2, 2): stiffness
+        against bends until the next call.
         """
         u, slope = self._measure(angle_rad)
         du = u - self._bend

@@ -23,13 +23,7 @@ class RelaxationSpectrum(NamedTuple):
 
 
 def relaxation_spectrum(parameters: RigParameters) -> RelaxationSpectrum:
-    """Spectrum that the structure names.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    """
+    """Spectrum that the structure names."""
     p = parameters
     relaxing = p["memory.relaxing_share"]
     if p.structure.creep == "branches":

@@ -13,15 +13,7 @@ from models.rig.rig_parameters import RigParameters
 
 
 class CurrentRegister:
-    """Samples of the last control period.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-    """
+    """Samples of the last control period."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         sampling = parameters.structure.current_sampling

@@ -23,33 +23,13 @@ class FrictionForm(Protocol):
     def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
         """Advance by one step.
 
-        Parameters
-        ----------
-        rate_rad_s : float
-            Rate of the rotor.
-        level_nm : float
-            Sliding friction g at this rate.
-        drive_nm : float
-            All other torque on the rotor.
-
-        Returns
-        -------
-        float
-            Torque against the motion in N·m.
+        Returns torque against the motion in N·m.
         """
         ...
 
 
 class LugreFriction:
-    """LuGre bristle.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-    """
+    """LuGre bristle."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         self._step_s = step_s
@@ -87,15 +67,7 @@ class SmoothFriction:
 
 
 def friction_form(parameters: RigParameters, step_s: float) -> FrictionForm:
-    """Build the form that the structure names.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-    """
+    """Build the form that the structure names."""
     if parameters.structure.friction == "lugre":
         return LugreFriction(parameters, step_s)
     return SmoothFriction(parameters, step_s)

@@ -16,14 +16,9 @@ from models.rig.rig_parameters import RigParameters
 
 
 class GoalForm(Protocol):
-    """Set-point of one servo, at rest at zero.
+    """Set-point of one servo, at rest at zero."""
 
-    Attributes
-    ----------
-    rate_rad_s : float
-        Rate of the set-point in the last step; of a held goal its last change per period.
-    """
-
+    # Rate of the set-point in the last step; of a held goal its last change per period
     rate_rad_s: float
 
     def take(self, goal_rad: float) -> None:
@@ -36,13 +31,7 @@ class GoalForm(Protocol):
 
 
 class HeldGoal:
-    """Set-point that jumps to each goal.
-
-    Parameters
-    ----------
-    step_s : float
-        Integration step.
-    """
+    """Set-point that jumps to each goal."""
 
     def __init__(self, step_s: float) -> None:
         self._steps = max(round(PERIOD_S / step_s), 1)
@@ -62,13 +51,7 @@ class HeldGoal:
 
 
 class InterpolatedGoal:
-    """Set-point on a line to each goal.
-
-    Parameters
-    ----------
-    step_s : float
-        Integration step.
-    """
+    """Set-point on a line to each goal."""
 
     def __init__(self, step_s: float) -> None:
         self._steps = max(round(PERIOD_S / step_s), 1)
@@ -91,15 +74,7 @@ class InterpolatedGoal:
 
 
 class ProfiledGoal:
-    """Set-point with limited velocity and acceleration.
-
-    Parameters
-    ----------
-    step_s : float
-        Integration step.
-    velocity_rad_s, acceleration_rad_s2 : float
-        Limits.
-    """
+    """Set-point with limited velocity and acceleration."""
 
     def __init__(self, step_s: float, velocity_rad_s: float, acceleration_rad_s2: float) -> None:
         self._step_s = step_s
@@ -125,15 +100,7 @@ class ProfiledGoal:
 
 
 def goal_form(parameters: RigParameters, step_s: float) -> GoalForm:
-    """Build the form that the structure names.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-    """
+    """Build the form that the structure names."""
     p = parameters
     match p.structure.goal:
         case "held":

@@ -37,15 +37,9 @@ def _length(planes: Any) -> Any:
 
 
 class HysteresisForm(Protocol):
-    """Friction of n sections.
+    """Friction of n sections."""
 
-    Attributes
-    ----------
-    springs : int
-        Parts of its memory, each of shape (2, n); zero at ease.
-    """
-
-    springs: int
+    springs: int  # Parts of its memory, each of shape (2, n); zero at ease
 
     def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
         """Memory, and torque in N·m, after a further bend `du` in rad of shape (2, n)."""
@@ -55,10 +49,7 @@ class HysteresisForm(Protocol):
 class BoucWen:
     """Bouc-Wen friction.
 
-    Parameters
-    ----------
-    yield_rad, friction_nm : ndarray, shape (n,)
-        Yield bend and torque of each section.
+    Shapes: `yield_rad`, `friction_nm` (n,).
     """
 
     springs = 1
@@ -94,12 +85,7 @@ class Dahl:
 class MaxwellSlip:
     """Springs with sliders in parallel.
 
-    Parameters
-    ----------
-    yield_rad, friction_nm : ndarray, shape (n,)
-        Mean yield bend and torque of each section.
-    yields : ndarray, shape (m,)
-        Yield of each slider over the mean.
+    Shapes: `yield_rad`, `friction_nm` (n,), `yields` (m,).
     """
 
     def __init__(self, yield_rad: Array, friction_nm: Array, yields: Array) -> None:
@@ -121,14 +107,7 @@ def hysteresis_form(
 ) -> HysteresisForm:
     """Build the form that the structure names, at ease.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    yield_rad : ndarray, shape (n,)
-        Bend at which a section's friction is mobilised.
-    stiffness_nm_rad : ndarray, shape (n,)
-        Of each section.
+    Shapes: `yield_rad` (n,), `stiffness_nm_rad` (n,).
     """
     p = parameters
     friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad

@@ -18,21 +18,7 @@ from models.shared.kinematics import Array
 class MarkerPlay:
     """Lean of the link in its mount, at rest in the middle.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig; without play in the markers nothing leans.
-    dof : int
-        Number of driven joints.
-    step_s : float
-        Integration step.
-
-    Attributes
-    ----------
-    absent : bool
-        Whether the structure has no such play, or its width is zero.
-    lean_rad : ndarray, shape (dof,)
-        About each joint.
+    `parameters`: of the rig; without play in the markers nothing leans.
     """
 
     def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
@@ -47,10 +33,7 @@ class MarkerPlay:
     def advance(self, torque_nm: Sequence[float]) -> None:
         """Advance by one step.
 
-        Parameters
-        ----------
-        torque_nm : sequence of float, length dof
-            That the drives pass to the joints; the link pushes against it.
+        `torque_nm`: that the drives pass to the joints; the link pushes against it.
         """
         for k, (torque, half_rad) in enumerate(zip(torque_nm, self._half_rad, strict=True)):
             side_rad = -half_rad * math.tanh(torque / self._torque_nm)
@@ -59,12 +42,7 @@ class MarkerPlay:
     def shown_m(self, markers_m: Array, joint_rad: Sequence[float]) -> Array:
         """Markers on the leaning link.
 
-        Parameters
-        ----------
-        markers_m : ndarray, shape (markers, 3)
-            Without the lean.
-        joint_rad : sequence of float, length dof
-            Angles of the joints.
+        Shapes: `markers_m` (markers, 3).
         """
         cos, sin = math.cos(joint_rad[0]), math.sin(joint_rad[0])
         # Rotation vector; the second axis, -x, is carried by the first joint.

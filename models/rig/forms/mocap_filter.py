@@ -17,12 +17,8 @@ from models.shared.kinematics import Array
 def filtered_frames(parameters: RigParameters, frames_m: Array) -> Array:
     """Frames as the software gives them.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    frames_m : ndarray, shape (n, markers, 3)
-        Frames at the motion capture's rate; the link is at rest before the first.
+    Shapes: `frames_m` (n, markers, 3).
+    `frames_m`: frames at the motion capture's rate; the link is at rest before the first.
     """
     p = parameters
     if p.structure.mocap_filter == "none":

@@ -35,20 +35,7 @@ from models.shared.kinematics import Array
 
 
 class BendLaw:
-    """Torque of all n hinge pairs and its memory: the root's, then those of the span.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    step_s : float
-        Integration step.
-
-    Attributes
-    ----------
-    stiffness_nm_rad : ndarray, shape (n,)
-        Of each hinge pair, root first; N·m/rad.
-    """
+    """Torque of all n hinge pairs and its memory: the root's, then those of the span."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
@@ -67,17 +54,9 @@ class BendLaw:
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and compute the torque on the hinges.
 
-        Parameters
-        ----------
-        angle_rad : ndarray, shape (n, 2)
-            Hinge angles towards +x and +y, one integration step after the last call's.
-        leaking_s : float
-            Time since the pressure started to leak.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Restoring torque in N·m.
+        Shapes: `angle_rad` (n, 2).
+        `angle_rad`: hinge angles towards +x and +y, one integration step after the last call's.
+        Returns shape (n, 2), restoring torque in N·m.
         """
         self._angle_rad[:] = angle_rad.ravel()
         if leaking_s:
@@ -168,5 +147,4 @@ class BendLaw:
 
 
 def _stacked(parts: list[Any]) -> Any:
-    """One column of all parts."""
     return ca.vertcat(*[ca.vec(part) for part in parts])

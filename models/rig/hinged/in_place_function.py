@@ -16,18 +16,8 @@ from models.shared.kinematics import Array
 class InPlaceFunction:
     """A function bound to the arrays of its arguments and results.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        With dense arguments and results.
-    arguments, results : sequence of ndarray
-        Contiguous, of float64; a matrix of CasADi lies in them column by column. They must be
-        different arrays: results are written while arguments are still read.
-
-    Raises
-    ------
-    ValueError
-        If an array has another number of elements than the function.
+    `arguments`, `results`: contiguous, of float64; a matrix of CasADi lies in them column by
+    column. They must be different arrays: results are written while arguments are still read.
     """
 
     def __init__(
@@ -46,5 +36,4 @@ class InPlaceFunction:
         self._kept_alive = buffer, (*arguments, *results)
 
     def __call__(self) -> None:
-        """Evaluate."""
         self._evaluate()

@@ -34,24 +34,13 @@ class Load:
 
 @dataclass(frozen=True)
 class MujocoLink:
-    """Compiled model and the addresses of its parts.
+    """Compiled model and the addresses of its parts."""
 
-    Attributes
-    ----------
-    model : mujoco.MjModel
-        Hinges and slides only, so that positions and rates have the same addresses.
-    joints : ndarray, shape (dof,)
-        Addresses of the driven joints.
-    hinges : ndarray, shape (n, 2)
-        Addresses of the link's hinges, root first; columns bend towards +x and +y.
-    bodies : ndarray, shape (n,)
-        Bodies of the link, from the root.
-    """
-
-    model: Any
-    joints: NDArray[np.intp]
+    model: Any  # Hinges and slides only, so that positions and rates have the same addresses
+    joints: NDArray[np.intp]  # (dof,), addresses of the driven joints
+    # (n, 2), addresses of the link's hinges, root first; columns bend towards +x and +y
     hinges: NDArray[np.intp]
-    bodies: NDArray[np.intp]
+    bodies: NDArray[np.intp]  # (n,)
 
 
 def build_mujoco_link(
@@ -59,18 +48,9 @@ def build_mujoco_link(
 ) -> MujocoLink:
     """Build the model.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Of the rig.
-    dof : int
-        Number of driven joints; with one, joint 2 is rigid.
-    load : Load
-        Payload at the tip.
-    gravity_m_s2 : ndarray, shape (3,)
-        In the world frame.
-    stiffness_nm_rad : ndarray, shape (n,)
-        Of the hinge pairs in N·m/rad; the damping is proportional to it.
+    Shapes: `gravity_m_s2` (3,), `stiffness_nm_rad` (n,).
+    `dof`: number of driven joints; with one, joint 2 is rigid.
+    `stiffness_nm_rad`: of the hinge pairs in N·m/rad; the damping is proportional to it.
     """
     p = parameters
     spec = mujoco.MjSpec()

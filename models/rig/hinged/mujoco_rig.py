@@ -31,29 +31,10 @@ if mujoco.get_mju_user_warning() is None:  # else each would be in a file of the
 class MujocoRig:
     """`models.rig.rig.Rig` on MuJoCo.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        With hidden effects and the variation of the trial included.
-    dof : int
-        Number of driven joints.
-    payload_kg : float
-        Declared payload.
-    eccentricity_m : tuple of float
-        Offset of the payload's centre from the axis, towards +x and +y.
-    gravity : sequence of float, shape (3,)
-        Direction of gravity in the world frame; its length does not matter.
-
-    Attributes
-    ----------
-    servos : list of RigServo
-        One per driven joint.
-    bending_law : BendLaw
-        Bending torque of the link.
-    data : mujoco.MjData
-        State of the model.
-    time_s : float
-        Since the start.
+    Shapes: `gravity` (3,).
+    `parameters`: with hidden effects and the variation of the trial included.
+    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
+    `gravity`: direction of gravity in the world frame; its length does not matter.
     """
 
     def __init__(

@@ -19,21 +19,7 @@ REMEDY: Final = 'write it as docs/predictor/choice.md shows, "A predictor of one
 
 
 def own_candidate(path: Path, others: Sequence[type[TipPredictor]]) -> type[TipPredictor]:
-    """Run a Python file and return the one candidate that it defines.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    others : sequence of type
-        Candidates that it is compared with.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, does not run, does not define one class with the members of a
-        `TipPredictor`, or names it as another candidate.
-    """
+    """Run a Python file and return the one candidate that it defines."""
     text = read_text(path, REMEDY)
     module = ModuleType(f"own_candidate_{path.stem}")
     sys.modules[module.__name__] = module  # dataclasses look their module up

@@ -30,37 +30,14 @@ span; the rig's links have 1.3 to 2.7."""
 
 
 class BendRatio(NamedTuple):
-    """Bend below the first row over the bend between the first two rows.
+    """Bend below the first row over the bend between the first two rows."""
 
-    Attributes
-    ----------
-    whole : float
-        Of all bend, shear included.
-    late : float
-        Of the bend that lags.
-    """
-
-    whole: float
+    whole: float  # Of all bend, shear included
     late: float
 
 
 def nominal_bend_ratio(meta: TrialMeta) -> BendRatio:
-    """Ratio of a link of this size; zero with a single row of markers.
-
-    Parameters
-    ----------
-    meta : TrialMeta
-        Size, pressure and markers of the link.
-
-    Examples
-    --------
-    >>> from firmware_py.link.link_description import STUDY_LINK
-    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="sinusoid", source="measured",
-    ...                  period_s=4.0, rest_samples=1, **STUDY_LINK.conditions())
-    >>> ratio = nominal_bend_ratio(meta)
-    >>> round(ratio.whole, 2), round(ratio.late, 2)
-    (1.55, 1.42)
-    """
+    """Ratio of a link of this size; zero with a single row of markers."""
     if meta.layout.rows < 2:
         return BendRatio(0.0, 0.0)
     size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}

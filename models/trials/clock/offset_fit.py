@@ -45,51 +45,25 @@ LEAST_SAMPLES: Final = 100
 
 
 class ClockDrift(NamedTuple):
-    """Change of the offset from the first half of the motion to the second, or over sync edges.
+    """Change of the offset from the first half of the motion to the second, or over sync edges."""
 
-    Attributes
-    ----------
-    change_s : float
-        Offset of the second half minus that of the first, or at the last edge minus at the first.
-    deviation_s : float
-        Its standard error.
-    over_s : float
-        Time between the middles of the halves, or between those edges.
-    """
-
+    # Offset of the second half minus that of the first, or at the last edge minus at the first
     change_s: float
     deviation_s: float
-    over_s: float
+    over_s: float  # Time between the middles of the halves, or between those edges
 
 
 class OffsetFit(NamedTuple):
-    """Offset, its error and its parts.
+    """Offset, its error and its parts."""
 
-    Attributes
-    ----------
-    offset_s : float
-        To be added to the servo's times.
-    error_s : float
-        Half width of the 95 % interval of the offset.
-    lag_s : float
-        What the bend would have added to the offset.
-    correlation : float
-        Of angle and direction at the offset.
-    residual : ndarray, shape (n, dof)
-        Direction without bend, minus angle, about its mean, at every compared sample; rad.
-    time_s : ndarray, shape (n,)
-        Of these samples, on the motion capture's clock.
-    drift : ClockDrift or None
-        None where a half of the motion has too few samples.
-    """
-
-    offset_s: float
-    error_s: float
-    lag_s: float
-    correlation: float
+    offset_s: float  # To be added to the servo's times
+    error_s: float  # Half width of the 95 % interval of the offset
+    lag_s: float  # What the bend would have added to the offset
+    correlation: float  # Of angle and direction at the offset
+    # (n, dof), direction without bend, minus angle, about its mean, at every compared sample; rad
     residual: Array
-    time_s: Array
-    drift: ClockDrift | None = None
+    time_s: Array  # (n,), of these samples, on the motion capture's clock
+    drift: ClockDrift | None = None  # None where a half of the motion has too few samples
 
 
 def fit_offset(
@@ -101,19 +75,11 @@ def fit_offset(
 ) -> OffsetFit:
     """Fit the offset around a first one.
 
-    Parameters
-    ----------
-    angle : ClockSignal
-        Joint angles on the servo's clock.
-    seen : ClockSignal
-        Direction of the first row on the motion capture's clock.
-    bend : ndarray, shape (n, dof) or None
-        Turn from the first row to the second one at the same samples; None where it was not
-        measured or the direction is that of the base, which does not bend.
-    ratio : BendRatio
-        Of the nominal link; `BendRatio(0, 0)` with a direction that does not bend.
-    start_s : float
-        First offset.
+    Shapes: `bend` (n, dof).
+    `seen`: direction of the first row on the motion capture's clock.
+    `bend`: turn from the first row to the second one at the same samples; None where it was not
+    measured or the direction is that of the base, which does not bend.
+    `ratio`: of the nominal link; `BendRatio(0, 0)` with a direction that does not bend.
     """
     near = _Comparison(angle, seen, bend, start_s)
     raw_s = offset_s = near.best(0.0)

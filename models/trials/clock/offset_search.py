@@ -35,16 +35,9 @@ class ClockSignal(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Way to read the servo's angles.
+    """Way to read the servo's angles."""
 
-    Attributes
-    ----------
-    joints : tuple of int
-        Which of the file's angles is compared with direction 1 and 2, counted from 0.
-    signs : tuple of int
-        Of each direction.
-    """
-
+    # Which of the file's angles is compared with direction 1 and 2, counted from 0
     joints: tuple[int, ...]
     signs: tuple[int, ...]
 
@@ -65,18 +58,8 @@ class Peak(NamedTuple):
 def find_peaks(angle: ClockSignal, seen: ClockSignal) -> list[Peak]:
     """Best offsets of the angles as they are mapped, then the best of each other reading.
 
-    Parameters
-    ----------
-    angle : ClockSignal
-        Joint angles on the servo's clock.
-    seen : ClockSignal
-        Directions of the link on the motion capture's clock.
-
-    Returns
-    -------
-    list of Peak
-        The two best of the mapped reading (one, if no other is apart from it), then one of each
-        other reading; empty where the files share too little.
+    Returns the two best of the mapped reading (one, if no other is apart from it), then one of each
+    other reading; empty where the files share too little.
     """
     a, b = _even(angle), _even(seen)
     moments = _moments(a, b)

@@ -26,21 +26,12 @@ LEAST_SHARED: Final = 0.5
 
 
 class EdgeOffset(NamedTuple):
-    """Offsets for which the edges of two files fit together.
+    """Offsets for which the edges of two files fit together."""
 
-    Attributes
-    ----------
-    low_s, high_s : float
-        To be added to the servo's times.
-    shared : int
-        Pairs of edges.
-    drift : ClockDrift or None
-        Change of the offset from the first pair to the last; None with fewer than `LEAST_PAIRS`.
-    """
-
-    low_s: float
+    low_s: float  # To be added to the servo's times
     high_s: float
     shared: int
+    # Change of the offset from the first pair to the last; None with fewer than `LEAST_PAIRS`
     drift: ClockDrift | None = None
 
     @property
@@ -57,20 +48,8 @@ class EdgeOffset(NamedTuple):
 def rising_edges_s(time_s: Array, level_v: Array) -> Array:
     """Times of the samples before and after each rise through the middle of a signal's range.
 
-    Parameters
-    ----------
-    time_s, level_v : ndarray, shape (n,)
-        Samples; those that are not finite are left out.
-
-    Returns
-    -------
-    ndarray, shape (edges, 2)
-
-    Examples
-    --------
-    >>> rising_edges_s(np.arange(6.0), np.array([0.0, 0, 4, 4, 0, 4]))
-    array([[1., 2.],
-           [4., 5.]])
+    Shapes: `time_s`, `level_v` (n,).
+    Returns shape (edges, 2).
     """
     seen = np.isfinite(level_v)
     time_s, level_v = time_s[seen], level_v[seen]
@@ -84,15 +63,10 @@ def rising_edges_s(time_s: Array, level_v: Array) -> Array:
 def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
     """Offsets for which the edges of two files fit together, that with the most pairs first.
 
-    Parameters
-    ----------
-    servo_s, mocap_s : ndarray, shape (edges, 2)
-        Edges in each file, from `rising_edges_s`. Either may lack edges at its ends.
-
-    Returns
-    -------
-    list of EdgeOffset
-        More than one where the signal repeats itself; empty where nothing fits.
+    Shapes: `servo_s`, `mocap_s` (edges, 2).
+    `servo_s`, `mocap_s`: edges in each file, from `rising_edges_s`. Either may lack edges at its
+    ends.
+    Returns more than one where the signal repeats itself; empty where nothing fits.
     """
     least = max(LEAST_SHARED * min(len(servo_s), len(mocap_s)), 1)
     found = []

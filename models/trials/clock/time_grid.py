@@ -25,42 +25,23 @@ SAME: Final = 1e-6
 
 
 class Sampled(NamedTuple):
-    """Sample times of a signal that the servo gave, and those at which it changed.
+    """Sample times of a signal that the servo gave, and those at which it changed."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (n,)
-        Of all samples.
-    changed_s : ndarray, shape (k,)
-        Of those that differ from the one before.
-    """
-
-    time_s: Array
-    changed_s: Array
+    time_s: Array  # (n,)
+    changed_s: Array  # (k,), of those that differ from the one before
 
 
 class TimeGrid(NamedTuple):
-    """Times of the rows.
+    """Times of the rows."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (rows,)
-        On the clock of the samples.
-    in_phase : bool
-        Whether the goals were sampled or sent at these times, but for a jitter.
-    """
-
-    time_s: Array
-    in_phase: bool
+    time_s: Array  # (rows,), on the clock of the samples
+    in_phase: bool  # Whether the goals were sampled or sent at these times, but for a jitter
 
 
 def sampled(time_s: Array, values: Array) -> Sampled:
     """Sample times of a signal, with those at which it changed.
 
-    Parameters
-    ----------
-    time_s, values : ndarray, shape (n,)
-        Samples; NaN is no change.
+    Shapes: `time_s`, `values` (n,).
     """
     return Sampled(time_s, time_s[1:][np.abs(np.diff(values)) > 0])
 
@@ -72,20 +53,7 @@ def time_grid(start_s: float, end_s: float, step_s: float, signals: Sequence[Sam
     lost, and goals that were logged finely and sent in that step, give an even grid its phase. Else
     the grid passes through a sample of the last signal.
 
-    Parameters
-    ----------
-    start_s, end_s : float
-        Time that all series share.
-    step_s : float
-        Step of the trial.
-    signals : sequence of Sampled
-        Goals, then angles; without any the grid begins at `start_s`.
-
-    Examples
-    --------
-    >>> servo = sampled(np.arange(6) + 0.25, np.arange(6.0))
-    >>> time_grid(1.0, 4.5, 1.0, [servo]).time_s
-    array([1.25, 2.25, 3.25, 4.25])
+    `signals`: goals, then angles; without any the grid begins at `start_s`.
     """
     slack_s = SAME * step_s
     shared = [

@@ -42,25 +42,9 @@ _KIND_OF_SUFFIX: Final = {".mcap": "recording", ".c3d": "c3d"}
 def read_series(path: Path, kind: str | None, mapping: RecordingMap) -> list[Series]:
     """Read the channels of a file.
 
-    Parameters
-    ----------
-    path : Path
-        The file (for a rosbag also its directory).
-    kind : str or None
-        One of `KINDS`. None selects by the suffix: `.mcap` is a log of `dropstitch run`, `.c3d` is
-        C3D, a directory is a rosbag, anything else a table.
-    mapping : RecordingMap
-        Names, units, frame and conditions that the file does not hold.
-
-    Returns
-    -------
-    list of Series
-        In SI units, on the clock of the file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or cannot be used.
+    `kind`: one of `KINDS`. None selects by the suffix: `.mcap` is a log of `dropstitch run`, `.c3d`
+    is C3D, a directory is a rosbag, anything else a table.
+    `mapping`: names, units, frame and conditions that the file does not hold.
     """
     if not path.exists():
         raise InputError(path, "is missing", "name an existing file")

@@ -36,21 +36,6 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     Angles, currents and positions are interpolated linearly, goals are held. Goals and angles that
     already have the step keep their samples (`models.trials.clock.time_grid`). Without motion
     capture the tip and the markers stay empty.
-
-    Parameters
-    ----------
-    series : list of Series
-        On one clock.
-    mapping : RecordingMap
-        With conditions and step of the trial.
-    name : str
-        Of the trial.
-
-    Raises
-    ------
-    InputError
-        If a column of the contract is missing, the series do not overlap in time, or the tip is
-        unseen for longer than `LONGEST_TIP_GAP_S`.
     """
     where = series[0].path
     series = _goals_at_samples(series, mapping)
@@ -122,19 +107,7 @@ def align_markers(
 ) -> list[Series]:
     """Move the markers onto the nominal robot by what the map names: nothing, rest pose, or base.
 
-    Parameters
-    ----------
-    series : list of Series
-        Those without markers are returned as they are.
-    mapping : RecordingMap
-        With `[frame]` and the size of the link.
-    rest_rad : ndarray, shape (dof,), optional
-        Joint angles at rest; upright without it.
-
-    Raises
-    ------
-    InputError
-        If too few markers are visible at rest.
+    Shapes: `rest_rad` (dof,).
     """
     if mapping.frame.align == "none":
         return series
@@ -143,15 +116,7 @@ def align_markers(
 
 
 def rest_count(series: Series, names: Sequence[str]) -> int:
-    """Leading samples in which no marker has moved, at least one.
-
-    Parameters
-    ----------
-    series : Series
-        With the markers.
-    names : sequence of str
-        Markers to look at.
-    """
+    """Leading samples in which no marker has moved, at least one."""
     rest = len(series.time_s)
     for column in (series.columns[f"{name}_{axis}_m"][:rest] for name in names for axis in "xyz"):
         seen = np.isfinite(column)
@@ -166,14 +131,7 @@ def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False)
 
     A grid time that coincides with a sample takes that sample exactly.
 
-    Parameters
-    ----------
-    time_s, values : ndarray, shape (n,)
-        Samples.
-    grid_s : ndarray, shape (m,)
-        Times within those of the samples.
-    hold : bool
-        Whether a sample holds until the next one.
+    Shapes: `time_s`, `values` (n,), `grid_s` (m,).
     """
     before = np.clip(np.searchsorted(time_s, grid_s, side="right") - 1, 0, len(time_s) - 2)
     fraction = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])

@@ -19,22 +19,8 @@ _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 def read_c3d(path: Path, mapping: RecordingMap) -> list[Series]:
     """Markers and mapped analog channels of a C3D file.
 
-    Parameters
-    ----------
-    path : Path
-        C3D file.
-    mapping : RecordingMap
-        With `[markers]`, `[columns]` and `[frame]`; z points up unless it says otherwise.
-
-    Returns
-    -------
-    list of Series
-        Markers in the world frame first; analog channels, if any, second.
-
-    Raises
-    ------
-    InputError
-        If the file is not C3D, its length unit is unknown, or no mapped marker is in it.
+    `mapping`: with `[markers]`, `[columns]` and `[frame]`; z points up unless it says otherwise.
+    Returns markers in the world frame first; analog channels, if any, second.
     """
     import ezc3d  # only needed for C3D
 

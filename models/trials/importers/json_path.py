@@ -26,30 +26,7 @@ _TOKEN: Final = re.compile(r"([^.\[\]]+)|\[(\d*)\]")
 
 
 def json_values(where: Path, document: Any, path: str) -> Sequence[Any]:
-    """List of values that a path leads to; None where an entry lacks the last names of it.
-
-    Parameters
-    ----------
-    where : Path
-        File, for messages.
-    document : Any
-        Decoded JSON.
-    path : str
-        Dotted or JSON pointer.
-
-    Raises
-    ------
-    InputError
-        If the path leads nowhere, or to something that is no list of single values.
-
-    Examples
-    --------
-    >>> log = {"samples": [{"motor": {"position": 1.0}}, {"motor": {"position": 1.5}}]}
-    >>> json_values(Path("log.json"), log, "samples[].motor.position")
-    [1.0, 1.5]
-    >>> json_values(Path("log.json"), log, "/samples/*/motor/position")
-    [1.0, 1.5]
-    """
+    """List of values that a path leads to; None where an entry lacks the last names of it."""
     found = _follow(where, document, path, _tokens(path), 0)
     if not isinstance(found, list) or any(isinstance(v, dict | list) for v in found):
         raise InputError(

@@ -279,18 +279,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 def read_mapping(path: Path | None) -> RecordingMap:
-    """Read MAP.toml; without one the file must have the contract's names and units.
-
-    Parameters
-    ----------
-    path : Path or None
-        None gives the empty map.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or is not TOML, or a key or value is wrong.
-    """
+    """Read MAP.toml; without one the file must have the contract's names and units."""
     if path is None:
         return RecordingMap()
     document = read_toml(path, "name an existing MAP.toml")

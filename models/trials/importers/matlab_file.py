@@ -25,18 +25,7 @@ _REMEDY: Final = "save it with -v7"
 
 
 def matlab_variables(path: Path) -> dict[str, Any]:
-    """Variables of a MATLAB file by name.
-
-    Parameters
-    ----------
-    path : Path
-        MAT-file of version 4 to 7.
-
-    Raises
-    ------
-    InputError
-        If the file is no such file, is damaged, or unpacks to more than `MOST_UNPACKED_BYTES`.
-    """
+    """Variables of a MATLAB file by name."""
     import io
 
     from scipy.io import loadmat
@@ -56,36 +45,14 @@ def matlab_variables(path: Path) -> dict[str, Any]:
 
 
 def matlab_scalars(path: Path) -> dict[str, str | int | float]:
-    """Single values of a MATLAB file by name.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        As `matlab_variables`.
-    """
+    """Single values of a MATLAB file by name."""
     single = {n: np.ravel(v)[0] for n, v in matlab_variables(path).items() if np.size(v) == 1}
     plain = {n: v.item() if isinstance(v, np.generic) else v for n, v in single.items()}
     return {n: v for n, v in plain.items() if isinstance(v, str | int | float)}
 
 
 def matlab_columns(path: Path) -> dict[str, Any]:
-    """Vectors of a MATLAB file, and the columns of its matrices as `name[k]`.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        As `matlab_variables`, and if there are more than `MOST_CELLS` numbers.
-    """
+    """Vectors of a MATLAB file, and the columns of its matrices as `name[k]`."""
     columns: dict[str, Any] = {}
     cells = 0
     for name, value in matlab_variables(path).items():

@@ -22,14 +22,8 @@ _OVER: Final = np.diag([1.0, -1.0, -1.0])
 def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
     """Positions in the world frame.
 
-    Parameters
-    ----------
-    positions_m : dict of str to ndarray, shape (n, 3)
-        In the file's frame.
-    frame : MocapFrame
-        The map's `[frame]`.
-    default_up : str
-        Upward axis of the file where the map does not give it.
+    Shapes: `positions_m` (n, 3).
+    `default_up`: upward axis of the file where the map does not give it.
     """
     rotation = world_rotation(frame, default_up)
     origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
@@ -39,12 +33,7 @@ def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) 
 def world_rotation(frame: MocapFrame, default_up: str) -> Array:
     """Rotation from the file's axes to the world's, shape (3, 3); a reflection with `mirror`.
 
-    Parameters
-    ----------
-    frame : MocapFrame
-        The map's `[frame]`.
-    default_up : str
-        Upward axis of the file where the map does not give it.
+    `default_up`: upward axis of the file where the map does not give it.
     """
     up = frame.up or default_up
     upward = _TO_Z_UP[up.removeprefix("-")]
@@ -74,16 +63,8 @@ def fit_rigid_motion(measured_m: Array, nominal_m: Array) -> tuple[Array, Array]
     Least squares by the singular value decomposition (Kabsch 1976). It takes a pre-bent link for a
     tilted frame, so it is an option, not the default.
 
-    Parameters
-    ----------
-    measured_m, nominal_m : ndarray, shape (k, 3)
-        The same points, k of at least 3.
-
-    Returns
-    -------
-    rotation : ndarray, shape (3, 3)
-    shift_m : ndarray, shape (3,)
-        nominal ≈ rotation @ measured + shift.
+    Shapes: `measured_m`, `nominal_m` (k, 3).
+    Returns `rotation` (3, 3); `shift_m` (3,): nominal ≈ rotation @ measured + shift.
     """
     centre, target = measured_m.mean(axis=0), nominal_m.mean(axis=0)
     u, _, vt = np.linalg.svd((measured_m - centre).T @ (nominal_m - target))

@@ -37,18 +37,7 @@ _MOST_HEADER_LINES: Final = 100
 def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     """Markers of a Motive export in the world frame.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file.
-    mapping : RecordingMap
-        With `[markers]` and `[frame]`; y points up unless it says otherwise.
-
-    Raises
-    ------
-    InputError
-        If the file is no Motive export in a known length unit and global coordinates, is
-        truncated, or holds no mapped marker.
+    `mapping`: with `[markers]` and `[frame]`; y points up unless it says otherwise.
     """
     rows = _rows(path)
     header = _header(path, next(rows, []))

@@ -39,18 +39,10 @@ _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
 
 
 class LogEnd(NamedTuple):
-    """Early end of the motion in a log.
+    """Early end of the motion in a log."""
 
-    Attributes
-    ----------
-    row : int
-        First row that is no part of the motion.
-    text : str
-        What is left out, with its reason.
-    """
-
-    row: int
-    text: str
+    row: int  # First row that is no part of the motion
+    text: str  # What is left out, with its reason
 
 
 def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
@@ -58,16 +50,6 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
 
     The first row with an alert ends them, and so does that of a stop before the motion was over.
     The stop after the motion stays: the goals hold its last ones.
-
-    Parameters
-    ----------
-    log : Recording
-        Of `dropstitch run`.
-
-    Raises
-    ------
-    InputError
-        If too few rows are left for a trial.
     """
     alert, stop = _first_alert(log), _early_stop(log)
     found = [row for row in (alert, stop) if row is not None]
@@ -96,23 +78,9 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
 def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
     """Joint signals, predictions and the estimated payload of a log, on the log's clock.
 
-    Parameters
-    ----------
-    path : Path
-        MCAP file.
-    mapping : RecordingMap
-        Not used: the log holds the contract's names and units.
-
-    Returns
-    -------
-    list of Series
-        One series, or goals and measured signals apart where some ticks have no fresh data, or the
-        arm approaches the first goal.
-
-    Raises
-    ------
-    InputError
-        If the file is no log of `dropstitch run`, or holds hardly any motion before a stop.
+    `mapping`: not used: the log holds the contract's names and units.
+    Returns one series, or goals and measured signals apart where some ticks have no fresh data, or
+    the arm approaches the first goal.
     """
     log, _ = motion_rows(read_recording(path))
     columns = log.columns
@@ -133,20 +101,7 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
 
 
 def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
-    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them.
-
-    Parameters
-    ----------
-    mapping : RecordingMap
-        What it gives takes precedence.
-    log : Recording
-        Of `dropstitch run`, see `motion_rows`.
-
-    Raises
-    ------
-    InputError
-        If neither the log nor the map gives the payload.
-    """
+    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them."""
     facts = logged_run(log)
     step_s = facts.period_s or float(np.median(np.diff(log.columns["time_s"])))
     motion = _goals_reach(log, step_s) if _outside(facts) else _motion_conditions(facts.motion)

@@ -37,17 +37,8 @@ Samples = list[tuple[float, dict[str, Any]]]
 def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
     """Joint states, goals and markers of a bag, one series per topic.
 
-    Parameters
-    ----------
-    path : Path
-        Directory of the bag.
-    mapping : RecordingMap
-        With `[topics]`, `joints`, `[markers]` and `[frame]`; z points up unless it says otherwise.
-
-    Raises
-    ------
-    InputError
-        If the bag cannot be read, a topic is missing, or its messages do not fit its role.
+    `mapping`: with `[topics]`, `joints`, `[markers]` and `[frame]`; z points up unless it says
+    otherwise.
     """
     if not mapping.topics:
         raise InputError(

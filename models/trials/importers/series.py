@@ -85,18 +85,7 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     The centre is the midpoint of any two opposite markers, so two of them suffice; without
     opposite ones all are needed.
 
-    Parameters
-    ----------
-    corners_m : ndarray, shape (corners, n, 3)
-        Measured.
-    places_m : sequence of (float, float)
-        Where they are in the section (`MarkerLayout.corners_m`).
-
-    Examples
-    --------
-    >>> corners_m = np.array([[[1.0, 1, 0]], [[-1, 1, 0]], [[1, -1, 0]], [[-1, -1, 0]]])
-    >>> row_centre_m(corners_m, [(1, 1), (-1, 1), (1, -1), (-1, -1)])
-    array([[0., 0., 0.]])
+    Shapes: `corners_m` (corners, n, 3).
     """
     places = np.asarray(places_m)
     apart = np.abs(places[:, None] + places[None]).max(axis=2)
@@ -113,26 +102,7 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
 def factor_to_si(where: Path, column: str, unit: str, declared: str | None = None) -> float:
     """Factor from `unit` to the SI unit in which `column` is declared.
 
-    Parameters
-    ----------
-    where : Path
-        Map, for the message.
-    column : str
-        Name of the contract, with its unit suffix.
-    unit : str
-        One of `TO_SI`.
-    declared : str, optional
-        SI unit of a column whose name has no unit suffix.
-
-    Examples
-    --------
-    >>> factor_to_si(Path("map.toml"), "time_s", "ms")
-    0.001
-
-    Raises
-    ------
-    InputError
-        If the unit is unknown or measures another quantity.
+    `declared`: SI unit of a column whose name has no unit suffix.
     """
     declared = declared or unit_of(column) or "1"
     if unit == declared:

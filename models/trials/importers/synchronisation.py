@@ -40,37 +40,20 @@ minutes of a motion that nearly repeats itself 0.003]."""
 
 @dataclass(frozen=True)
 class Synchronisation:
-    """Result of `synchronise`.
+    """Result of `synchronise`."""
 
-    Attributes
-    ----------
-    offset_s : float
-        To be added to the servo's times to get those of the motion capture.
-    correlation : float
-        Of servo angle and direction of the link at that offset; 1 is perfect. NaN where the
-        motion did not give the offset.
-    error_s : float
-        Half width of the 95 % interval of the offset.
-    lag_s : float
-        Lag of the link's bend, which was left out of the offset.
-    second_offset_s, second_correlation : float
-        Best offset apart from the first; NaN where there is none.
-    by : {"motion", "sync", "option"}
-        What gave the offset: the motion, a hardware signal, or the user.
-    fit : OffsetFit or None
-        Residuals, for a picture.
-    edges_drift : ClockDrift or None
-        Change of the offset over the edges of a hardware signal.
-    """
-
-    offset_s: float
+    offset_s: float  # To be added to the servo's times to get those of the motion capture
+    # Of servo angle and direction of the link at that offset; 1 is perfect. NaN where the motion
+    # did not give the offset.
     correlation: float
-    error_s: float = 0.0
-    lag_s: float = 0.0
-    second_offset_s: float = np.nan
+    error_s: float = 0.0  # Half width of the 95 % interval of the offset
+    lag_s: float = 0.0  # Lag of the link's bend, which was left out of the offset
+    second_offset_s: float = np.nan  # Best offset apart from the first; NaN where there is none
     second_correlation: float = np.nan
+    # What gave the offset: the motion, a hardware signal, or the user
     by: Literal["motion", "sync", "option"] = "motion"
-    fit: OffsetFit | None = None
+    fit: OffsetFit | None = None  # Residuals, for a picture
+    # Change of the offset over the edges of a hardware signal
     edges_drift: ClockDrift | None = None
 
     @property
@@ -83,20 +66,7 @@ class Synchronisation:
 def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
     """Offset between the clocks of two files, with its error.
 
-    Parameters
-    ----------
-    servo : list of Series
-        With the joint angles.
-    mocap : list of Series
-        With the first marker row or the tip; the second row shows the bend.
-    meta : TrialMeta
-        Joints to compare, size and markers of the link.
-
-    Raises
-    ------
-    InputError
-        If a file lacks what is compared, the correlation is below `MIN_CORRELATION`, another sign
-        or order of the joints fits better, or a second offset fits nearly as well.
+    `mocap`: with the first marker row or the tip; the second row shows the bend.
     """
     by_edges = _by_edges(servo, mocap)
     if len(by_edges) == 1 and by_edges[0].error_s <= FINE_S:
@@ -139,17 +109,8 @@ def offset_near(
 ) -> Synchronisation | None:
     """Offset that signal or motion give, to compare one given by hand with it.
 
-    Parameters
-    ----------
-    servo, mocap, meta
-        As for `synchronise`.
-    given_s : float
-        Offset given by hand: where the motion repeats itself, it is fitted near this one.
-
-    Returns
-    -------
-    Synchronisation or None
-        None where the files do not tell it.
+    `given_s`: offset given by hand: where the motion repeats itself, it is fitted near this one.
+    Returns None where the files do not tell it.
     """
     try:
         return synchronise(servo, mocap, meta)
@@ -166,15 +127,7 @@ def offset_near(
 
 
 def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
-    """Series whose times are larger by `offset_s`.
-
-    Parameters
-    ----------
-    series : list of Series
-        On one clock.
-    offset_s : float
-        Added to their times.
-    """
+    """Series whose times are larger by `offset_s`."""
     return [replace(s, time_s=s.time_s + offset_s) for s in series]
 
 

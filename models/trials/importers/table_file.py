@@ -34,18 +34,7 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
     A column that the map does not name is kept if its own name ends in a unit suffix of the
     contract; all others are dropped.
 
-    Parameters
-    ----------
-    path : Path
-        CSV, TSV, JSON or MATLAB file.
-    mapping : RecordingMap
-        With `[columns]`; a marker export (QTM, TRC) needs `[markers]` only.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a mapped column is missing, a cell is not a number, or nothing
-        is mapped to `time_s`.
+    `mapping`: with `[columns]`; a marker export (QTM, TRC) needs `[markers]` only.
     """
     if path.suffix.lower() not in (".json", ".mat"):
         mapping = with_capture_columns(path, mapping)
@@ -113,11 +102,6 @@ def read_scalars(path: Path) -> dict[str, Scalar]:
 
     These are the strings and numbers of a JSON object, those of objects in it by dotted path and by
     JSON pointer, and the 1 × 1 variables of a MATLAB file; other files have none.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read as what its suffix says.
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
@@ -151,19 +135,8 @@ def read_columns(
     holds the list of records. From a MATLAB file the vectors of the most frequent length are taken,
     and the columns of matrices of that length: `speed[0]`, `speed[1]`, ….
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    wanted : callable
-        Whether the cells of a column of a text table are read; others are empty.
-    may_be_nested : bool
-        Whether a file without columns is accepted, because a map has paths into it.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read as what its suffix says.
+    `wanted`: whether the cells of a column of a text table are read; others are empty.
+    `may_be_nested`: whether a file without columns is accepted, because a map has paths into it.
     """
     suffix = path.suffix.lower()
     columns: dict[str, Any]

@@ -28,26 +28,11 @@ _DECIMAL_COMMA: Final = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[str], list[Array]]:
     """Names of all columns of a text table, and the wanted ones among them as numbers.
 
-    Parameters
-    ----------
-    path : Path
-        Text with a header; the commonest of `,`, `;` and tabulator in it separates. The header rows
-        of a marker export (QTM, TRC) are skipped.
-    wanted : callable
-        Whether a column of this name is read; cells of others may be anything.
-
-    Returns
-    -------
-    list of str
-        Names, in order.
-    list of ndarray, shape (n,)
-        Columns in this order; an empty cell is NaN, and columns that are not wanted are empty.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or ends within a number, a name stands twice, a row has another
-        number of cells, or a wanted cell is not a number, or infinite.
+    `path`: text with a header; the commonest of `,`, `;` and tabulator in it separates. The header
+    rows of a marker export (QTM, TRC) are skipped.
+    `wanted`: whether a column of this name is read; cells of others may be anything.
+    Returns shape (n,), columns in this order; an empty cell is NaN, and columns that are not wanted
+    are empty.
     """
     lines, above = without_capture_header(path, read_lines(path, "name an existing table"))
     first = next(lines, "")
@@ -83,20 +68,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
 
 
 def refuse_doubled(path: Path, names: list[str]) -> None:
-    """Refuse two columns of one name; empty names are no names.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the message.
-    names : list of str
-        Names of its columns.
-
-    Raises
-    ------
-    InputError
-        If a name stands twice; it names the first.
-    """
+    """Refuse two columns of one name; empty names are no names."""
     seen: set[str] = set()
     for name in names:
         if name and name in seen:
@@ -105,17 +77,7 @@ def refuse_doubled(path: Path, names: list[str]) -> None:
 
 
 def cells_remedy(row: Sequence[str], header: int, delimiter: str = ",") -> str:
-    """Remedy for a row of another length than the header; decimal commas nearly double it.
-
-    Parameters
-    ----------
-    row : sequence of str
-        Its cells.
-    header : int
-        Cells of the header.
-    delimiter : str
-        What separates the cells.
-    """
+    """Remedy for a row of another length than the header; decimal commas nearly double it."""
     if len(row) < header:
         return "the file is truncated or damaged: export it again"
     if len(row) >= 1.5 * header and delimiter == "," and _SPLIT_NUMBER.search(",".join(row)):
@@ -124,30 +86,12 @@ def cells_remedy(row: Sequence[str], header: int, delimiter: str = ",") -> str:
 
 
 def has_decimal_comma(cell: object) -> bool:
-    """Whether a cell is a number with a decimal comma.
-
-    Examples
-    --------
-    >>> has_decimal_comma("-0,25"), has_decimal_comma("1,000,000"), has_decimal_comma("a,b")
-    (True, False, False)
-    """
+    """Whether a cell is a number with a decimal comma."""
     return _DECIMAL_COMMA.fullmatch(str(cell).strip()) is not None
 
 
 def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
-    """Sentence for a cell that is not a number.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    sample : int
-        Number of the sample, from 1.
-    column : str
-        Name of the column.
-    cell : object
-        Content.
-    """
+    """Sentence for a cell that is not a number."""
     remedy = "correct the cell or leave it empty"
     if has_decimal_comma(cell):
         remedy = "the file has decimal commas: export it with decimal points"

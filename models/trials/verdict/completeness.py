@@ -23,35 +23,18 @@ from models.trials.verdict.finding import (
 
 @dataclass(frozen=True)
 class Gap:
-    """Longest time without a sample in one series.
-
-    Attributes
-    ----------
-    file : str
-        Name of the file.
-    start_s : float
-        Last sample before it, on the trial's clock.
-    length_s : float
-        Time to the next sample.
-    step_s : float
-        Usual step of the series.
-    """
+    """Longest time without a sample in one series."""
 
     file: str
-    start_s: float
-    length_s: float
-    step_s: float
+    start_s: float  # Last sample before it, on the trial's clock
+    length_s: float  # Time to the next sample
+    step_s: float  # Usual step of the series
 
 
 def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list[Gap]:
     """Longest gap of every series within the time of a trial.
 
-    Parameters
-    ----------
-    series : sequence of Series
-        On one clock.
-    start_s, end_s : float
-        First and last time of the trial on that clock.
+    `start_s`, `end_s`: first and last time of the trial on that clock.
     """
     gaps = []
     for s in series:
@@ -67,13 +50,7 @@ def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list
 
 
 def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
-    """Findings on gaps that would be bridged by interpolation.
-
-    Parameters
-    ----------
-    gaps : sequence of Gap
-        Of the series.
-    """
+    """Findings on gaps that would be bridged by interpolation."""
     found = []
     for gap in gaps:
         bridged_s = gap.length_s if gap.length_s > 1.5 * gap.step_s else 0.0
@@ -91,15 +68,7 @@ def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
 
 
 def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on markers that are mapped and absent, or hardly ever seen.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        Of the file with the markers.
-    mapping : RecordingMap
-        With `[markers]`.
-    """
+    """Findings on markers that are mapped and absent, or hardly ever seen."""
     columns = {name: values for s in series for name, values in s.columns.items()}
     markers = mapping.layout.names
     given = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
@@ -138,13 +107,7 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
 
 
 def judge_rest(trial: Trial) -> list[ImportFinding]:
-    """Findings on the rest rows of a trial with markers.
-
-    Parameters
-    ----------
-    trial : Trial
-        Assembled.
-    """
+    """Findings on the rest rows of a trial with markers."""
     markers_m = trial.markers_m
     if not np.isfinite(markers_m).any():
         return []

@@ -54,40 +54,15 @@ COMMON_CLOCK_S: Final = (0.01, 0.05)
 
 
 class ImportFinding(NamedTuple):
-    """One thing that is wrong or doubtful.
+    """One thing that is wrong or doubtful."""
 
-    Attributes
-    ----------
-    level : {"refused", "warning"}
-        Whether the import is refused.
-    cause : str
-        Kind of the cause, one word or two: `yaw`, `origin`, `swapped`, ….
-    text : str
-        What was seen, with its likely cause.
-    remedy : str
-        What the user can do, as an imperative.
-    """
-
-    level: Level
-    cause: str
-    text: str
-    remedy: str
+    level: Level  # {"refused", "warning"}
+    cause: str  # Kind of the cause, one word or two: `yaw`, `origin`, `swapped`, …
+    text: str  # What was seen, with its likely cause
+    remedy: str  # What the user can do, as an imperative
 
 
 def level_of(value: float, limits: tuple[float, float]) -> Level | None:
-    """Level of a value by its limits, None where it is within both.
-
-    Parameters
-    ----------
-    value : float
-        Compared by its magnitude.
-    limits : tuple of float
-        Of the warning and of the refusal.
-
-    Examples
-    --------
-    >>> level_of(-0.05, YAW_RAD), level_of(1.0, YAW_RAD), level_of(0.01, YAW_RAD)
-    ('warning', 'refused', None)
-    """
+    """Level of a value by its limits, None where it is within both."""
     size = abs(value)
     return "refused" if size > limits[1] else "warning" if size > limits[0] else None

@@ -25,37 +25,20 @@ from models.trials.verdict.rest_pose import RestPose
 
 @dataclass
 class ImportVerdict:
-    """What is known of an import, filled in as it proceeds.
-
-    Attributes
-    ----------
-    name : str
-        Of the trial.
-    findings : list of ImportFinding
-        Of every check.
-    pose : RestPose or None
-        At rest, before alignment.
-    clock : Synchronisation or None
-        Of two files, or of the signals of one file against each other.
-    gaps : list of Gap
-        Longest of each file.
-    trial : Trial or None
-        Assembled.
-    steps_s : dict of str to float
-        Usual step of each file before resampling.
-    """
+    """What is known of an import, filled in as it proceeds."""
 
     name: str
     findings: list[ImportFinding] = field(default_factory=list)
-    pose: RestPose | None = None
+    pose: RestPose | None = None  # At rest, before alignment
+    # Of two files, or of the signals of one file against each other
     clock: Synchronisation | None = None
-    gaps: list[Gap] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)  # Longest of each file
     trial: Trial | None = None
+    # Usual step of each file before resampling
     steps_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def refused(self) -> list[ImportFinding]:
-        """Findings for which the import is refused."""
         return [f for f in self.findings if f.level == "refused"]
 
     @property
@@ -93,14 +76,8 @@ class ImportVerdict:
     ) -> None:
         """Add a finding where an offset given by hand is not the one that the files show.
 
-        Parameters
-        ----------
-        given_s : float
-            As given.
-        found : Synchronisation or None
-            By a signal or by the motion; None where the files do not tell it.
-        apart_s : float
-            Added to both for the message: clocks may count from an epoch.
+        `found`: by a signal or by the motion; None where the files do not tell it.
+        `apart_s`: added to both for the message: clocks may count from an epoch.
         """
         if found is None:
             return
@@ -118,18 +95,7 @@ class ImportVerdict:
             )  # fmt: skip
 
     def refuse(self, where: Path) -> None:
-        """Refuse the import if there is reason.
-
-        Parameters
-        ----------
-        where : Path
-            The file.
-
-        Raises
-        ------
-        InputError
-            With the first reason, and the number of others.
-        """
+        """Refuse the import if there is reason."""
         reasons = self.refused
         if reasons:
             others = "".join(f"; also: {f.text}" for f in [*reasons[1:], *self.warnings][:2])

@@ -54,43 +54,16 @@ _LOST_DIGITS_S: Final = 2e-6
 
 
 class Source(NamedTuple):
-    """What one import reads.
-
-    Attributes
-    ----------
-    file : Path
-        Recording.
-    kind : str
-        Its format, as for `--as`.
-    servo : Path or None
-        Second file with the servo's signals.
-    offset_s : float or None
-        Offset of the servo's clock; None to find it.
-    """
+    """What one import reads."""
 
     file: Path
     kind: str
-    servo: Path | None = None
-    offset_s: float | None = None
+    servo: Path | None = None  # Second file with the servo's signals
+    offset_s: float | None = None  # Offset of the servo's clock; None to find it
 
 
 def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict) -> Trial:
-    """Import a recording; fill in the verdict as it proceeds.
-
-    Parameters
-    ----------
-    source : Source
-        Files.
-    mapping : RecordingMap
-        Names, units, frame and conditions.
-    verdict : ImportVerdict
-        Keeps what was found where the import is refused.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be used, or a check refuses the import.
-    """
+    """Import a recording; fill in the verdict as it proceeds."""
     series = read_series(source.file, source.kind, mapping)
     if source.kind == "table":
         series = [_table_to_world(s, mapping) for s in series]

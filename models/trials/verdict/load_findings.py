@@ -30,11 +30,6 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
     The load is what the current has in proportion to the angle's sine (weight times lever, and
     inertia), or the bend in proportion to the angle. It is not compared with a nominal link, only
     between trials: alike for one payload, larger for a larger one, and between its neighbours'.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        Of one link.
     """
     groups: dict[tuple[object, ...], list[Trial]] = defaultdict(list)
     for t in trials:

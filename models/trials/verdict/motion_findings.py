@@ -45,13 +45,7 @@ MOVING_RAD_S: Final = 0.05
 
 
 def judge_motion(trial: Trial) -> list[ImportFinding]:
-    """Findings on the motion of a trial of the link, the most likely cause first.
-
-    Parameters
-    ----------
-    trial : Trial
-        Assembled, all signals on one clock.
-    """
+    """Findings on the motion of a trial of the link, the most likely cause first."""
     found = [*_unit_findings(trial), *_condition_findings(trial)]
     if any(f.level == "refused" for f in found):
         return found
@@ -214,10 +208,7 @@ def _correlation(a: Array, b: Array) -> float:
 def runs_against(goal_rad: Array, angle_rad: Array) -> bool:
     """Whether the angle of a joint mirrors its goal: one of the two has the wrong sign.
 
-    Parameters
-    ----------
-    goal_rad, angle_rad : ndarray, shape (n,)
-        Of one joint.
+    Shapes: `goal_rad`, `angle_rad` (n,).
     """
     return _correlation(angle_rad, goal_rad) < -ALIKE
 
@@ -291,19 +282,8 @@ def _current_findings(trial: Trial) -> list[ImportFinding]:
 def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, Array]:
     """Parts of a current: offset, per sine of the angle (load), by the sign of the rate (friction).
 
-    Parameters
-    ----------
-    current, angle : ndarray, shape (n,)
-        In A and rad.
-    step_s : float
-        Time step.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        The three parts in A.
-    ndarray, shape (n,)
-        What they leave.
+    Shapes: `current`, `angle` (n,).
+    Returns shape (3,), the three parts in A; shape (n,), what they leave.
     """
     rate = np.gradient(angle, step_s)
     design = np.column_stack([np.ones_like(angle), np.sin(angle), np.tanh(rate / MOVING_RAD_S)])

@@ -26,14 +26,8 @@ _LYING_RAD = np.radians(30.0)
 def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
     """Findings on a pose, the most likely cause first.
 
-    Parameters
-    ----------
-    pose : RestPose
-        Of the markers as the map puts them into the world, before they are aligned.
-    mapping : RecordingMap
-        With `[frame]`.
-    default_up : str
-        Upward axis of the format where the map does not give it.
+    `pose`: of the markers as the map puts them into the world, before they are aligned.
+    `default_up`: upward axis of the format where the map does not give it.
     """
     found = _names(pose, mapping, default_up)
     level = level_of(pose.scale - 1, SCALE)
@@ -74,10 +68,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
 def judge_base(pose: RestPose) -> list[ImportFinding]:
     """Findings on a pose after the alignment by the base's markers.
 
-    Parameters
-    ----------
-    pose : RestPose
-        Of the link's markers, which then stand on the base plate.
+    `pose`: of the link's markers, which then stand on the base plate.
     """
     wrong = []
     if pose.tilt_rad > TILT_RAD[1]:

@@ -43,56 +43,30 @@ _FAR_M: Final = 0.015
 
 @dataclass(frozen=True)
 class RestPose:
-    """Pose of the link at rest.
+    """Pose of the link at rest."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Markers that were seen at rest, in the order of the contract.
-    measured_m, nominal_m : ndarray, shape (k, 3)
-        Means at rest, and nominal places at the angle of the rest, with the sag of a lying link.
-    offset_m : ndarray, shape (3,)
-        Crossing of the joint axes, as the markers show it.
-    crossing_m : ndarray, shape (3,)
-        The same where the whole tilt is one of the frame and none of the link.
-    tip_aside_m : float
-        Distance of the highest markers' centre from its nominal place, across the vertical.
-    tilt_rad, yaw_rad : float
-        Of the link against the nominal one; yaw about z.
-    tilt_turned_rad : float
-        Tilt against the nominal link with the joint angles of the other sign.
-    axis : ndarray, shape (3,)
-        Direction of the link.
-    scale : float
-        Of the measured distances, relative to the nominal ones.
-    misfit_m : ndarray, shape (k,)
-        Distance of each marker from its nominal place after the best rigid motion.
-    row_heights_m : ndarray, shape (rows,)
-        Mean height of each row; NaN where it was not seen.
-    sag_m : float
-        Sag of the tip of a nominal link under its weight.
-    order : str
-        Order of the names that fits, in words; "" if the names fit as they are.
-    mirrored : ndarray, shape (3,), or None
-        Direction of the one axis that is mirrored, where that order is the same reflection of the
-        section in every row, or the rows are reversed and below the origin.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # Markers that were seen at rest, in the order of the contract
+    # (k, 3), means at rest, and nominal places at the angle of the rest, with the sag of a lying
+    # link
     measured_m: Array
     nominal_m: Array
-    offset_m: Array
+    offset_m: Array  # (3,), crossing of the joint axes, as the markers show it
+    # (3,), the same where the whole tilt is one of the frame and none of the link
     crossing_m: Array
+    # Distance of the highest markers' centre from its nominal place, across the vertical
     tip_aside_m: float
-    tilt_rad: float
+    tilt_rad: float  # Of the link against the nominal one; yaw about z
     yaw_rad: float
-    tilt_turned_rad: float
-    axis: Array
-    scale: float
+    tilt_turned_rad: float  # Tilt against the nominal link with the joint angles of the other sign
+    axis: Array  # (3,), direction of the link
+    scale: float  # Of the measured distances, relative to the nominal ones
+    # (k,), distance of each marker from its nominal place after the best rigid motion
     misfit_m: Array
-    row_heights_m: Array
-    sag_m: float
-    order: str
+    row_heights_m: Array  # (rows,), mean height of each row; NaN where it was not seen
+    sag_m: float  # Sag of the tip of a nominal link under its weight
+    order: str  # Order of the names that fits, in words; "" if the names fit as they are
+    # (3,), direction of the one axis that is mirrored, where that order is the same reflection of
+    # the section in every row, or the rows are reversed and below the origin
     mirrored: Array | None
 
 
@@ -101,19 +75,9 @@ def rest_pose(
 ) -> RestPose | None:
     """Pose from the mean place of each marker at rest.
 
-    Parameters
-    ----------
-    markers_m : mapping of str to ndarray, shape (3,)
-        Mean place at rest by contract name; NaN where the marker was not seen.
-    meta : TrialMeta
-        With the size of the link.
-    rest_rad : ndarray, shape (dof,), optional
-        Joint angles at rest; upright without it.
-
-    Returns
-    -------
-    RestPose or None
-        None where fewer than `LEAST_MARKERS` were seen.
+    Shapes: `markers_m` (3,), `rest_rad` (dof,).
+    `markers_m`: mean place at rest by contract name; NaN where the marker was not seen.
+    Returns None where fewer than `LEAST_MARKERS` were seen.
     """
     layout = meta.layout
     names = tuple(n for n in layout.names if n in markers_m and np.isfinite(markers_m[n]).all())

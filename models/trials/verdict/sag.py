@@ -24,12 +24,7 @@ from models.trials.trial import Array, TrialMeta
 def nominal_sag_m(meta: TrialMeta, turn: Array) -> Array:
     """Displacement of each marker of a nominal link by the weight, world frame, shape (k, 3).
 
-    Parameters
-    ----------
-    meta : TrialMeta
-        Size, pressure, payload and gravity.
-    turn : ndarray, shape (3, 3)
-        Rotation of the base at rest.
+    Shapes: `turn` (3, 3).
     """
     axis = turn[:, 2]
     gravity = np.array(meta.gravity)

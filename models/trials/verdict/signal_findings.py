@@ -30,13 +30,7 @@ SAME_SIGNAL: Final = 0.01
 
 
 def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
-    """Findings on the unit of the times of one file.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        Of the file, on its own clock.
-    """
+    """Findings on the unit of the times of one file."""
     for s in series:
         step_s = float(np.median(np.diff(s.time_s)))
         if not STEP_RANGE_S[0] <= step_s <= STEP_RANGE_S[1]:
@@ -53,15 +47,7 @@ def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
 
 
 def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on goals with an even step that is not the trial's, where the map names no step.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        Of one file.
-    mapping : RecordingMap
-        With the trial's step.
-    """
+    """Findings on goals with an even step that is not the trial's, where the map names no step."""
     if mapping.step_named:
         return []
     for s in (s for s in series if any(mapping.is_goal(name) for name in s.columns)):
@@ -84,13 +70,7 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
 
 
 def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> list[ImportFinding]:
-    """Findings on signals that both files hold and that differ: the servo's are used.
-
-    Parameters
-    ----------
-    servo, mocap : sequence of Series
-        On one clock.
-    """
+    """Findings on signals that both files hold and that differ: the servo's are used."""
     differing: dict[str, tuple[Series, Series, float]] = {}
     columns = {name: s for s in mocap for name in s.columns}
     for own, name in ((s, n) for s in servo for n in s.columns if n in columns):
@@ -118,15 +98,7 @@ def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> li
 
 
 def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
-    """Findings on signals that hold the same values, and on angles that jump or stand still.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        Of one file.
-    dof : int
-        Joints.
-    """
+    """Findings on signals that hold the same values, and on angles that jump or stand still."""
     encoders, wrapped = judge_encoders(series, dof)
     return [*_doubled(series, dof), *encoders, *_stuck(series, dof, wrapped)]
 
@@ -150,13 +122,7 @@ def _doubled(series: Sequence[Series], dof: int) -> list[ImportFinding]:
 
 
 def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on goals and angles that the map takes from one column, without saying so.
-
-    Parameters
-    ----------
-    mapping : RecordingMap
-        With `[columns]` and `notes` in its `[trial]`.
-    """
+    """Findings on goals and angles that the map takes from one column, without saying so."""
     if mapping.trial.get("notes"):
         return []
     for columns in (mapping.columns, mapping.servo_columns):
@@ -211,16 +177,7 @@ def check_common_clock(
 ) -> None:
     """Add the clock, and a finding where the markers are late or early, to a verdict.
 
-    Parameters
-    ----------
-    series : list of Series
-        Of one file.
-    meta : TrialMeta
-        Joints, size and markers of the link.
-    verdict : ImportVerdict
-        Filled in.
-    remedy : str
-        What to do about a clock that is late or early.
+    `remedy`: what to do about a clock that is late or early.
     """
     angles = [s for s in series if "angle_1_rad" in s.columns]
     if not angles or not any("m01_x_m" in s.columns for s in series):

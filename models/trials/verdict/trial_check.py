@@ -52,13 +52,7 @@ ZERO_REMEDY: Final = (
 
 
 def check_trial(trial: Trial) -> ImportVerdict:
-    """Verdict on one trial of the link.
-
-    Parameters
-    ----------
-    trial : Trial
-        As it was read.
-    """
+    """Verdict on one trial of the link."""
     verdict = ImportVerdict(trial.name, trial=trial)
     columns = {n: v for n, v in trial.columns.items() if n != "time_s"}
     series, verdict.findings = without_zeros(
@@ -89,13 +83,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
 
 
 def check_trials(trials: TrialSet) -> list[ImportFinding]:
-    """Findings on trials that are fitted together: sizes, held-out trials, joints.
-
-    Parameters
-    ----------
-    trials : TrialSet
-        Of the link.
-    """
+    """Findings on trials that are fitted together: sizes, held-out trials, joints."""
     found = [*_judge_links(trials), *judge_pressures(trials)]
     found += [*judge_doubled(trials), *judge_payloads(list(trials)), *judge_not_fitted(trials)]
     _, held_out = trials.split()
@@ -120,18 +108,7 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
 
 
 def refuse_mixed_links(trials: Sequence[Trial]) -> None:
-    """Refuse trials of several links, as `check_trials` does, before anything is fitted.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        That are used together.
-
-    Raises
-    ------
-    InputError
-        If trials are of several links; it names the first that is not of the link of the first.
-    """
+    """Refuse trials of several links, as `check_trials` does, before anything is fitted."""
     for finding in _judge_links(trials)[:1]:
         first = [getattr(trials[0].meta, key) for key in LINK_FACTS]
         other = next(t for t in trials if [getattr(t.meta, key) for key in LINK_FACTS] != first)
@@ -141,10 +118,7 @@ def refuse_mixed_links(trials: Sequence[Trial]) -> None:
 def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Finding on trials of several pressures.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        That are used together; a pressure of 0 is unknown.
+    `trials`: that are used together; a pressure of 0 is unknown.
     """
     known = sorted({t.meta.pressure_pa for t in trials if t.meta.pressure_pa > 0})
     if not known or known[-1] <= (1 + ONE_PRESSURE_FRACTION) * known[0]:
@@ -160,12 +134,8 @@ def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
 
 
 def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Findings on trials of one recording, or with the same angles: they are no test of each other.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-        That are used together.
+    """Findings on trials of one recording, or with the same angles: they are no test of each
+    other.
     """
     of_angles: dict[bytes, Trial] = {}
     of_recording: dict[str, Trial] = {}
@@ -191,13 +161,7 @@ def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
 
 
 def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
-    """Finding on payloads that only trials to test on have: nothing is fitted to these.
-
-    Parameters
-    ----------
-    trials : TrialSet
-        That are used together.
-    """
+    """Finding on payloads that only trials to test on have: nothing is fitted to these."""
     fitted, held_out = trials.split()
     known = {t.meta.payload_kg for t in fitted}
     missing = sorted({t.meta.payload_kg for t in held_out} - known)

@@ -36,17 +36,7 @@ class Curve(NamedTuple):
 
 
 def chart(curves: Sequence[Curve], x_label: str, y_label: str, equal: bool = False) -> str:
-    """A chart of curves with axes.
-
-    Parameters
-    ----------
-    curves : sequence of Curve
-        Those without finite points are left out.
-    x_label, y_label : str
-        Of the axes.
-    equal : bool
-        Whether both axes have one scale.
-    """
+    """A chart of curves with axes."""
     shown = [c for c in curves if np.isfinite(c.x + c.y).any()]
     low_x, high_x = _range([c.x for c in shown])
     low_y, high_y = _range([c.y for c in shown])
@@ -80,14 +70,8 @@ def chart(curves: Sequence[Curve], x_label: str, y_label: str, equal: bool = Fal
 def side_view(measured_m: Array, nominal_m: Array, axis: int, labels: Sequence[str]) -> str:
     """The markers at rest from one side, measured ones as dots and nominal ones as rings.
 
-    Parameters
-    ----------
-    measured_m, nominal_m : ndarray, shape (k, 3)
-        Places.
-    axis : {0, 1}
-        Horizontal axis: x or y.
-    labels : sequence of str
-        Names of those that are far from their place; "" for the others.
+    Shapes: `measured_m`, `nominal_m` (k, 3).
+    `labels`: names of those that are far from their place; "" for the others.
     """
     far = np.array([bool(label) for label in labels])
     rows: dict[int, list[int]] = {}  # names of one height would cover each other

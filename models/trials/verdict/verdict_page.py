@@ -23,20 +23,7 @@ from models.trials.verdict.verdict_drawing import Curve, chart, side_view
 
 
 def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
-    """Write the page of a verdict.
-
-    Parameters
-    ----------
-    verdict : ImportVerdict
-        Of one import.
-    directory : Path
-        Made if need be.
-
-    Returns
-    -------
-    Path
-        `NAME.html`.
-    """
+    """Write the page of a verdict."""
     from models.shared.html_page import render_page  # loads Jinja
 
     state = verdict.as_json()["verdict"]
@@ -53,13 +40,7 @@ def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
 
 
 def verdict_sections(verdict: ImportVerdict) -> list[Section]:
-    """Sections of the page of a verdict: findings, measures, pictures.
-
-    Parameters
-    ----------
-    verdict : ImportVerdict
-        Of one import.
-    """
+    """Sections of the page of a verdict: findings, measures, pictures."""
     found = [(f.level, f.text, f.remedy) for f in verdict.findings]
     parts: list[Any] = [
         Table("", ("Level", "What", "Remedy"), found) if found else Paragraph("Every check passed.")
@@ -114,13 +95,7 @@ def _heights(pose: RestPose) -> str:
 
 
 def clock_text(clock: Synchronisation) -> str:
-    """Offset of the servo's clock with its error, in words.
-
-    Parameters
-    ----------
-    clock : Synchronisation
-        As found.
-    """
+    """Offset of the servo's clock with its error, in words."""
     text = f"servo clock {clock.offset_s:+.4f} s ± {DURATION.text(clock.error_s, 2)}"
     if clock.by != "motion":
         by_hand = f"servo clock {clock.offset_s:+.4f} s, given by hand"

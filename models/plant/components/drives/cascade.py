@@ -33,12 +33,8 @@ SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
 
 
 def extension_parameters(joint: int) -> list[Parameter]:
-    """Feed-forward of the rate, integral of the position error and set-point weight; none at first.
-
-    Parameters
-    ----------
-    joint : int
-        Number of the joint.
+    """Feed-forward of the rate, integral of the position error and set-point weight; none at
+    first.
     """
     source = 'docs/sources.md, "Control tables": {}; 0 is none'
     return [

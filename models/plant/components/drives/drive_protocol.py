@@ -68,15 +68,7 @@ class Drive(Protocol):
 
 
 def current_limit(scope: Scope, joint: int) -> Expr:
-    """Largest current of a drive that has a limit, less what effects take from it.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the parameter `current_limit_{j}_a`.
-    joint : int
-        Number of the joint.
-    """
+    """Largest current of a drive that has a limit, less what effects take from it."""
     return scope.p("current_limit_{j}_a", joint) - scope.current_limit_reduction[joint]
 
 

@@ -25,19 +25,7 @@ LEAST_SQUARED_SPEED: Final = 1e-12
 def profiled_change(
     left: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
 ) -> tuple[Expr, Expr]:
-    """Change of the set-point in one step, and its rate at the end.
-
-    Parameters
-    ----------
-    left : SX
-        Way from the set-point to the goal in rad.
-    rate : SX
-        Rate of the set-point in rad/s.
-    speed, acceleration : SX
-        Limits in rad/s and rad/s².
-    step_s : SX
-        Length of the step.
-    """
+    """Change of the set-point in one step, and its rate at the end."""
     towards = ca.if_else(left >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
     way, begun = towards * left, towards * rate
     squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED

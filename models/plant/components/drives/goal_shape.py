@@ -72,15 +72,7 @@ def declare_step_length(scope: Scope) -> Expr:
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
-    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`.
-
-    Parameters
-    ----------
-    scope : Scope
-        With the parameters of `goal_shape_parameters`.
-    joint : int
-        Number of the joint.
-    """
+    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`."""
     declare_goal(scope, joint)
     sent, angle = scope.goal[joint], scope.suffix["angle"]
     unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
@@ -104,17 +96,7 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
 
 
 def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Change of the goal in a step, times the sampled current above that of the twin per jump.
-
-    Parameters
-    ----------
-    scope : Scope
-        After the command port.
-    joint : int
-        Number of the joint.
-    decay_s : SX
-        Time constant of the velocity loop.
-    """
+    """Change of the goal in a step, times the sampled current above that of the twin per jump."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
@@ -127,28 +109,14 @@ def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
 
 
 def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Current as sampled, above that at the end of the step, per jump of the current.
-
-    Parameters
-    ----------
-    scope, joint, decay_s
-        As for `staircase_in_current`.
-    """
+    """Current as sampled, above that at the end of the step, per jump of the current."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
 
 
 def declare_goal_rate_change(scope: Scope, joint: int) -> None:
-    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`.
-
-    Parameters
-    ----------
-    scope : Scope
-        With a shaped goal.
-    joint : int
-        Number of the joint.
-    """
+    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`."""
     angle = scope.suffix["angle"]
     name = f"goal_rate_change_{joint}_{angle}_s"
     scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
@@ -162,15 +130,7 @@ def goal_rate_change(scope: Scope, joint: int) -> Expr:
 
 
 def goal_rate(scope: Scope, joint: int) -> Expr:
-    """Rate of the goal in this step, after the command port.
-
-    Parameters
-    ----------
-    scope : Scope
-        With a shaped goal.
-    joint : int
-        Number of the joint.
-    """
+    """Rate of the goal in this step, after the command port."""
     sent = scope.goal_change[joint] / declare_step_length(scope)
     if joint not in scope.delayed_staircase:
         return sent
@@ -191,12 +151,7 @@ def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
 def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
     """Current at a phase of the step above its mean, per jump of the current.
 
-    Parameters
-    ----------
-    phase : SX
-        From the jump on, 0 to 1.
-    step_s, decay_s : SX
-        Length of the step; time constant of the velocity loop.
+    `step_s`, `decay_s`: length of the step; time constant of the velocity loop.
     """
     left = ca.exp(-step_s / decay_s)
     return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s

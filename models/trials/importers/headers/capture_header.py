@@ -28,24 +28,12 @@ _TIMES: Final = ("Frame", "Time")
 
 
 class CaptureHeader(NamedTuple):
-    """What precedes the samples of a marker export.
-
-    Attributes
-    ----------
-    markers : tuple of str
-        Names, in order.
-    unit : str
-        Of their positions.
-    rows : int
-        Rows of the header.
-    rate_hz : float or None
-        Rate of rows without a time; None where they have one.
-    """
+    """What precedes the samples of a marker export."""
 
     markers: tuple[str, ...]
     unit: str
     rows: int
-    rate_hz: float | None = None
+    rate_hz: float | None = None  # Rate of rows without a time; None where they have one
 
     @property
     def columns(self) -> list[str]:
@@ -56,17 +44,7 @@ class CaptureHeader(NamedTuple):
 def without_capture_header(path: Path, lines: Iterator[str]) -> tuple[Iterator[str], int]:
     """Lines of a table with one header row, and how many rows stood above it.
 
-    Parameters
-    ----------
-    path : Path
-        The file, for messages.
-    lines : iterator of str
-        Of a text file; those of another table are returned as they are.
-
-    Raises
-    ------
-    InputError
-        If the header of a marker export lacks names or rate.
+    `lines`: of a text file; those of another table are returned as they are.
     """
     header, lines = _header(path, lines)
     if header is None:
@@ -78,17 +56,7 @@ def without_capture_header(path: Path, lines: Iterator[str]) -> tuple[Iterator[s
 def with_capture_columns(path: Path, mapping: RecordingMap) -> RecordingMap:
     """Map in which time and `[markers]` of a marker export have their columns and unit.
 
-    Parameters
-    ----------
-    path : Path
-        Text file; for any other table the map is returned as it is.
-    mapping : RecordingMap
-        Its `[columns]` go before.
-
-    Raises
-    ------
-    InputError
-        As `without_capture_header`.
+    `path`: text file; for any other table the map is returned as it is.
     """
     header, _ = _header(path, read_lines(path, "name an existing table"))
     if header is None:

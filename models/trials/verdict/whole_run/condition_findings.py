@@ -29,12 +29,8 @@ _STEP_RAD: Final = 1e-4
 def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[ImportFinding]:
     """Findings on conditions of a trial of the link; those of another plant have none.
 
-    Parameters
-    ----------
-    trial : Trial
-        As it was read or assembled.
-    is_described : bool
-        Whether gravity is that of a link's file, which says how much of the weight is left.
+    `is_described`: whether gravity is that of a link's file, which says how much of the weight is
+    left.
     """
     if not trial.meta.link_length_m:
         return []
@@ -43,13 +39,7 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
 
 
 def judge_undeclared(trial: Trial) -> list[ImportFinding]:
-    """Finding on `[conditions]` of a trial of the link, whose plants declare none.
-
-    Parameters
-    ----------
-    trial : Trial
-        As it was read or assembled.
-    """
+    """Finding on `[conditions]` of a trial of the link, whose plants declare none."""
     names = list(trial.meta.conditions)
     if not names or not trial.meta.link_length_m:
         return []

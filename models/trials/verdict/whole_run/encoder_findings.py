@@ -35,22 +35,7 @@ MOST_NAMED: Final = 3
 
 
 def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFinding], set[int]]:
-    """Findings on angles and goals that start a new count, on spikes of angles and currents.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        Of one file.
-    dof : int
-        Joints.
-
-    Returns
-    -------
-    list of ImportFinding
-        What was found.
-    set of int
-        Joints whose angle or goal starts a new count: nothing else can be said of them.
-    """
+    """Findings on angles and goals that start a new count, on spikes of angles and currents."""
     found: list[ImportFinding] = []
     wrapped: set[int] = set()
     for s in series:

@@ -36,13 +36,7 @@ LONGEST_STEP_S: Final = 0.05
 
 
 def judge_goals(trial: Trial) -> list[ImportFinding]:
-    """Findings on the goals of a whole trial.
-
-    Parameters
-    ----------
-    trial : Trial
-        Of the link.
-    """
+    """Findings on the goals of a whole trial."""
     if np.nanmax(np.abs(trial.goal_rad)) > LARGEST_RAD:
         return []  # in another unit
     found = [*judge_standing_goals(trial), *_jump(trial)]
@@ -54,10 +48,7 @@ def judge_standing_goals(trial: Trial) -> list[ImportFinding]:
 
     Where a joint was moved by hand the goals do stand: such a trial has `amplitude_rad = 0`.
 
-    Parameters
-    ----------
-    trial : Trial
-        Of any plant; of another than the link nothing is said.
+    `trial`: of any plant; of another than the link nothing is said.
     """
     declared = trial.meta.amplitude_rad
     if not trial.meta.link_length_m > 0 or not declared > LEAST_MOTION_RAD:

@@ -25,32 +25,16 @@ MOST_RUNS: Final = 100
 
 
 class HeldMarkers(NamedTuple):
-    """Markers that hold their positions over the same rows.
-
-    Attributes
-    ----------
-    places : tuple of int
-        Of the markers in the layout.
-    first, last : int
-        Rows of the trial.
-    moved_m : float
-        Way of the neighbours meanwhile, or that of the markers by the joint angles.
-    """
+    """Markers that hold their positions over the same rows."""
 
     places: tuple[int, ...]
-    first: int
+    first: int  # Rows of the trial
     last: int
-    moved_m: float
+    moved_m: float  # Way of the neighbours meanwhile, or that of the markers by the joint angles
 
 
 def held_markers(trial: Trial) -> list[HeldMarkers]:
-    """Holds of markers that the link cannot make, in the order of the rows.
-
-    Parameters
-    ----------
-    trial : Trial
-        With markers and angles.
-    """
+    """Holds of markers that the link cannot make, in the order of the rows."""
     markers_m, time_s = trial.markers_m, trial.time_s
     same = np.all(np.abs(np.diff(markers_m, axis=0)) <= SAME_M, axis=2)
     found: dict[tuple[int, int], list[int]] = {}

@@ -42,24 +42,12 @@ _CELLS: Final = 200_000
 
 
 class Misplaced(NamedTuple):
-    """Markers that are not where they belong, over a stretch of rows.
+    """Markers that are not where they belong, over a stretch of rows."""
 
-    Attributes
-    ----------
-    places : tuple of int
-        Of the markers in the layout; of an exchange two.
-    exchanged : bool
-        Whether the two have each other's position.
-    rows : ndarray of int
-        Rows of the trial in which distances are wrong.
-    off_m : float
-        Largest change of a distance.
-    """
-
-    places: tuple[int, ...]
-    exchanged: bool
-    rows: Rows
-    off_m: float
+    places: tuple[int, ...]  # Of the markers in the layout; of an exchange two
+    exchanged: bool  # Whether the two have each other's position
+    rows: Rows  # Rows of the trial in which distances are wrong
+    off_m: float  # Largest change of a distance
 
 
 class _Distances:
@@ -98,14 +86,7 @@ class _Distances:
 def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list[Misplaced]:
     """Markers whose distances to their neighbours are wrong, by stretches of rows.
 
-    Parameters
-    ----------
-    markers_m : ndarray, shape (n, markers, 3)
-        NaN where unseen.
-    layout : MarkerLayout
-        Of the link.
-    rest : int
-        Leading rows at rest.
+    Shapes: `markers_m` (n, markers, 3).
     """
     distances = _Distances(markers_m, layout, rest)
     wrong = np.concatenate(

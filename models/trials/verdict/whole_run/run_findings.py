@@ -25,13 +25,7 @@ SINUSOIDAL: Final = 0.9
 
 
 def judge_run(trial: Trial) -> list[ImportFinding]:
-    """Findings on the markers over a whole trial, and on its goals.
-
-    Parameters
-    ----------
-    trial : Trial
-        Assembled, with the markers in the world frame.
-    """
+    """Findings on the markers over a whole trial, and on its goals."""
     found = [*judge_goals(trial), *_phase(trial)]
     markers_m = trial.markers_m
     if not np.isfinite(markers_m).any():

@@ -27,21 +27,11 @@ ALIKE: Final = 0.05
 
 
 class SineFit(NamedTuple):
-    """Sinusoid through samples.
-
-    Attributes
-    ----------
-    period_s : float
-        Its period.
-    amplitude : float
-        Its amplitude, in the unit of the samples.
-    left : float
-        Root mean square of what it leaves, in that unit.
-    """
+    """Sinusoid through samples."""
 
     period_s: float
-    amplitude: float
-    left: float
+    amplitude: float  # Its amplitude, in the unit of the samples
+    left: float  # Root mean square of what it leaves, in that unit
 
     @property
     def clean(self) -> bool:
@@ -50,29 +40,16 @@ class SineFit(NamedTuple):
 
 
 class PhaseLeap(NamedTuple):
-    """Place at which a sinusoid goes on with another phase.
+    """Place at which a sinusoid goes on with another phase."""
 
-    Attributes
-    ----------
-    row : int
-        First row behind it.
-    lead_s : float
-        Time by which the phase leaps ahead; negative where it falls back.
-    """
-
-    row: int
-    lead_s: float
+    row: int  # First row behind it
+    lead_s: float  # Time by which the phase leaps ahead; negative where it falls back
 
 
 def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
     """Sinusoid of a given period through goals.
 
-    Parameters
-    ----------
-    time_s, goal_rad : ndarray, shape (n,)
-        Samples.
-    period_s : float
-        Period.
+    Shapes: `time_s`, `goal_rad` (n,).
     """
     phase = 2 * np.pi * (time_s - time_s[0]) / period_s
     design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
@@ -84,19 +61,8 @@ def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
 def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
     """Best sinusoid through goals, with a period near the declared one.
 
-    Parameters
-    ----------
-    time_s, goal_rad : ndarray, shape (n,)
-        Samples, at least one period of them; the first `MOST_CYCLES` are used.
-    period_s : float
-        Declared period.
-
-    Examples
-    --------
-    >>> time_s = 0.01 * np.arange(900)
-    >>> fit = fit_period(time_s, 0.5 * np.sin(2 * np.pi * time_s / 4.1), 4.0)
-    >>> round(fit.period_s, 4), fit.clean
-    (4.1, True)
+    Shapes: `time_s`, `goal_rad` (n,).
+    `time_s`, `goal_rad`: samples, at least one period of them; the first `MOST_CYCLES` are used.
     """
     first = time_s < time_s[0] + MOST_CYCLES * period_s
     time_s, goal_rad = time_s[first], goal_rad[first]
@@ -117,17 +83,8 @@ def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
 def find_leap(time_s: Array, goal_rad: Array, period_s: float) -> PhaseLeap | None:
     """Place at which goals leap in phase: before and behind it they are one and the same sinusoid.
 
-    Parameters
-    ----------
-    time_s, goal_rad : ndarray, shape (n,)
-        Samples.
-    period_s : float
-        Period.
-
-    Returns
-    -------
-    PhaseLeap or None
-        None where there is no such place, or the goals are no sinusoid on either side.
+    Shapes: `time_s`, `goal_rad` (n,).
+    Returns None where there is no such place, or the goals are no sinusoid on either side.
     """
     phase = 2 * np.pi * (time_s - time_s[0]) / period_s
     design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])

@@ -58,11 +58,6 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
 
     It is compared with the centre of the last marker row where that is seen, and with the reach of
     the link. A trial without a tip, or of another plant, has none.
-
-    Parameters
-    ----------
-    trial : Trial
-        Assembled, in the world frame.
     """
     if not trial.meta.link_length_m or "tip_x_m" not in trial.columns:
         return []

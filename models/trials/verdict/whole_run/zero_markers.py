@@ -19,16 +19,7 @@ def without_zeros(
 
     A marker that is never elsewhere is kept as it is.
 
-    Parameters
-    ----------
-    series : list of Series
-        With the markers.
-    names : iterable of str
-        Markers to look at.
-    zero_m : ndarray, shape (3,)
-        Where the file's zero is.
-    remedy : str
-        What to do about it.
+    Shapes: `zero_m` (3,).
     """
     counts: dict[str, int] = {}
     times_s: list[Array] = []

@@ -31,64 +31,29 @@ TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 @dataclass
 class WrittenTake:
-    """How a take is written and mapped.
+    """How a take is written and mapped."""
 
-    Attributes
-    ----------
-    offset_s : float
-        Servo's clock plus this is the capture's.
-    epoch_s : float
-        Added to the servo's clock.
-    yaw_deg : float
-        Turn of the capture's frame, which the map knows.
-    files_up : {"y", "z"}
-        Upward axis of the file.
-    millimetres : bool
-        Whether the file is in millimetres.
-    align : str
-        As in the map.
-    names : dict of str to str
-        Marker of the contract to the one whose label it gets in the map.
-    absent : tuple of str
-        Markers that the map names and the file lacks.
-    signs : tuple of float
-        Of each servo's angle and goal in the log.
-    swap_joints : bool
-        Whether the log's joints are mapped crosswise.
-    wrong : dict
-        Keys of `[frame]` that the map gives wrongly.
-    first_s, last_s : float
-        Time from which and until which both files are written.
-    gap_s : tuple of float
-        Start and length of a gap in the servo's log, (0, 0) for none.
-    commas : bool
-        Whether the log has decimal commas.
-    lost : float
-        Fraction of the log's samples that are lost singly.
-    occluded : float
-        Fraction of marker cells that are blank.
-    scale : float
-        Of the file's positions.
-    """
-
-    offset_s: float = 0.0
-    epoch_s: float = 0.0
-    yaw_deg: float = 0.0
-    files_up: str = "y"
-    millimetres: bool = False
+    offset_s: float = 0.0  # Servo's clock plus this is the capture's
+    epoch_s: float = 0.0  # Added to the servo's clock
+    yaw_deg: float = 0.0  # Turn of the capture's frame, which the map knows
+    files_up: str = "y"  # {"y", "z"}, Upward axis of the file
+    millimetres: bool = False  # Whether the file is in millimetres
     align: str = "none"
+    # Marker of the contract to the one whose label it gets in the map
     names: dict[str, str] = field(default_factory=dict)
-    absent: tuple[str, ...] = ()
-    signs: tuple[float, ...] = (1.0, 1.0)
-    swap_joints: bool = False
+    absent: tuple[str, ...] = ()  # Markers that the map names and the file lacks
+    signs: tuple[float, ...] = (1.0, 1.0)  # Of each servo's angle and goal in the log
+    swap_joints: bool = False  # Whether the log's joints are mapped crosswise
+    # Keys of `[frame]` that the map gives wrongly
     wrong: dict[str, Any] = field(default_factory=dict)
-    first_s: float = 0.0
+    first_s: float = 0.0  # Time from which and until which both files are written
     last_s: float = np.inf
+    # Start and length of a gap in the servo's log, (0, 0) for none
     gap_s: tuple[float, float] = (0.0, 0.0)
-    commas: bool = False
-    lost: float = 0.0
-    occluded: float = 0.0
-    scale: float = 1.0
+    commas: bool = False  # Whether the log has decimal commas
+    lost: float = 0.0  # Fraction of the log's samples that are lost singly
+    occluded: float = 0.0  # Fraction of marker cells that are blank
+    scale: float = 1.0  # Of the file's positions
 
     def write(self, trial: Trial, directory: Path, seed: int) -> list[str]:
         """Write the files; return the arguments of the import command without --out."""
