@@ -26,10 +26,7 @@ SPACE := $() $()
 GAP := build/gap_demo/$(subst $(SPACE),+,$(subst =,_,$(strip $(HIDE))))
 HIDDEN := $(foreach effect,$(HIDE),--hide $(effect))
 
-# Recordings of other machines (docs/gap/real-data.md).
-DATA ?= $(or $(DROPSTITCH_DATA),../shared/data)
-
-# Claims to measure, by name or group; empty: all whose command takes 20 minutes at most.
+# Parts of `make figures`; empty: all of them, and the page is written.
 ONLY ?=
 
 # Run a command of this project, print it, and log it for the report that it belongs to.
@@ -43,56 +40,43 @@ endef
 # The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 
-.PHONY: help setup demo gap-demo experiment-demo tip-demo fmu-all ssp test test-fast test-durations lint pytest sil \
-  wheelhouse link-demo guides faults recorded-runs fuzz fuzz-fmu bench-fmu mutate soak hitl hitl-emulated bench bench-tip bench-real \
-  bench-faulty-recordings \
-  bench-live bench-files bench-campaigns claims claims-accept lock clean
+.PHONY: help help-all setup demo gap-demo tip-demo test test-fast sil figures docs clean lint pytest mutate \
+  test-durations experiment-demo link-demo fmu-all ssp faults recorded-runs soak fuzz fuzz-fmu hitl hitl-emulated \
+  wheelhouse lock
 .DELETE_ON_ERROR:
 .SECONDARY:
 
 help:
-	@echo "make demo       the whole chain from trials to the report; prints the report's path"
-	@echo "make gap-demo HIDE=$(HIDE)"
-	@echo "                hides an effect in the rig, finds it and adds it to the plant, rebuilds"
-	@echo "                FMU and bundle, runs the robot's loop again; prints the report's path"
-	@echo "make experiment-demo HIDE=encoder_offset=0.02"
-	@echo "                hides an effect that has look-alikes, designs the motion that separates"
-	@echo "                them, runs it on the rig, diagnoses again"
-	@echo "make tip-demo   plans a line and a circle of the tip, runs them on the rig with rigid kinematics,"
-	@echo "                with the payload known and unknown; prints the page's path"
-	@echo "make link-demo  a link of another size, mounting and servo: from link.toml to a run in software"
-	@echo "make guides     the documentation as a site, its notebooks run; prints the path"
-	@echo "make fmu-all    the FMUs of both numbers of joints and both versions of the standard for five"
-	@echo "                platforms, and with their sources alone; and the SSP packages"
-	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
-	@echo "make test       lint, types, import contracts and all tests"
-	@echo "make test-fast  the same with the quick tests only: those that are not in tests/slow.txt,"
-	@echo "                which lists tests that need more than half a second of processor time"
-	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict"
-	@echo "make soak       the same for 28 minutes under load with faults on the line"
-	@echo "make faults     the fault campaign: every fault injected and judged; 18 minutes from nothing"
-	@echo "make recorded-runs  records the runs anew that every change has to answer as before"
-	@echo "make fuzz       mutates valid files of every reader for ten minutes: each is used or refused in one"
-	@echo "                sentence, within 500 MB and 10 s; counts for each reader"
-	@echo "make mutate     changes every comparison of the safety supervisor; a test has to fail; about seven"
-	@echo "                minutes on two processors, with a line of progress every 5 s"
-	@echo "make fuzz-fmu   random sequences of calls to FMUs under sanitizers, ten minutes"
-	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT"
-	@echo "make hitl-emulated  the same tests on an emulated servo"
-	@echo "make claims     measures the figures that the documentation states and prints them beside"
-	@echo "                their targets; ONLY='NAME GROUP-*' selects; claims-accept keeps the values"
-	@echo "make bench      predictor and loop beside scikit-learn, skl2onnx and the Dynamixel SDK"
-	@echo "make bench-tip  errors and coverage of the robot's predictor on the rig, seven minutes"
-	@echo "make bench-files  memory and time of every reader on valid and hostile files of 100 MB"
-	@echo "make bench-campaigns  overhead of a case; 1,000 runs on processes and on dask, ten minutes"
-	@echo "make bench-live  the loop beside 200 slow viewers of its live view, ten runs"
-	@echo "make bench-fmu  FMUs in a C host: a step beside CasADi's code, derivatives, 100,000 instances"
-	@echo "make bench-real DATA=DIR  recordings of other machines: which effects their plants lack"
-	@echo "make bench-faulty-recordings DATA=DIR  faults written into recordings: which are named"
-	@echo "make test-durations  measures the tests again and renews tests/slow.txt"
-	@echo "make wheelhouse  the wheels that a robot PC without network installs from"
-	@echo "make lock       renews requirements/ from pyproject.toml"
+	@echo "make setup      .venv with everything; a minute or two"
+	@echo "make demo       the whole chain from trials to the report; 10 minutes"
+	@echo "make gap-demo HIDE=$(HIDE)   hides an effect in the rig, finds it, adds it to the plant; 5 minutes more"
+	@echo "make tip-demo   leads the tip along a line and a circle on the rig; 5 minutes more"
+	@echo "make test       lint, types, import contracts and all tests; 17 minutes"
+	@echo "make test-fast  the same without the slow tests; 5 minutes"
+	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict; 3 minutes without the demo"
+	@echo "make figures    measures docs/figures.md; 45 minutes. ONLY='tip loop' prints parts and writes nothing"
+	@echo "make docs       the documentation as a site, its notebooks run; 3 minutes"
 	@echo "make clean      removes what was built (keeps .venv)"
+	@echo "make help-all   the other targets"
+
+help-all: help
+	@echo
+	@echo "make experiment-demo HIDE=encoder_offset=0.02   a motion that separates look-alikes, run and diagnosed"
+	@echo "make link-demo  a link of another size, mounting and servo: from link.toml to a run in software"
+	@echo "make fmu-all    FMUs for five platforms, both FMI versions, with sources alone too; and SSP packages"
+	@echo "make ssp        twin, observer and controller in one package for tools that read SSP"
+	@echo "make faults     the fault campaign: every fault injected and judged; 10 minutes after the demo"
+	@echo "make soak       the loop for 28 minutes under load with faults on the line"
+	@echo "make fuzz       mutated files of every reader, ten minutes"
+	@echo "make fuzz-fmu   random sequences of calls to FMUs under sanitizers, ten minutes"
+	@echo "make mutate     mutants of the modules that decide something, by subject; an hour at most"
+	@echo "                (ONLY, SEED, COUNT)"
+	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT; hitl-emulated: on an emulated one"
+	@echo "make lint       ruff, mypy and import contracts; make pytest: the tests alone"
+	@echo "make test-durations  measures the tests and renews tests/slow.txt"
+	@echo "make recorded-runs  records anew the runs that every change has to answer as before"
+	@echo "make wheelhouse the wheels that a robot PC without network installs from"
+	@echo "make lock       renews requirements/ from pyproject.toml"
 
 # --- set-up -------------------------------------------------------------------------------------
 
@@ -127,52 +111,52 @@ demo: build/report.html
 
 # The paper does not state the phase between the joints (2DOF): 0 and 90 degrees are run.
 build/trials/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --dof 1 2 --seed $(SEED))
-	$(call run,python -m models simulate --out $(@D) --dof 2 --phase-deg 90 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 1 2 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 2 --phase-deg 90 --seed $(SEED))
 	@touch $@
 
 build/unseen_20deg/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --dof 1 2 --amplitude-deg 20 --trials 1 --seed $(SEED))
-	$(call run,python -m models simulate --out $(@D) --dof 2 --phase-deg 90 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 1 2 --amplitude-deg 20 --trials 1 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 2 --phase-deg 90 --amplitude-deg 20 --trials 1 --seed $(SEED))
 	@touch $@
 
 build/unseen_multisine/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --dof 1 2 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 1 2 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
 	@touch $@
 
 build/plant.json: build/trials/.done
-	$(call run,python -m models identify build/trials --plant models/plant/nominal.toml --out $@)
+	$(call run,dropstitch identify build/trials --plant models/plant/nominal.toml --out $@)
 
 # The observer FMU is put into the bundle after training, so it is the last file of a bundle.
 # The robot's predictor is trained on the multisine as well, which the plant has not seen.
 build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done build/unseen_multisine/.done
-	$(call run,python -m models train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --motions build/unseen_multisine --out $(@D))
-	$(call run,python -m fmu build $(@D) --plant build/plant.json --unit observer --out $@)
+	$(call run,dropstitch train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --motions build/unseen_multisine --out $(@D))
+	$(call run,dropstitch fmu build $(@D) --plant build/plant.json --unit observer --out $@)
 
 # Studies of one phase each, for the report only: the robot's bundle is trained on both phases.
 build/study_2dof_phase%/study.json: build/plant.json build/unseen_20deg/.done
-	$(call run,python -m models train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --study-only --out $(@D))
+	$(call run,dropstitch train build/trials --dof 2 --phase-deg $* --plant build/plant.json --unseen build/unseen_20deg --study-only --out $(@D))
 
 build/twin_%dof.fmu: build/bundle_%dof/observer.fmu
-	$(call run,python -m fmu build build/bundle_$*dof --plant build/plant.json --out $@)
+	$(call run,dropstitch fmu build build/bundle_$*dof --plant build/plant.json --out $@)
 
 build/check_twin_%dof.json: build/twin_%dof.fmu
-	$(call judge,python -m fmu check $< --json > $@)
+	$(call judge,dropstitch fmu check $< --json > $@)
 
 build/evaluate_%.json: build/%/.done build/plant.json
-	$(call run,python -m models evaluate build/$* --plant build/plant.json --json > $@)
+	$(call run,dropstitch evaluate build/$* --plant build/plant.json --json > $@)
 
 build/sil_%dof/timing.json: build/twin_%dof.fmu
-	$(call judge,python -m hil sil --bundle build/bundle_$*dof --fmu $< --line virtual --seconds 60 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_$*dof --fmu $< --line virtual --seconds 60 --out $(@D))
 
 build/sil_2dof_phase90/timing.json: build/twin_2dof.fmu
-	$(call judge,python -m hil sil --bundle build/bundle_2dof --fmu $< --phase-deg 90 --line virtual --seconds 60 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_2dof --fmu $< --phase-deg 90 --line virtual --seconds 60 --out $(@D))
 
 build/sil/timing.json: build/twin_1dof.fmu
-	$(call judge,python -m hil sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out $(@D))
 
 build/sil_socket_2dof/timing.json: build/twin_2dof.fmu
-	$(call judge,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 10 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 10 --out $(@D))
 
 REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(dof)dof/timing.json) \
   $(foreach phase,0 90,build/study_2dof_phase$(phase)/study.json) \
@@ -180,7 +164,7 @@ REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(do
   build/sil_2dof_phase90/timing.json build/sil/timing.json build/sil_socket_2dof/timing.json
 
 build/report.html: $(REPORT_PARTS)
-	$(call run,python -m hil report --build build --out $@)
+	$(call run,dropstitch report build build --out $@)
 
 # --- the gap workflow ---------------------------------------------------------------------------
 
@@ -193,30 +177,30 @@ gap-demo: $(GAP)/report.html
 	@echo "open $(CURDIR)/$<"
 
 $(GAP)/trials/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --payloads $(GAP_PAYLOADS) --seed 3 $(HIDDEN))
+	$(call run,dropstitch simulate --out $(@D) --payloads $(GAP_PAYLOADS) --seed 3 $(HIDDEN))
 	@touch $@
 
 $(GAP)/sealed/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --motion multisine --payloads $(GAP_PAYLOADS) --trials 1 --seed $(SEED) $(HIDDEN))
+	$(call run,dropstitch simulate --out $(@D) --motion multisine --payloads $(GAP_PAYLOADS) --trials 1 --seed $(SEED) $(HIDDEN))
 	@touch $@
 
 $(GAP)/found/plant.json: $(GAP)/trials/.done build/plant.json
-	$(call judge,python -m models gap $(<D) --plant build/plant.json --out $(@D))
+	$(call judge,dropstitch gap $(<D) --plant build/plant.json --out $(@D))
 
 $(GAP)/bundle_after/observer.fmu: PLANT := $(GAP)/found/plant.json
 $(GAP)/bundle_retrained/observer.fmu: PLANT := build/plant.json
 $(GAP)/bundle_%/observer.fmu: $(GAP)/found/plant.json $(GAP)/sealed/.done
-	$(call run,python -m models train $(GAP)/trials --dof 1 --plant $(PLANT) --unseen $(GAP)/sealed --out $(@D))
-	$(call run,python -m fmu build $(@D) --plant $(PLANT) --unit observer --out $@)
+	$(call run,dropstitch train $(GAP)/trials --dof 1 --plant $(PLANT) --unseen $(GAP)/sealed --out $(@D))
+	$(call run,dropstitch fmu build $(@D) --plant $(PLANT) --unit observer --out $@)
 
 $(GAP)/twin_1dof.fmu: $(GAP)/bundle_after/observer.fmu
-	$(call run,python -m fmu build $(<D) --plant $(GAP)/found/plant.json --out $@)
+	$(call run,dropstitch fmu build $(<D) --plant $(GAP)/found/plant.json --out $@)
 
 $(GAP)/check_twin_1dof.json: $(GAP)/twin_1dof.fmu
-	$(call judge,python -m fmu check $< --json > $@)
+	$(call judge,dropstitch fmu check $< --json > $@)
 
 # Twin FMUs before and after in FMPy on the sealed trials, and the one before without the effect.
-in_fmpy = $(call run,python -m fmu simulate $(1) --trial $(2)/dof1_payload$*_trial1_multisine_30deg.csv --out $(basename $@) --json > $@)
+in_fmpy = $(call run,dropstitch fmu simulate $(1) --trial $(2)/dof1_payload$*_trial1_multisine_30deg.csv --out $(basename $@) --json > $@)
 
 $(GAP)/fmpy_before_%.json: build/twin_1dof.fmu $(GAP)/sealed/.done
 	$(call in_fmpy,$<,$(GAP)/sealed)
@@ -226,7 +210,7 @@ $(GAP)/fmpy_without_%.json: build/twin_1dof.fmu build/unseen_multisine/.done
 	$(call in_fmpy,$<,build/unseen_multisine)
 
 # The robot's loop with every bundle; the rig moves behind the emulated servos.
-on_robot = $(call judge,python -m hil sil --bundle $(<D) --rig $(1) --payload-kg $* --line virtual --seconds 24 --out $(@D))
+on_robot = $(call judge,dropstitch sil --bundle $(<D) --rig $(1) --payload-kg $* --line virtual --seconds 24 --out $(@D))
 
 $(GAP)/sil_before_%/timing.json: build/bundle_1dof/observer.fmu
 	$(call on_robot,$(HIDDEN))
@@ -242,13 +226,13 @@ GAP_PATH := line --size 0.45 --seconds 4.352 --turns 2 --payloads 2
 GAP_PLANS := $(foreach variant,rigid before after without,$(GAP)/plan_$(variant)/timing.json)
 
 $(GAP)/rigid.json: build/bundle_1dof/observer.fmu $(GAP)/found/plant.json
-	$(call run,python -m models plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --rigid --out $@)
+	$(call run,dropstitch plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --rigid --out $@)
 $(GAP)/before.json: build/bundle_1dof/observer.fmu $(GAP)/found/plant.json
-	$(call run,python -m models plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --out $@)
+	$(call run,dropstitch plan $(GAP_PATH) --plant build/plant.json --bundle $(<D) --out $@)
 $(GAP)/after.json: $(GAP)/bundle_after/observer.fmu
-	$(call run,python -m models plan $(GAP_PATH) --plant $(GAP)/found/plant.json --bundle $(<D) --out $@)
+	$(call run,dropstitch plan $(GAP_PATH) --plant $(GAP)/found/plant.json --bundle $(<D) --out $@)
 
-plan_in_gap = $(call judge,python -m hil sil --bundle $(1) --rig $(2) --seed 5 --payload-kg 2 --payload-known --line virtual --plan $< --out $(@D))
+plan_in_gap = $(call judge,dropstitch sil --bundle $(1) --rig $(2) --seed 5 --payload-kg 2 --payload-known --line virtual --plan $< --out $(@D))
 
 $(GAP)/plan_rigid/timing.json: $(GAP)/rigid.json
 	$(call plan_in_gap,build/bundle_1dof,$(HIDDEN))
@@ -264,7 +248,7 @@ GAP_PARTS := $(GAP_PLANS) $(GAP)/found/plant.json $(GAP)/check_twin_1dof.json \
   $(foreach bundle,before retrained after without,$(GAP)/sil_$(bundle)_$(kg)/timing.json))
 
 $(GAP)/report.html: $(GAP_PARTS)
-	$(call run,python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --out $@)
+	$(call run,dropstitch report gap $(@D) --plant build/plant.json $(HIDDEN) --out $@)
 
 # --- plans for the tip --------------------------------------------------------------------------
 
@@ -284,12 +268,12 @@ tip-demo: | $(READY)
 	@echo "open $(CURDIR)/$(PLANS)/plans.html"
 
 $(PLANS)/inverse_%dof.json: build/bundle_%dof/observer.fmu
-	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --out $@)
+	$(call run,dropstitch plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --out $@)
 
 $(PLANS)/rigid_%dof.json: build/bundle_%dof/observer.fmu
-	$(call run,python -m models plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --rigid --out $@)
+	$(call run,dropstitch plan $(TIP_PATH_$*) --plant build/plant.json --bundle $(<D) --rigid --out $@)
 
-plan_on_rig = $(call judge,python -m hil sil --bundle build/bundle_$(1)dof --rig --seed 5 --line virtual --plan $< --payload-kg $* $(2) --out $(@D))
+plan_on_rig = $(call judge,dropstitch sil --bundle build/bundle_$(1)dof --rig --seed 5 --line virtual --plan $< --payload-kg $* $(2) --out $(@D))
 
 $(PLANS)/1dof_rigid_%/timing.json: $(PLANS)/rigid_1dof.json
 	$(call plan_on_rig,1,--payload-known)
@@ -308,42 +292,21 @@ $(PLANS)/2dof_misled_%/timing.json: $(PLANS)/inverse_2dof.json
 	$(call plan_on_rig,2,--payload-known --hide unmodelled_payload=1.3)
 
 $(PLANS)/plans.html: $(PLAN_RUNS)
-	$(call run,python -m hil plans $(@D) --plant build/plant.json --out $@)
-
-# The page as numbers.
-build/plans/plans.json: $(PLANS)/plans.html
-	$(BIN)/python -m hil plans $(@D) --json > $@
-
-# Speeds, rigs that differ from the plant, with a probing motion too, learning, moves from rest to rest, a text. No plain pattern: it
-# would match the plans of other rigs below, too.
-build/bench_plans/speeds.json build/bench_plans/robust.json build/bench_plans/probed.json \
-  build/bench_plans/learning.json build/bench_plans/moves.json build/bench_plans/text.json: \
-  build/bench_plans/%.json: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu
-	$(call run,python -m bench.plans $* --build build --out $(@D))
-
-build/bench_plans/%/other_rig.json: build/rig_%/plant.json build/bundle_1dof/observer.fmu
-	$(call run,python -m bench.plans other_rig --rig $* --plant $< --build build --out $(@D))
+	$(call run,dropstitch report plans $(@D) --plant build/plant.json --out $@)
 
 # --- FMUs for other machines ----------------------------------------------------------------------
 
-FMU_ALL := $(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi).fmu build/fmu_all/$(kind)_$(dof)dof_fmi$(fmi)_source.fmu)))
-
-fmu-all: $(FMU_ALL) ssp
+fmu-all: build/bundle_1dof/observer.fmu build/bundle_2dof/observer.fmu ssp
+	@for unit in twin observer predictor; do for dof in 1 2; do for fmi in 2 3; do \
+	  build="$(BIN)/dropstitch fmu build build/bundle_$${dof}dof --plant build/plant.json --unit $$unit --fmi $$fmi"; \
+	  out=build/fmu_all/$${unit}_$${dof}dof_fmi$$fmi; \
+	  $$build --platforms all --out $$out.fmu && $$build --platforms c-code --out $${out}_source.fmu || exit 2; \
+	done; done; done
 
 ssp: build/link_1dof.ssp build/link_2dof.ssp
 
 build/link_%dof.ssp: build/bundle_%dof/observer.fmu
-	$(call run,python -m fmu ssp $(<D) --plant build/plant.json --out $@)
-
-build_for_all = $(call run,python -m fmu build build/bundle_$(2)dof --plant build/plant.json --unit $(1) --fmi $(3) --platforms $(4) --out $@)
-
-define fmu_for_all
-build/fmu_all/$(1)_$(2)dof_fmi$(3).fmu: build/bundle_$(2)dof/observer.fmu
-	$$(call build_for_all,$(1),$(2),$(3),all)
-build/fmu_all/$(1)_$(2)dof_fmi$(3)_source.fmu: build/bundle_$(2)dof/observer.fmu
-	$$(call build_for_all,$(1),$(2),$(3),c-code)
-endef
-$(foreach kind,twin observer predictor,$(foreach dof,1 2,$(foreach fmi,2 3,$(eval $(call fmu_for_all,$(kind),$(dof),$(fmi))))))
+	$(call run,dropstitch fmu ssp $(<D) --plant build/plant.json --out $@)
 
 # --- a robot PC without network -----------------------------------------------------------------
 
@@ -361,26 +324,26 @@ wheelhouse: $(READY)
 link-demo: build/link_demo/sil/timing.json
 
 build/link_demo/link.toml: | $(READY)
-	$(call run,python -m models new $@ --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --joints 1 --pressure-pa 20700 --payload 0.4)
+	$(call run,dropstitch new $@ --length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --dof 1 --pressure-pa 20700 --largest-payload-kg 0.4)
 build/link_demo/plant.json: build/link_demo/link.toml
-	$(call run,python -m models simulate --rig $< --out build/link_demo/trials --payloads 0 0.4 --seed 1)
-	$(call run,python -m models identify build/link_demo/trials --plant $< --out $@)
+	$(call run,dropstitch simulate --rig $< --out build/link_demo/trials --payloads 0 0.4 --seed 1)
+	$(call run,dropstitch identify build/link_demo/trials --plant $< --out $@)
 build/link_demo/bundle/manifest.json: build/link_demo/plant.json
-	$(call run,python -m models train build/link_demo/trials --dof 1 --plant $< --out $(@D))
+	$(call run,dropstitch train build/link_demo/trials --dof 1 --plant $< --out $(@D))
 build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
-	$(call judge,python -m hil sil --bundle $(<D) --rig build/link_demo/link.toml --line virtual --out $(@D))
+	$(call judge,dropstitch sil --bundle $(<D) --rig build/link_demo/link.toml --line virtual --out $(@D))
 
-# Errors of the identified plant on the held-out trials, as numbers.
-build/link_demo/errors.json: build/link_demo/plant.json
-	$(BIN)/python -m models evaluate build/link_demo/trials --plant $< --json > $@
-
-# --- guides -------------------------------------------------------------------------------------
+# --- documentation ------------------------------------------------------------------------------
 
 # The site of docs/, its notebooks run; a warning is an error.
-guides: $(READY)
+docs: $(READY)
 	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
 	@echo
 	@echo "open $(CURDIR)/build/guides/index.html"
+
+# One run of one commit, on an idle machine; begin with `make clean`.
+figures: $(READY)
+	@PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m bench.figures $(if $(ONLY),--only $(ONLY))
 
 # --- checks -------------------------------------------------------------------------------------
 
@@ -410,25 +373,25 @@ lint: $(READY)
 ONE := build/one_joint
 
 $(ONE)/trials/.done: | $(READY)
-	$(call run,python -m models simulate --out $(@D) --dof 1 --seed $(SEED))
+	$(call run,dropstitch simulate --out $(@D) --dof 1 --seed $(SEED))
 	@touch $@
 
 $(ONE)/plant.json: $(ONE)/trials/.done
-	$(call run,python -m models identify $(<D) --plant models/plant/nominal.toml --out $@)
+	$(call run,dropstitch identify $(<D) --plant models/plant/nominal.toml --out $@)
 
 $(ONE)/bundle_1dof/observer.fmu: $(ONE)/plant.json
-	$(call run,python -m models train $(ONE)/trials --dof 1 --plant $< --out $(@D))
-	$(call run,python -m fmu build $(@D) --plant $< --unit observer --out $@)
+	$(call run,dropstitch train $(ONE)/trials --dof 1 --plant $< --out $(@D))
+	$(call run,dropstitch fmu build $(@D) --plant $< --unit observer --out $@)
 
 $(ONE)/twin_1dof.fmu: $(ONE)/bundle_1dof/observer.fmu
-	$(call run,python -m fmu build $(<D) --plant $(ONE)/plant.json --out $@)
+	$(call run,dropstitch fmu build $(<D) --plant $(ONE)/plant.json --out $@)
 
 sil: $(if $(wildcard build/twin_1dof.fmu),build,$(ONE))/twin_1dof.fmu
-	$(call run,python -m hil sil --bundle $(<D)/bundle_1dof --fmu $< --line socket --seconds 10 --out build/sil)
+	$(call run,dropstitch sil --bundle $(<D)/bundle_1dof --fmu $< --line socket --seconds 10 --out build/sil)
 
 # 100,000 ticks under load with lost and damaged replies: 28 minutes.
 soak: build/twin_2dof.fmu
-	$(call run,python -m hil sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 1700 \
+	$(call run,dropstitch sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 1700 \
 	  --load 1 --faults lost=0.01 corrupt=0.01 --out build/soak)
 
 # The same tests on the real servo at DROPSTITCH_HITL_PORT and on an emulated one.
@@ -441,7 +404,7 @@ hitl-emulated: $(READY)
 	$(BIN)/python -m tests.hitl.emulated
 
 faults: build/twin_2dof.fmu
-	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out build/faults)
+	$(call judge,dropstitch faults --bundle build/bundle_2dof --fmu $< --out build/faults)
 
 # What tests/hil/faults/test_recorded_runs.py asks of every change.
 recorded-runs: build/twin_2dof.fmu
@@ -452,137 +415,17 @@ fuzz: build/bundle_1dof/observer.fmu
 	$(BIN)/python -m tests.fuzz --bundle $(<D) --keep
 
 mutate: $(READY)
-	$(BIN)/python tests/firmware_py/safety/mutation.py
-
-bench: build/twin_2dof.fmu
-	$(BIN)/python -m bench.onnx
-	$(BIN)/python -m bench.robot.sdk_loop --bundle build/bundle_2dof --fmu $<
+	$(BIN)/python -m tests.mutation $(if $(ONLY),--only $(ONLY)) $(if $(COUNT),--count $(COUNT)) --seed $(SEED)
 
 fuzz-fmu: $(READY)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
 
-bench-fmu: $(READY)
-	$(BIN)/python -m bench.fmu_host --dof 1
-	$(BIN)/python -m bench.fmu_host --dof 2
-
-bench-live: build/bench/live_viewers.json
-
-bench-files: build/bench/files.json
-
-bench-campaigns: build/bench/campaigns.json
-
-bench-real: $(READY)
-	$(BIN)/python -m bench.real $(DATA)
-
-bench-faulty-recordings: $(READY)
-	$(BIN)/python -m bench.faulty_recordings $(DATA) --out build/faulty_recordings
-
-# --- claims -------------------------------------------------------------------------------------
-
-claims: $(READY)
-	$(BIN)/python -m bench.claims --only $(ONLY)
-
-claims-accept: $(READY)
-	$(BIN)/python -m bench.claims --accept --only $(ONLY)
-
-# The robot's predictor on motions never trained, with a stop, a free decay, wrong plants, effects.
-bench-tip: build/bench/tip_1dof.json build/bench/tip_2dof.json
-
-build/bench/tip_%dof.json: build/bundle_%dof/observer.fmu
-	$(BIN)/python -m bench.tip build/bundle_$*dof --out $(@D) >&2
-
-# The same on a named structure, with a plant and a predictor that were trained on trials of it.
-build/rig_%/plant.json: | $(READY)
-	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 1 --payloads 0 1 2 --seed $(SEED))
-	$(call run,python -m models identify $(@D)/trials --plant models/plant/nominal.toml --out $@)
-
-build/rig_%/bench/tip_1dof.json: build/rig_%/plant.json
-	$(call run,python -m models simulate --out build/rig_$*/multisine --rig $* --dof 1 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
-	$(call run,python -m models train build/rig_$*/trials --dof 1 --plant build/rig_$*/plant.json --motions build/rig_$*/multisine --out build/rig_$*/bundle)
-	$(call run,python -m fmu build build/rig_$*/bundle --plant build/rig_$*/plant.json --unit observer)
-	$(BIN)/python -m bench.tip build/rig_$*/bundle --rig $* --out $(@D) >&2
-
-# The same with two joints, in phase and a quarter period apart.
-build/rig_%_2dof/plant.json: | $(READY)
-	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 1 2 --payloads 0 1 2 --seed $(SEED))
-	$(call run,python -m models simulate --out $(@D)/trials --rig $* --dof 2 --phase-deg 90 --payloads 0 1 2 --seed $(SEED))
-	$(call run,python -m models identify $(@D)/trials --plant models/plant/nominal.toml --out $@)
-
-build/rig_%_2dof/bench/tip_2dof.json: build/rig_%_2dof/plant.json
-	$(call run,python -m models simulate --out build/rig_$*_2dof/multisine --rig $* --dof 2 --motion multisine --payloads 0 1 2 --trials 1 --seed $(SEED))
-	$(call run,python -m models train build/rig_$*_2dof/trials --dof 2 --plant $< --motions build/rig_$*_2dof/multisine --out build/rig_$*_2dof/bundle)
-	$(call run,python -m fmu build build/rig_$*_2dof/bundle --plant $< --unit observer)
-	$(BIN)/python -m bench.tip build/rig_$*_2dof/bundle --rig $* --out $(@D) >&2
-
-# What is measured anew whenever it is asked for.
-FORCE:
-
-# 4100 inputs for each reader, 10⁵ and more together.
-build/bench/fuzz.json: build/bundle_1dof/observer.fmu FORCE
-	@rm -f $@
-	$(BIN)/python -m tests.fuzz --inputs 2300 --workers 2 --seconds 100000 --bundle $(<D) --out $@ >&2 || [ -f $@ ]
-
-# Every reader on files of 100 MB.
-build/bench/campaigns.json: FORCE build/bundle_1dof/observer.fmu | $(READY)
-	@rm -f $@
-	$(BIN)/python -m bench.campaigns --out $(@D)/campaigns >&2
-	@cp $(@D)/campaigns/campaigns.json $@
-
-build/bench/campaign_plan.json: FORCE build/bundle_1dof/observer.fmu | $(READY)
-	@rm -rf $@ $(@D)/campaign_plan
-	$(BIN)/python -m hil campaign docs/campaigns/payload-and-loss.toml --out $(@D)/campaign_plan \
-	  --executor dask --scheduler tcp://HOST:8786 --workers 64 --plan --cases 10000 100000 --json > $@
-
-build/bench/campaign_overhead.json: FORCE | $(READY)
-	@rm -f $@
-	$(BIN)/python -m bench.campaigns --only overhead --out $(@D)/campaign_overhead >&2
-	@cp $(@D)/campaign_overhead/campaigns.json $@
-
-build/bench/files.json: FORCE | $(READY)
-	@rm -f $@
-	$(BIN)/python -m bench.files --out $(@D) >&2 || [ -f $@ ]
-
-# Ten runs of the loop in real time with 200 hostile viewers of its live view: four minutes.
-build/bench/live_viewers.json: build/twin_2dof.fmu FORCE
-	@rm -f $@
-	$(BIN)/python -m bench.robot.live_viewers --bundle build/bundle_2dof --fmu $< --out $(@D) >&2 || [ -f $@ ]
-
-build/bench/mutants.json: FORCE | $(READY)
-	@rm -f $@
-	$(BIN)/python tests/firmware_py/safety/mutation.py $@ >&2 || [ -f $@ ]
-
-build/bench/onnx.json: $(READY)
-	$(BIN)/python -m bench.onnx --out $(@D) >&2 || [ -f $@ ]
-
-build/bench/imports.json: $(READY)
-	$(BIN)/python -m bench.imports --out $@ >&2 || [ -f $@ ]
-
-build/faults/faults.json: build/twin_2dof.fmu
-	$(call judge,python -m hil faults --bundle build/bundle_2dof --fmu $< --out $(@D))
-
-build/real/xl330_pendulum.json: $(wildcard $(DATA)/bam_xl330/*.json)
-build/real/emps.json: $(wildcard $(DATA)/emps/*.mat)
-build/real/%.json: models/plant/examples/%_identified.json | $(READY)
-	@test -n "$(filter $(DATA)/%,$^)" || { echo "no recordings in $(DATA): set DATA"; exit 2; }
-	for file in $(filter $(DATA)/%,$^); do $(BIN)/python -m models import $$file --as table \
-	  --map models/plant/examples/$*.map.toml --out build/real/$* >&2 || exit 2; done
-	$(BIN)/python -m models evaluate build/real/$* --plant $< --json > $@
-
-# A plant identified on the second engine of the rig.
-build/rod/plant.json: models/plant/nominal.toml | $(READY)
-	$(BIN)/python -m models simulate --rig cosserat --out build/rod/trials --dof 1 2 --payloads 0 2 --seed 1
-	$(BIN)/python -m models identify build/rod/trials --plant $< --out $@
-
-# The page of gap-demo as numbers.
-$(GAP)/figures.json: $(GAP)/report.html
-	$(BIN)/python -m hil gap $(@D) --plant build/plant.json $(HIDDEN) --json > $@
-
 # Diagnose, design, run, diagnose again: one payload more or less does not tell these effects apart.
 experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),encoder_offset=0.02)
 experiment-demo: build/plant.json
-	$(call run,python -m models simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
-	$(call judge,python -m models gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
-	$(call run,python -m models experiment --gap build/experiment/gap/gap.json --limits robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
+	$(call run,dropstitch simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
+	$(call judge,dropstitch gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
+	$(call run,dropstitch experiment --gap build/experiment/gap/gap.json --config robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
 	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test:workshop"; do \

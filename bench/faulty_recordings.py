@@ -23,10 +23,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from bench.gap.disturbed_trials import as_recorded
-from bench.gap.scores.fraction_interval import fraction_with_interval
-from bench.measured_systems import SYSTEMS
-from bench.real import EXAMPLES, import_recordings
+from bench.rates import rate
+from bench.real import EXAMPLES, SYSTEMS, gain_of, import_recordings
 from firmware_py.console import DONE, Progress
 from models.gap.diagnosis import diagnose
 from models.plant.identification.identification import identify
@@ -35,7 +33,7 @@ from models.shared.worker_pool import worker_pool
 from models.trials.trial import Trial, TrialSet
 from models.trials.trial_files import read_trials
 
-SYSTEM: Final = SYSTEMS[0]
+SYSTEM: Final = SYSTEMS["xl330_pendulum"]
 EFFECTS: Final = ("load_dependent_friction", "stribeck_friction")
 """What the gap workflow names on all twelve logs."""
 
@@ -68,7 +66,7 @@ def with_late_angle(trial: Trial) -> Trial:
 
 
 FAULTS: Final[Mapping[str, tuple[Callable[[Trial], Trial], frozenset[str]]]] = {
-    "nothing": (as_recorded, frozenset()),
+    "nothing": (lambda trial: trial, frozenset()),
     "weight declared 25 % low": (declared("mass_kg", 0.75), frozenset({"unmodelled_payload"})),
     "gain declared 30 % high": (
         declared("duty_gain_1", 1.3), frozenset({"position_gain_change"}),
@@ -81,7 +79,7 @@ late look the same but for the first rows."""
 
 
 def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
-    """Plant that is identified on the logs of all gains but some."""
+    """Plant that is identified on the logs of all position gains but some (1/rad)."""
     path = out / ("without_" + "_".join(f"{g:.3f}" for g in gains) + ".json")
     if not path.exists():
         start = read_plant(EXAMPLES / f"{SYSTEM.name}.toml").with_effects(*EFFECTS)
@@ -90,15 +88,10 @@ def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
     return path
 
 
-def gain_of(trial: Trial) -> float:
-    """Declared position gain, 1/rad."""
-    return trial.meta.conditions["duty_gain_1"]
-
-
 def diagnose_faulty(
     trials: Path, gains: Sequence[float], plant: Path, fault: str
 ) -> dict[str, Any]:
-    """Diagnose the logs of some gains with a fault."""
+    """Diagnose the logs of some position gains with a fault, by a plant of the others."""
     known = read_plant(plant)
     change, effects = FAULTS[fault]
     own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
@@ -122,14 +115,11 @@ def fault_figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     faulty = [r for r in rows if r["fault"] != "nothing"]
     return {
         "by_fault": {
-            fault: fraction_with_interval([r["right"] for r in rows if r["fault"] == fault])
-            for fault in FAULTS
+            fault: rate([r["right"] for r in rows if r["fault"] == fault]) for fault in FAULTS
         },
-        "named": fraction_with_interval([r["right"] for r in faulty]),
-        "class_right": fraction_with_interval([r["class_right"] for r in faulty]),
-        "wrong": fraction_with_interval(
-            [bool(r["named"]) and not r["class_right"] for r in faulty]
-        ),
+        "named": rate([r["right"] for r in faulty]),
+        "class_right": rate([r["class_right"] for r in faulty]),
+        "wrong": rate([bool(r["named"]) and not r["class_right"] for r in faulty]),
     }
 
 

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import subprocess
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -61,16 +60,6 @@ def test_the_loop_in_software_runs_a_bundle_with_the_twin_of_its_plant():
     assert Path(bundle).parent == Path(twin).parent
 
 
-def test_the_help_names_every_target():
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
-    declared = re.search(r"^\.PHONY: (.*)$", makefile, re.MULTILINE)[1].split()
-    told = subprocess.run(
-        ["make", "--directory", ROOT, "help"], capture_output=True, text=True, check=True
-    ).stdout
-    left = {"help", "setup", "lint", "pytest"}
-    assert [t for t in declared if t not in left and not re.search(rf"\b{t}\b", told)] == []
-
-
 def test_fast_tests_run_beside_lint_and_leave_the_slow_ones_out():
     done = subprocess.run(
         ["make", "--dry-run", "--always-make", "--directory", ROOT, "test-fast"],
@@ -78,12 +67,3 @@ def test_fast_tests_run_beside_lint_and_leave_the_slow_ones_out():
         env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
     )  # fmt: skip
     assert '-m "not slow"' in done.stdout and "lint-imports" in done.stdout
-
-
-def test_the_help_says_how_long_the_fault_campaign_takes():
-    said = subprocess.run(
-        ["make", "--directory", ROOT, "help"], capture_output=True, text=True, check=True
-    ).stdout
-    claims = tomllib.loads((ROOT / "docs" / "claims.toml").read_text(encoding="utf-8"))["claim"]
-    (minutes,) = {c["minutes"] for c in claims if c["command"].startswith("make faults")}
-    assert f"injected and judged; {minutes} minutes from nothing" in said

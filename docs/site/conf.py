@@ -1,4 +1,4 @@
-"""Configuration of the guides' site: `make guides` builds docs/ into build/guides."""
+"""Configuration of the guides' site: `make docs` builds docs/ into build/guides."""
 
 from pygments.lexers import TextLexer
 

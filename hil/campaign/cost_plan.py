@@ -23,8 +23,7 @@ from hil.campaign.code_version import ROOT
 SAMPLE: Final = 5
 """Cases that are run for a plan where none of this code and kind has run yet [assumed]."""
 OVERHEAD_S: Final = 0.004
-"""Time of the campaign's own process for each case: task, result file, row of costs
-(`make bench-campaigns`)."""
+"""Time of the campaign's own process for each case: task, result file, row of costs."""
 BLOCK_BYTES: Final = 4096
 """Disk space of the smallest file."""
 TASK_BYTES: Final = 2500

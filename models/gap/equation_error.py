@@ -2,7 +2,7 @@
 
 A link has no hinges, and a gear no friction curve of two parameters: the strength that fits best is
 not that of the body. By how much was measured on rigs of drawn structure, which have other
-equations (`python -m bench.gap.calibration.strengths`); `equation_error.json` holds it.
+equations (`python -m models.gap.training strengths`); `equation_error.json` holds it.
 """
 
 from __future__ import annotations

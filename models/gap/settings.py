@@ -111,7 +111,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     model_error_left_fraction: float = 0.35
     """Fraction of the plant's own error (in amplitude) that neither its mean curve nor the patterns
     of `models.gap.estimation.model_discrepancy` take away; measured by
-    `bench.gap.calibration.plant_error` on rigs left out (see `discrepancy_patterns`)."""
+    `models.gap.training.plant_error` on rigs left out (see `discrepancy_patterns`)."""
     equation_error_fraction: float = 0.1
     """Fraction of a named effect's contribution that its equation may miss; measured: the plant
     reproduces the link itself to 6 to 10 %."""
@@ -140,7 +140,7 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     78 pairs of repetitions on 4 drawn rigs for tuning, effects hidden in 19 of 26 data sets, the
     largest difference was 5.7, of friction beside a hidden backlash."""
     discrepancy_patterns: int = 48
-    """Patterns of the plant's own error. Measured by `bench.gap.calibration.plant_error` on 66
+    """Patterns of the plant's own error. Measured by `models.gap.training.plant_error` on 66
     links of 22 rigs of drawn structure, each rig left out in turn: they take the median of the mean
     squared error, without noise, from 0.36 to 0.23 floors, its 90th percentile from 1.41 to 0.95;
     16 patterns to 0.30 and 1.13."""

@@ -1,6 +1,6 @@
 """Site of the guides: built from docs/ with every warning an error, a page outside the menu too.
 
-The notebooks are run by test_notebooks.py, in one process, and by `make guides`; here they are
+The notebooks are run by test_notebooks.py, in one process, and by `make docs`; here they are
 only drawn.
 """
 

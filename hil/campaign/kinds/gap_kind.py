@@ -1,8 +1,4 @@
-"""Kind of cases: effects hidden in a rig, and the diagnosis of its trials with a given plant.
-
-The benchmark of the workflow (`bench.gap`) draws its own cases and judges more of each diagnosis;
-it runs on the same engines.
-"""
+"""Kind of cases: effects hidden in a rig, and the diagnosis of its trials with a given plant."""
 
 from __future__ import annotations
 

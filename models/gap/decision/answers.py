@@ -8,7 +8,7 @@ and tip count apart there: what a changed link adds to the plant's own error is 
 than in the currents. How far the nuisance moved says
 nothing about the former: a faint effect on an unchanged link moves it as little as no effect does.
 The coefficients are fitted to diagnoses of rigs for tuning, whose hidden effects are known
-(`python -m bench.gap.calibration.answer_model`); `answers.json` holds them.
+(`python -m models.gap.training answers`); `answers.json` holds them.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     beyond_one: float = 0.0  # Number of effects that the tests leave beyond the first
     # Logarithm of the mean squared residual with the named effects, over the largest that counts as
     # noise; the same as `gap` where nothing is named. None in tests that were recorded before it
-    # was measured (`bench.gap.calibration`).
+    # was measured (`models.gap.training`).
     left: float | None = None
     # Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
     # the servos' currents and of the tip. None in tests of names that do not need it.

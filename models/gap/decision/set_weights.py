@@ -11,7 +11,7 @@ Before the trials the number of missing effects is Poisson distributed, and ever
 is equally likely: with a mean of m and a catalogue of N effects each effect of a set counts m / N.
 Without such a prior the many sets that add a useless effect to the right one outweigh it.
 
-`python -m bench.gap.calibration.weight_fit` tries values of a and m on diagnoses of rigs for
+`python -m models.gap.training sets` tries values of a and m on diagnoses of rigs for
 tuning. Of the pairs whose loss is within a standard error of the least one that of the least a,
 then the largest m, is taken: the least sure of the best set.
 """

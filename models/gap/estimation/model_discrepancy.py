@@ -3,7 +3,7 @@
 The plant is simpler than any link, and its error changes with the link's stiffness, mass and
 damping: on links that it was not identified on it keeps an error that resembles friction near
 standstill, or play. A few patterns hold most of that. They were measured on rigs without any hidden
-effect, their nuisance drawn anew and refitted (`python -m bench.gap.calibration.plant_error`), and
+effect, their nuisance drawn anew and refitted (`python -m models.gap.training own-error`), and
 belong to the noise floor: residual = noise + Σ a_m pattern_m, a_m ~ N(0, 1), so that a residual
 that resembles one of them counts no more than it did there.
 """

@@ -2,7 +2,7 @@
 
 The plant's own error resembles some effects more than others, and it grows with the change of the
 link since the plant was identified. How much was measured on rigs without any hidden effect, their
-link changed: `null_distribution.json`, written by `python -m bench.gap.calibration.plant_error`. An
+link changed: `null_distribution.json`, written by `python -m models.gap.training own-error`. An
 effect is named only beyond that. With two joints d′ of friction is as large on an unchanged link:
 what noise and patterns do not hold differs from trial to trial.
 """

@@ -1,19 +1,16 @@
-"""Recordings of other machines: the shipped plants against their claims, and the MATLAB reader."""
+"""Recordings of other machines: the shipped plants follow them, and the MATLAB reader."""
 
 import json
 
 import numpy as np
 import pytest
 
-from bench.claims.claim_table import read_accepted, read_claims
 from models.__main__ import main
 from models.plant.plant import NOMINAL
 from models.trials.importers.table_file import read_columns
 from tests.real_data import real_recordings
 
 EXAMPLES = NOMINAL.parent / "examples"
-TOLERANCE = 0.01
-"""Largest relative distance of an error from the accepted figure; both come from one plant file."""
 
 
 def errors_on(recordings, pattern, system, tmp_path, capsys):
@@ -27,28 +24,17 @@ def errors_on(recordings, pattern, system, tmp_path, capsys):
     return json.loads(capsys.readouterr().out)["signals"]
 
 
-def claimed(name):
-    """Accepted figure of a claim in SI units, and whether a value meets its target."""
-    (claim,) = [c for c in read_claims() if c.name == name]
-    return read_accepted()[name].value / claim.factor, lambda si: claim.is_met(si * claim.factor)
-
-
-def test_the_pendulums_error_on_all_logs_is_the_claimed_one(tmp_path, capsys):
+def test_the_pendulum_follows_all_logs(tmp_path, capsys):
+    """31 mrad in the mean where viscous and Coulomb friction alone leave 62."""
     recordings = real_recordings("bam_xl330")
-    mae_rad = errors_on(recordings, "*.json", "xl330_pendulum", tmp_path, capsys)["angle_1_rad"][
-        "mae"
-    ]
-    value_rad, met = claimed("xl330-all")
-    assert met(mae_rad)
-    assert mae_rad == pytest.approx(value_rad, rel=TOLERANCE)
+    errors = errors_on(recordings, "*.json", "xl330_pendulum", tmp_path, capsys)
+    assert errors["angle_1_rad"]["mae"] < 0.033
 
 
-def test_the_cars_error_is_the_claimed_one(tmp_path, capsys):
-    recordings = real_recordings("emps")
-    rms_m = errors_on(recordings, "*.mat", "emps", tmp_path, capsys)["position_1_m"]["rms"]
-    value_m, met = claimed("emps-all")
-    assert met(rms_m)
-    assert rms_m == pytest.approx(value_m, rel=TOLERANCE)
+def test_the_car_follows_its_recording(tmp_path, capsys):
+    """2.1 mm; 3.0 mm with the published friction and offset."""
+    errors = errors_on(real_recordings("emps"), "*.mat", "emps", tmp_path, capsys)
+    assert errors["position_1_m"]["rms"] < 0.0023
 
 
 def test_the_flexible_links_records_are_read_column_by_column():

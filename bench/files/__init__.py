@@ -1,1 +1,0 @@
-"""Memory and time that files of 100 MB take from their readers."""

@@ -1,1 +1,0 @@
-"""Benchmark of the gap workflow: how often it names an effect that is hidden in the rig."""

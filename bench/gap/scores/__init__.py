@@ -1,1 +1,0 @@
-"""Scores of the benchmark's results: figures, tables and pictures."""

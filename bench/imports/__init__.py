@@ -1,1 +1,0 @@
-"""Imports that are made right and wrong, and what the importer says of them."""

@@ -1,1 +1,0 @@
-"""Measurements of the robot's loop, its bus and its image."""

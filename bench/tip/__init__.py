@@ -1,1 +1,0 @@
-"""Measurement of the robot's tip predictor behind the servos, on the rig."""

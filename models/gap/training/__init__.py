@@ -1,0 +1,1 @@
+"""Training of the files that the gap workflow ships, on drawn rigs for tuning."""

@@ -1,0 +1,229 @@
+"""Takes as a user would record them, written from a trial: a Motive export and a servo log.
+
+The markers, which a trial without noise gives, are brought to the rate of the cameras by a cubic
+spline, get noise, are moved to the capture's own frame and clock, and written with y up. The
+servo's log is a table in degrees and milliamperes on its own clock. Every field that is not its
+default changes the take in one way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import tomli_w
+from scipy.interpolate import CubicSpline
+
+from firmware_py.link.link_description import STUDY_LINK
+from models.trials.trial import LINK_CONDITIONS, Array, Trial
+
+RATE_HZ: Final = 120.0
+NOISE_M: Final = 1.5e-4
+"""Noise of the markers, per coordinate and frame: docs/sources.md, "The link"."""
+ORIGIN_M: Final = np.array([1.2, -0.7, 0.42])
+"""Crossing of the joint axes in the capture's frame, z up."""
+RUN_CONDITIONS: Final = ("dof", "payload_kg", "trial", "motion", "period_s", "phase_2_rad")
+"""What the map says of the run."""
+TO_Y_UP: Final = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+
+
+@dataclass
+class WrittenTake:
+    """How a take is written and mapped."""
+
+    offset_s: float = 0.0  # Servo's clock plus this is the capture's
+    epoch_s: float = 0.0  # Added to the servo's clock
+    yaw_deg: float = 0.0  # Turn of the capture's frame, which the map knows
+    files_up: str = "y"  # {"y", "z"}, Upward axis of the file
+    millimetres: bool = False  # Whether the file is in millimetres
+    align: str = "none"
+    # Marker of the contract to the one whose label it gets in the map
+    names: dict[str, str] = field(default_factory=dict)
+    absent: tuple[str, ...] = ()  # Markers that the map names and the file lacks
+    signs: tuple[float, ...] = (1.0, 1.0)  # Of each servo's angle and goal in the log
+    swap_joints: bool = False  # Whether the log's joints are mapped crosswise
+    # Keys of `[frame]` that the map gives wrongly
+    wrong: dict[str, Any] = field(default_factory=dict)
+    first_s: float = 0.0  # Time from which and until which both files are written
+    last_s: float = np.inf
+    # Start and length of a gap in the servo's log, (0, 0) for none
+    gap_s: tuple[float, float] = (0.0, 0.0)
+    commas: bool = False  # Whether the log has decimal commas
+    lost: float = 0.0  # Fraction of the log's samples that are lost singly
+    occluded: float = 0.0  # Fraction of marker cells that are blank
+    scale: float = 1.0  # Of the file's positions
+
+    def write(self, trial: Trial, directory: Path, seed: int) -> list[str]:
+        """Write the files; return the arguments of the import command without --out."""
+        rng = np.random.default_rng(seed)
+        directory.mkdir(parents=True, exist_ok=True)
+        self._write_motive(trial, directory / "take.csv", rng)
+        columns = self._write_servo(trial, directory / "servo.csv", rng)
+        trial_table = {
+            key: value
+            for key, value in trial.meta.document().items()
+            if key in (*LINK_CONDITIONS, *RUN_CONDITIONS)
+        }
+        frame: dict[str, Any] = {"align": self.align, "up": self.files_up}
+        if self.align == "none":
+            frame |= {"origin_m": ORIGIN_M.tolist(), "yaw_deg": self.yaw_deg}
+        markers = {name: f"Link:{self.names.get(name, name)}" for name in STUDY_LINK.layout.names}
+        document = {
+            "trial": trial_table, "frame": frame | self.wrong, "markers": markers,
+            "servo_columns": columns,
+        }  # fmt: skip
+        (directory / "map.toml").write_text(tomli_w.dumps(document))
+        return [
+            str(directory / "take.csv"), "--as", "motive", "--servo", str(directory / "servo.csv"),
+            "--map", str(directory / "map.toml"),
+        ]  # fmt: skip
+
+    def _write_motive(self, trial: Trial, path: Path, rng: np.random.Generator) -> None:
+        time_s = trial.time_s
+        last_s = min(self.last_s, time_s[-1])
+        frames_s = np.arange(max(self.first_s, time_s[0]), last_s, 1 / RATE_HZ)
+        places_m = CubicSpline(time_s, trial.markers_m)(frames_s)
+        places_m = places_m + NOISE_M * rng.standard_normal(places_m.shape)
+        turn = np.radians(-self.yaw_deg)
+        about_z = np.array(
+            [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]]
+        )
+        in_file = places_m @ about_z.T + ORIGIN_M
+        in_file = self.scale * (in_file @ TO_Y_UP.T if self.files_up == "y" else in_file)
+        if self.millimetres:
+            in_file = 1e3 * in_file
+        in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
+        kept = [k for k, name in enumerate(STUDY_LINK.layout.names) if name not in self.absent]
+        labels = [f"Link:{STUDY_LINK.layout.names[k]}" for k in kept for _ in "XYZ"]
+        unit = "Millimeters" if self.millimetres else "Meters"
+        head = [
+            f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
+            "",
+            ",Type," + ",".join(["Marker"] * len(labels)),
+            ",Name," + ",".join(labels),
+            ",ID," + ",".join(labels),
+            ",," + ",".join(["Position"] * len(labels)),
+            "Frame,Time (Seconds)," + ",".join("XYZ"[i % 3] for i in range(len(labels))),
+        ]
+        cells = in_file[:, kept].reshape(len(frames_s), -1)
+        rows = [
+            f"{k},{k / RATE_HZ:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
+            for k, row in enumerate(cells.tolist())
+        ]
+        path.write_text("\n".join([*head, *rows]) + "\n")
+
+    def _write_servo(
+        self, trial: Trial, path: Path, rng: np.random.Generator
+    ) -> dict[str, dict[str, Any]]:
+        time_s = trial.time_s
+        kept = (time_s >= self.first_s) & (time_s <= self.last_s)
+        start_s, length_s = self.gap_s
+        kept &= (time_s <= start_s) | (time_s >= start_s + length_s)
+        kept &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
+        stamp_ms = 1e3 * (time_s - self.first_s - self.offset_s + self.epoch_s)
+        columns: dict[str, dict[str, Any]] = {"time_s": {"from": "stamp", "unit": "ms"}}
+        header, values = ["stamp"], [stamp_ms]
+        joints = range(1, trial.meta.dof + 1)
+        for j in joints:
+            header += [f"goal{j}", f"pos{j}", f"cur{j}"]
+            for signal in (trial.goal_rad[:, j - 1], trial.angle_rad[:, j - 1]):
+                values.append(np.degrees(signal) * self.signs[j - 1])
+            values.append(1e3 * trial.current_a[:, j - 1])
+            source = trial.meta.dof + 1 - j if self.swap_joints else j
+            columns |= {
+                f"goal_{j}_rad": {"from": f"goal{source}", "unit": "deg"},
+                f"angle_{j}_rad": {"from": f"pos{source}", "unit": "deg"},
+                f"current_{j}_a": {"from": f"cur{j}", "unit": "mA"},
+            }
+        table: Array = np.column_stack(values)[kept]
+        rows = [";".join(f"{v:.4f}" for v in row) for row in table.tolist()]
+        text = "\n".join([";".join(header), *rows]) + "\n"
+        path.write_text(text.replace(".", ",") if self.commas else text)
+        return columns
+
+
+class ImportCase(NamedTuple):
+    """One import; `cause` are words that a refusal must hold, "" for a right import."""
+
+    name: str
+    take: WrittenTake
+    trial: Trial
+    cause: str
+
+
+def wrong_cases(one: Trial, two: Trial, seed: int) -> list[ImportCase]:
+    """Forty wrong imports, of a trial with one joint and of one with two out of phase."""
+    rng = np.random.default_rng(seed)
+    cases: list[ImportCase] = []
+
+    def add(name: str, cause: str, trial: Trial = one, **fields: Any) -> None:
+        offset_s = float(rng.uniform(-2, 2))
+        cases.append(ImportCase(name, WrittenTake(offset_s=offset_s, **fields), trial, cause))
+
+    add("sign of joint 1", "joint 1 counts the other way", signs=(-1.0, 1.0))
+    add("sign of joint 1 of 2", "joint 1 counts the other way", two, signs=(-1.0, 1.0))
+    add("sign of joint 2", "joint 2 counts the other way", two, signs=(1.0, -1.0))
+    add("signs of both", "joint 1 and joint 2 count the other way", two, signs=(-1.0, -1.0))
+    add("joints swapped", "joints 1 and 2 are swapped", two, swap_joints=True)
+    for pair in (("m05", "m06"), ("m01", "m03"), ("m02", "m14"), ("m09", "m13"), ("m13", "m16")):
+        add(f"{pair[0]}, {pair[1]}", f"{pair[0]} and {pair[1]} are swapped", **_named(pair))
+    add("two pairs", "are swapped", **_named(("m05", "m06"), ("m10", "m15")))
+    for a, b in ((1, 2), (0, 3)):
+        rows = [(f"m{4 * a + k:02d}", f"m{4 * b + k:02d}") for k in range(1, 5)]
+        add(f"rows {a + 1}, {b + 1}", "rows are named in the order", **_named(*rows))
+    mirrored = [(f"m{k:02d}", f"m{k + 1:02d}") for k in range(1, 17, 2)]
+    add("mirrored corners", "corners are named in the order", **_named(*mirrored))
+    for up_m in (-0.42, -0.1, 0.05, 0.015):
+        way = "low" if up_m < 0 else "high"
+        add(f"origin z {up_m:+}", f"m too {way}", wrong=_origin((0.0, 0.0, up_m)))
+    for aside_m in ((0.1, 0.0, 0.0), (0.02, -0.03, 0.0)):
+        add(f"origin {aside_m}", "m aside", wrong=_origin(aside_m))
+    add("y-up read as z-up", "is y-up", wrong={"up": "z"})
+    add("z-up read as y-up", "is z-up", files_up="z", wrong={"up": "y"})
+    add("y-up read as x-up", "is y-up", wrong={"up": "x"})
+    for yaw in (3.0, -8.0, 12.0, 29.0, 90.0):
+        add(f"yaw {yaw:g}", "yaw_deg", wrong={"yaw_deg": yaw})
+    add("absent m05", "m05 is mapped to", absent=("m05",))
+    add("absent m16", "m16 is mapped to", absent=("m16",))
+    add("absent row", "is mapped to", absent=("m09", "m10", "m11", "m12"))
+    for rest in (1, 8):
+        at_s = one.time_s[one.meta.rest_samples - 1] - (rest - 1) * one.step_s
+        add(f"{rest} rows at rest", "rest before the motion", first_s=float(at_s))
+    for length_s in (0.2, 0.5, 1.0, 2.0):
+        add(f"servo gap {length_s:g} s", "has no samples for", gap_s=(4.0, length_s))
+    add("decimal commas", "decimal commas", commas=True)
+    add("decimal commas, 2 joints", "decimal commas", two, commas=True)
+    add("scale 1.1", "times those of the link", align="rest", scale=1.1)
+    return cases
+
+
+def right_cases(trials: list[Trial], count: int, seed: int) -> list[ImportCase]:
+    """Right imports of many kinds, of the trials in turn."""
+    rng = np.random.default_rng([seed, 1])
+    cases = []
+    for k in range(count):
+        trial = trials[k % len(trials)]
+        take = WrittenTake(
+            offset_s=float(rng.uniform(-2, 2)),
+            epoch_s=float(rng.choice([0.0, 0.0, 1.7e9])),
+            yaw_deg=float(rng.choice([0.0, 90.0, -37.0])),
+            files_up=str(rng.choice(["y", "z"])),
+            millimetres=bool(rng.random() < 0.5),
+            align=str(rng.choice(["none", "none", "rest"])),
+            first_s=float(rng.choice([0.0, 0.3])),
+            lost=float(rng.choice([0.0, 0.01])),
+            occluded=float(rng.choice([0.0, 0.02])),
+        )
+        cases.append(ImportCase(f"right {k + 1}, {trial.name}", take, trial, ""))
+    return cases
+
+
+def _named(*pairs: tuple[str, str]) -> dict[str, Any]:
+    names = dict(pairs) | {b: a for a, b in pairs}
+    return {"names": names}
+
+
+def _origin(shift_m: tuple[float, float, float]) -> dict[str, Any]:
+    return {"origin_m": (ORIGIN_M + np.array(shift_m)).tolist()}
