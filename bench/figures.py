@@ -146,7 +146,7 @@ def onnx(out: Path) -> list[Figure]:
 
 def loop(out: Path) -> list[Figure]:
     """Own work and own misses of the loop in real time."""
-    from hil.__main__ import main
+    from dropstitch.__main__ import main
 
     _quietly(main, "sil", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
              str(BUILD / "twin_2dof.fmu"), "--line", "socket", "--seconds", "60",
@@ -197,7 +197,7 @@ def sdk(out: Path) -> list[Figure]:
 
 def faults(out: Path) -> list[Figure]:
     """The fault campaign."""
-    from hil.__main__ import main
+    from dropstitch.__main__ import main
 
     _quietly(main, "faults", "--bundle", str(BUILD / "bundle_2dof"), "--fmu",
              str(BUILD / "twin_2dof.fmu"), "--out", str(out))  # fmt: skip
@@ -211,12 +211,12 @@ def faults(out: Path) -> list[Figure]:
 def fmu(out: Path) -> list[Figure]:
     """A step of the exported twin, and its two interface types."""
     from bench.fmu_host import measure
-    from fmu.__main__ import main
+    from dropstitch.__main__ import main
 
     hosted = {dof: measure(BUILD / "plant.json", dof, 1000) for dof in (1, 2)}
     rows = []
     for dof, own in hosted.items():
-        checked = _quietly(main, "check", str(BUILD / f"twin_{dof}dof.fmu"), "--json")
+        checked = _quietly(main, "fmu", "check", str(BUILD / f"twin_{dof}dof.fmu"), "--json")
         step_us = json.loads(checked)["step_us"]["bare"]
         rows.append(Figure(
             f"fmu-step-{dof}dof", f"a step of 17 ms of the twin FMU in FMPy, {dof}DOF", step_us,
@@ -329,7 +329,7 @@ def link(out: Path) -> list[Figure]:
 
 def campaign(out: Path) -> list[Figure]:
     """Throughput of a campaign."""
-    from hil.__main__ import main
+    from dropstitch.__main__ import main
 
     start_s = time.monotonic()
     _quietly(main, "campaign", "docs/campaigns/payload-and-loss.toml", "--workers", "2",

@@ -22,7 +22,7 @@ def planned(target, *options):
         capture_output=True, text=True, check=True,
         env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
     )  # fmt: skip
-    return re.findall(r'PATH="[^"]*" (python -m .*)', done.stdout)
+    return re.findall(r'PATH="[^"]*" (dropstitch .*)', done.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -32,20 +32,22 @@ def commands():
 
 def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
     own = [c for c in commands if "build/gap_demo/" in c]
-    for what in ("models simulate", "hil sil", "hil gap"):
+    for what in ("dropstitch simulate", "dropstitch sil", "report gap"):
         told = [c for c in own if what in c and "_without" not in c]
         assert told
         assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in told)
 
 
 def test_nothing_else_knows_what_is_hidden(commands):
-    blind = [c for c in commands if re.search(r"models (gap|train|identify)|fmu |sil_without", c)]
+    blind = [
+        c for c in commands if re.search(r"dropstitch (gap|train|identify|fmu )|sil_without", c)
+    ]
     assert len(blind) > 10
     assert not any("--hide" in c for c in blind)
 
 
 def test_every_choice_has_a_directory_of_its_own(commands):
-    (report,) = [c for c in commands if "hil gap" in c]
+    (report,) = [c for c in commands if "report gap" in c]
     assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
 
 
@@ -58,12 +60,3 @@ def test_the_loop_in_software_runs_a_bundle_with_the_twin_of_its_plant():
     run = planned("sil")[-1]
     bundle, twin = re.search(r"--bundle (\S+) --fmu (\S+) ", run).groups()
     assert Path(bundle).parent == Path(twin).parent
-
-
-def test_fast_tests_run_beside_lint_and_leave_the_slow_ones_out():
-    done = subprocess.run(
-        ["make", "--dry-run", "--always-make", "--directory", ROOT, "test-fast"],
-        capture_output=True, text=True, check=True,
-        env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
-    )  # fmt: skip
-    assert '-m "not slow"' in done.stdout and "lint-imports" in done.stdout
