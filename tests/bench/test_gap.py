@@ -61,5 +61,5 @@ def test_a_case_runs_from_the_rig_to_its_rates(tmp_path, monkeypatch):
     result = {"case": asdict(case), **run_hidden_case(case, plant)}
     assert result["verdict"] in ("closed", "reduced", "no gap", "not in the catalogue")
     assert set(result["named"]) <= {effect for chosen in result["chosen"] for effect in chosen}
-    rates = figures_by_link([result])["same link" if case.same_link else "link changed"]
+    rates = figures_by_link([result])["link changed" if case.nuisance else "same link"]
     assert rates["class_right"]["of"] == 1
