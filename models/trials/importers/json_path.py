@@ -45,7 +45,7 @@ def _tokens(path: str) -> list[str]:
 
 
 def _follow(where: Path, node: Any, path: str, tokens: list[str], depth: int) -> Any:
-    """Value below a node, or a list of values if the rest of the path passes every entry of a list."""
+    """Value below a node, or a list of values if the path passes every entry of a list."""
     if depth == len(tokens):
         return node
     token = tokens[depth]

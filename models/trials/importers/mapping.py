@@ -85,7 +85,7 @@ class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Orientation and origin of the motion capture's frame in the world; see the module's docstring."""
+    """Orientation and origin of the motion capture's frame in the world."""
 
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
     mirror: Literal["x", "y", "z"] | None = None
@@ -223,7 +223,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
 
     def _condition(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
-        """Single value as a condition of the trial; a motion's name becomes text even if it is a number."""
+        """Single value as a condition of the trial; a motion's name is text, even a number."""
         value = self._scalar(scalars, where, key, name)
         return f"{value:g}" if key == "motion" and isinstance(value, int | float) else value
 
