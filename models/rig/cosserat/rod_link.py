@@ -28,7 +28,7 @@ SMOOTHING_S: Final = 2e-4
 once per step, would excite [numerical]; it damps the first mode by less than 0.2 %."""
 
 COURANT: Final = 1.8
-"""Largest angular frequency of the rod times its time step; the position Verlet method is stable below 2."""
+"""Highest rate of the rod times its time step; the position Verlet method is stable below 2."""
 
 
 MOST_SPLITS: Final = 20
@@ -54,7 +54,7 @@ class RodLink:
         length, piece = p["link.length_m"], p["link.length_m"] / sections
         self._sections, self._half_m = sections, 0.5 * p["link.width_m"]
         self._layout = p.layout
-        # Element of each row, and its place in it from 0 to 1; elements join in the middle of pieces.
+        # Element of each row, and the place in it from 0 to 1; elements join in mid-piece.
         places = [h / length * sections + 0.5 for h in p.layout.rows_m]
         self._row_places = [(min(int(at), sections), at - min(int(at), sections)) for at in places]
         self.law = SectionLaw(p, p["world.step_s"], sections)
@@ -139,7 +139,7 @@ class RodLink:
         self.substeps = max(int(np.ceil(step_s * fastest_rad_s / COURANT)), 1)
 
     def _set_smoothing(self, step_s: float) -> None:
-        """Set the implicit step of viscous moments between neighbouring elements, about both axes."""
+        """Set the implicit step of viscous moments between adjacent elements, about both axes."""
         damping = step_s * SMOOTHING_S * self.law.stiffness_nm_rad
         matrix = np.diag(damping + np.append(damping[1:], 0.0))
         matrix -= np.diag(damping[1:], 1) + np.diag(damping[1:], -1)

@@ -31,7 +31,7 @@ WALL_FRACTION: Final = 0.3
 """Fraction of the bending stiffness that does not depend on pressure [assumed]."""
 
 WRINKLE_FRACTION: Final = 0.5
-"""Moment at which the wall wrinkles, relative to the limit moment: the value of a tube; theory gives
+"""Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
 2/3 for a box (docs/sources.md, "The link") [assumed]."""
 
 ZENER_FRACTION: Final = 0.5
@@ -53,7 +53,7 @@ def stiffness_factor(parameters: RigParameters) -> float:
 
 
 class SectionLaw:
-    """Moments and tangent stiffness of the root patch and all sections, with the state of their memory."""
+    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
