@@ -1,4 +1,4 @@
-"""Staircase of a goal that takes effect late."""
+"""Effect of a delayed goal on the saw-tooth of the current."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import casadi as ca
 
 @dataclass(frozen=True)
 class DelayedStaircase:
-    """What a delay of the goal changes in the saw-tooth of the current."""
+    """Effect of a goal's delay on the saw-tooth of the current."""
 
-    # Share of the delayed goal in the goal, 0 to 1: without a delay the staircase is whole
+    # Weight of the delayed goal, 0 to 1; the remainder keeps the staircase without delay
     share: ca.SX
     rate: ca.SX  # Rate of the delayed goal, without its staircase
-    phase_shift: ca.SX  # Phase of the step by which the current is sampled later after a jump
+    phase_shift: ca.SX  # Additional delay of the current's sample, as a fraction of the step

@@ -46,11 +46,11 @@ TITLES: Final[dict[Port, str]] = {
     "mass": "Payload",
     "sensor": "Sensors",
 }
-"""Section of the effects of a port."""
+"""Title of the section with the effects of a port."""
 
 
 def effects_page() -> str:
-    """Text of the page, Markdown."""
+    """Text of the page in Markdown."""
     parts = [HEAD]
     for port in get_args(Port):
         parts += [
@@ -76,14 +76,14 @@ def _row(*cells: str) -> str:
 
 
 def _told(effect: str) -> str:
-    """What the effect's own text tells beyond its equation, as a list entry; empty if nothing."""
+    """Rest of the effect's docstring after its equation, as a list entry; may be empty."""
     rest = (inspect.getdoc(EFFECTS[effect]) or "").split("\n\n")[1:]
     paragraphs = [" ".join(line.strip() for line in part.splitlines()) for part in rest]
     return f"- `{effect}`: " + "\n  ".join(paragraphs) if paragraphs else ""
 
 
 def _further_parameters(effect: str) -> list[str]:
-    """Parameters beside the strength, each with its meaning; of one joint."""
+    """Parameters after the strength, each with its meaning, for one joint."""
     scope = scope_of("cascade", "link", 1)
     last = [scope.name(name, 1) for name in EFFECTS[effect].fitted_last]
     fitted = [
@@ -103,7 +103,7 @@ def _fixed(q: Parameter) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Write the page."""
+    """Write the page of the effects."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="file to write")
     parser.parse_args(argv).out.write_text(effects_page(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Gains of the servos in the trials of an identification, from the log or the robot's file."""
+"""Gains that the servos had in the trials of an identification, from a log or robot.toml."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOG_SUFFIX: Final = ".mcap"
 def read_servo_gains(path: Path) -> tuple[ServoGains, ...]:
     """Read the gains of each servo, in joint order.
 
-    `path`: log of `dropstitch run`, which holds what was found in the servos, or robot.toml.
+    `path` is robot.toml or a log of `dropstitch run`, which records the gains read from the servos.
     """
     if path.suffix == _LOG_SUFFIX:
         gains = _found(path)

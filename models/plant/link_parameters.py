@@ -1,7 +1,7 @@
 """Values, bounds and priors of a plant's parameters for a described link.
 
-Each is that of the study's link (`read_plant()`) times the ratio of the property that it stands for
-(`models.shared.link_scale`): a bound stays as far from the value as it was.
+Each is that of the study's link (`read_plant()`) times the ratio of the property that it depends on
+(`models.shared.link_scale`), so the bounds keep their relative distance from the value.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ __all__ = ["parameter_of_link"]
 
 _JOINT = re.compile(r"_[12](?=_|$)")
 _KNOWN_PAYLOAD: Final = "payload_known_kg"
-"""Negative where the payload is estimated: it is not in proportion to anything."""
+"""Known payload; negative if it is to be estimated, so it is not scaled."""
 
 
 def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
-    """Parameter of the study's plant for another link."""
+    """Parameter of the study's plant, scaled to another link."""
     q, link = parameter, scale.link
     own = {
         "base_offset_m": link.base_offset_m,
@@ -46,7 +46,7 @@ def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
 
 
 def _ratio(name: str, scale: LinkScale) -> float:
-    """Factor of a parameter, by its name without the joint's number."""
+    """Scale factor of a parameter; `name` is without the joint's number."""
     servo, over = scale.servo_ratios, scale.over_study
     inertia, constant = servo["rotor_inertia_kg_m2"], servo["torque_constant_nm_a"]
     damping_s = 1 / over("first_mode_rad_s")

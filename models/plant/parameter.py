@@ -30,23 +30,23 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     name : str
-        With its unit suffix and the plane (1 or 2) where there is one per plane.
+        Name with its unit suffix, and the plane (1 or 2) if there is one per plane.
     unit : str
-        SI unit in the spelling of FMI, "1" for none.
+        SI unit in the spelling of FMI, "1" if dimensionless.
     value : float
-        Current value; `NO_DEFAULT` where a part declares a constant of the machine.
+        Current value; `NO_DEFAULT` for a constant of the machine that has no default.
     low, high : float
         Physically possible range; a fit stays within it.
     role : str
-        See `Role`.
+        How `identify` treats it, see `Role`.
     description : str
-        One phrase.
+        Meaning, one phrase.
     source : str
         Origin of value and bounds.
     error : float or None
         Standard error of an identified value.
     prior_deviation : float or None
-        Standard deviation of the value before a fit; None for a quarter of the bounds.
+        Standard deviation before a fit; None for a quarter of the distance between the bounds.
     """
 
     name: str
@@ -62,26 +62,26 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
 
 
 NO_DEFAULT: Final = math.nan
-"""Value of a declared parameter that every plant file must give: a constant of one machine, such as
-the force per volt of its drive, is no default for another, and no trial tells that it is wrong."""
+"""Value of a parameter that every plant file must set. A constant of one machine, such as the force
+per volt of its drive, is no default for another, and no trial reveals that it is wrong."""
 
 AT_BOUND: Final = 1e-3
 """Fraction of the distance between the bounds within which a value counts as at one [assumed]."""
 
 
 def bound_reached(q: Parameter) -> Literal["lower", "upper"] | None:
-    """Bound that a parameter's value is at; None where it is within."""
+    """Bound that a parameter's value has reached; None if it lies between them."""
     margin = AT_BOUND * (q.high - q.low)
     return "lower" if q.value <= q.low + margin else "upper" if q.value >= q.high - margin else None
 
 
 def prior_deviation_of(q: Parameter) -> float:
-    """Standard deviation of a value before a fit, in the parameter's unit."""
+    """Prior standard deviation of a value, in the parameter's unit."""
     return q.prior_deviation or (q.high - q.low) / 4
 
 
 def is_weakly_determined(q: Parameter) -> bool:
-    """Whether a fit told no more of a value than was known before: its error is not smaller."""
+    """Whether a fit added no information: the standard error is not below the prior deviation."""
     return q.error is not None and q.error >= prior_deviation_of(q)
 
 

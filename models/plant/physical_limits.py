@@ -1,9 +1,9 @@
 """Physical limits: the largest payload, and sums of parameters that cannot be negative.
 
-Every parameter has bounds of its own (`models.plant.parameter`). Two of them can still add up to
-something that no body has: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares such
-sums of masses, friction, stiffness and limits once, for all plants; a sum whose parameters a plant
-does not have is ignored.
+Every parameter has bounds (`models.plant.parameter`). Two parameters within their bounds can still
+add up to something impossible: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares
+such sums of masses, friction, stiffness and limits for all plants; a sum is ignored if the plant
+has none of its parameters.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ JOINTS: Final = ("1", "2")
 
 @dataclass(frozen=True)
 class PhysicalLimit:
-    """Sum that must be larger than zero, or at least zero."""
+    """Sum of parameters that must be positive, or at least not negative."""
 
-    what: str  # The sum in words
+    what: str  # Name of the sum for messages
     unit: str
-    # Weight of each parameter; names are patterns in which {j} is a joint and * anything
+    # Weight of each parameter; in a name, {j} stands for a joint and * for any text
     weights: Mapping[str, float]
-    constant: float = 0.0  # Added to the sum
-    with_payload: bool = False  # Whether the declared payload of a trial, in kg, is added
-    may_vanish: bool = True  # Whether zero is possible
+    constant: float = 0.0  # Constant term of the sum
+    with_payload: bool = False  # Whether a trial's payload in kg is added
+    may_vanish: bool = True  # Whether the sum may be zero
 
 
 @dataclass(frozen=True)
 class ImpossibleSum:
-    """Sum beyond its limit."""
+    """Sum that violates its limit."""
 
     what: str
     unit: str
@@ -76,14 +76,14 @@ LIMITS: Final = (
     PhysicalLimit("measured per true current of joint {j}", "1", {"current_scale_{j}": 1},
                   constant=1, may_vanish=False),
 )  # fmt: skip
-"""Sums that no real body goes below. Each follows from what its parameters mean
+"""Sums that no real machine violates, from the meaning of their parameters
 (`models.plant.effects`)."""
 
 
 def impossible_sums(
     values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
 ) -> list[ImpossibleSum]:
-    """Sums of `LIMITS` that some values violate, with the least payload."""
+    """Sums of `LIMITS` that the values violate at the smallest payload."""
     least_payload_kg = min(payloads_kg, default=0.0)
     found = []
     for limit in LIMITS:
@@ -108,7 +108,7 @@ def impossible_sums(
 def check_payload(
     payload_kg: float, option: str = "--payload-kg", link: LinkDescription | None = None
 ) -> None:
-    """Refuse a payload that the plant of a link is not made for."""
+    """Refuse a payload outside the range of a link's plant."""
     most_kg = (link or STUDY_LINK).most_payload_kg
     if not 0.0 <= payload_kg <= most_kg:
         raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")

@@ -1,7 +1,7 @@
 """Plant: drive, load, effects and parameters, composed into step models.
 
-A plant file is read by `read_plant` and written by `Plant.write`; `models.plant.plant_document` has
-its form.
+Read a plant file with `read_plant` and write one with `Plant.write`; its form is
+`models.plant.plant_document`.
 """
 
 from __future__ import annotations
@@ -56,26 +56,26 @@ NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant: drive, load, effects and parameters.
+    """Model of the machine: drive, load, effects and parameters.
 
     Attributes
     ----------
     name : str
-        For people.
+        Name for display.
     drive, load : str
-        Their kinds.
+        Kinds of the drive and the load.
     effects : tuple of str
-        Names of its effects.
+        Names of the effects that it has.
     parameters : dict of str to Parameter
-        All of them, for two joints where the load has two.
+        Every parameter by name, for both joints where the load has two.
     expected : dict of str to Parameter
-        Parameters of effects that the plant does not have yet, where its file gives them.
+        Parameters from the file that belong to effects which the plant does not have yet.
     signals : dict of str to SignalRole
-        Columns of a trial where they are not the link's.
+        Columns of a trial for a plant that is not the link.
     provenance : Provenance
-        Parent, data, fitted trials and held-out errors.
+        Parent plant, data, fitted trials and held-out errors.
     link : LinkDescription or None
-        The described link that it is a plant of: markers, gravity, servo; None for the study's.
+        Described link that the plant models (markers, gravity, servo); None for the study's.
     """
 
     name: str
@@ -94,10 +94,10 @@ class Plant:
         Parameters
         ----------
         dof : int
-            Joints, 1 or 2.
+            Number of joints, 1 or 2.
         kind : {"twin", "observer", "driven"}
-            Closed loop from goals; link driven by measured angles and currents; link driven by
-            measured angles with its payload given.
+            `twin`: closed loop, driven by goals. `observer`: link driven by measured angles and
+            currents. `driven`: link driven by measured angles, with a known payload.
 
         Returns
         -------
@@ -109,7 +109,7 @@ class Plant:
         Raises
         ------
         InputError
-            If the load does not have so many joints, or there is no such model of this plant.
+            If the load has fewer joints, or this plant has no model of that kind.
 
         Examples
         --------
@@ -138,14 +138,14 @@ class Plant:
     def with_values(
         self, values: Mapping[str, float], errors: Mapping[str, float] | None = None
     ) -> Plant:
-        """Plant with some values changed.
+        """Return the plant with some values changed.
 
         Parameters
         ----------
         values : mapping of str to float
-            By name of the parameter, in its unit.
+            New values by parameter name, each in the parameter's unit.
         errors : mapping of str to float, optional
-            Standard errors, by name.
+            Standard errors by parameter name; the others keep theirs.
 
         Raises
         ------
@@ -164,12 +164,12 @@ class Plant:
         return replace(self, parameters=parameters)
 
     def with_effects(self, *names: str) -> Plant:
-        """Plant that also has these effects, at the default strength of their class.
+        """Return the plant with these effects added, at the default strength of their class.
 
         Parameters
         ----------
         *names : str
-            Of the catalogue, or of one's own effects.
+            Effects of the catalogue, or registered by you.
 
         Raises
         ------
@@ -180,30 +180,30 @@ class Plant:
         return _complete(replace(self, effects=effects), "effects", {})
 
     def applicable(self) -> list[str]:
-        """Names of the effects that this drive and this load allow."""
+        """Return the names of the effects that drive and load allow."""
         return applicable(DRIVES[self.drive], LOADS[self.load])
 
     def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
-        """Names of an effect's strength parameter: one per joint, or one for all.
+        """Return the names of an effect's strength: one per joint, or one for all.
 
         Parameters
         ----------
         effect : str
-            Name of the effect.
+            Name of the effect in the catalogue.
         dof : int
-            Joints, 1 or 2.
+            Number of joints, 1 or 2.
         """
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
 
     def link_facts(self) -> LinkFacts:
-        """Facts that tell the plant's link from another."""
+        """Return the facts that identify the plant's link; fails for a plant of another machine."""
         facts = facts_of_plant(plain_plant(self.document()))
         if facts is None:
             raise InputError(f"plant {self.name!r}", "is no link", "use a plant of a link")
         return facts
 
     def document(self) -> PlantDocument:
-        """Content of the plant's file."""
+        """Return the content of the plant's file."""
         return PlantDocument(
             schema=PlantDocument.VERSION,
             name=self.name,
@@ -222,12 +222,12 @@ class Plant:
         )
 
     def for_robot(self) -> Plant:
-        """Plant as a bundle holds it: without the noise floor of the gap workflow."""
+        """Return the plant as a bundle stores it: without the noise floor of the gap workflow."""
         provenance = msgspec.structs.replace(self.provenance, noise_floor={})
         return replace(self, provenance=provenance)
 
     def sha256(self) -> str:
-        """Hash of the document, for provenance."""
+        """Return the hash of the document, for provenance."""
         plain = plain_plant(self.document())
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
@@ -237,7 +237,7 @@ class Plant:
         Parameters
         ----------
         path : Path or str
-            `.toml`, anything else is JSON.
+            Suffix `.toml` for TOML; any other suffix gives JSON.
         """
         write_plant_document(self.document(), Path(path))
 
@@ -248,14 +248,14 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     Parameters
     ----------
     path : Path or str
-        TOML or JSON; by default the plant before anything is identified. Of a link's file
-        (`firmware_py.link.link_description`) the plant that its size, servo and mounting suggest.
+        TOML or JSON; by default the nominal plant, before identification. A link file
+        (`firmware_py.link.link_description`) gives the nominal plant scaled to that link.
 
     Raises
     ------
     InputError
-        If the file is missing or no plant document, a kind, an effect, a parameter or a unit is
-        unknown, a value lies outside its bounds, or a constant of the machine is left out.
+        If the file is missing or no plant document; if a kind, effect, parameter or unit is
+        unknown; if a value lies outside its bounds; or if a constant of the machine is missing.
 
     Examples
     --------
@@ -305,9 +305,9 @@ def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
 def _complete(
     plant: Plant, where: Path | str, entries: Mapping[str, float | ParameterEntry]
 ) -> Plant:
-    """Plant with every parameter that its parts declare, and what the entries of a file change.
+    """Plant with every parameter that its parts declare, updated by the entries of a file.
 
-    The entries may also be parameters of effects that the plant does not have yet.
+    An entry may also set a parameter of an effect that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
     parts = plant.drive, plant.load

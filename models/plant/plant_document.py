@@ -59,31 +59,31 @@ __all__ = [
 
 
 class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Drive or load of a plant document, by its kind."""
+    """Drive or load of a plant, by its kind."""
 
     kind: str
 
 
 class EffectEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Effect of a plant document, by its name in the catalogue."""
+    """Effect of a plant, by its name in the catalogue."""
 
     name: str
 
 
 class ParameterEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Parameter of a plant document; a key that is left out keeps the default of its part."""
+    """Value of a parameter; a missing key keeps the default of the drive, load or effect."""
 
     value: float
-    unit: str | None = None  # SI unit in the spelling of FMI, "1" for none
-    bounds: tuple[float, float] | None = None  # Least and largest value
+    unit: str | None = None  # SI unit in the spelling of FMI, "1" if dimensionless
+    bounds: tuple[float, float] | None = None  # Lowest and highest possible value
     role: Role | None = None
-    source: str | None = None  # Origin of value and bounds
+    source: str | None = None  # Where value and bounds come from
     error: float | None = None  # Standard error of an identified value
     prior_deviation: float | None = None  # Standard deviation of the value before a fit
 
 
 class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A plant file."""
+    """Plant: drive, load, effects and parameters."""
 
     MADE_BY: ClassVar[str] = "dropstitch identify"
 
@@ -91,12 +91,12 @@ class PlantDocument(Document, frozen=True, forbid_unknown_fields=True, kw_only=T
     drive: PartKind
     load: PartKind
     effects: list[EffectEntry] = msgspec.field(default_factory=list)
-    # Columns and conditions of its trials; empty for the link
+    # Columns and conditions of the plant's trials; empty for the link
     signals: dict[str, SignalRole] = msgspec.field(default_factory=dict)
-    # Of the parts and of effects that the plant may get
+    # Parameters of drive, load and effects, also of effects that the plant does not have yet
     parameters: dict[str, float | ParameterEntry] = msgspec.field(default_factory=dict)
-    provenance: Provenance = msgspec.field(default_factory=Provenance)  # Origin of the values
-    link: LinkDescription | None = None  # The described link whose plant this is
+    provenance: Provenance = msgspec.field(default_factory=Provenance)  # Where the values come from
+    link: LinkDescription | None = None  # Link that the plant models; null for the study's
 
 
 def read_plant_document(path: Path) -> PlantDocument:
@@ -122,14 +122,14 @@ def read_plant_document(path: Path) -> PlantDocument:
 
 
 def _check_effects_single(path: Path, effects: list[EffectEntry]) -> None:
-    """Refuse an effect that stands twice: it would act twice."""
+    """Refuse an effect that is listed twice: it would act twice."""
     for name, count in Counter(effect.name for effect in effects).items():
         if count > 1:
             raise InputError(path, f"effect {name} stands twice", "remove one")
 
 
 def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
-    """Refuse numbers that cannot be; the value is checked against its bounds when all are known."""
+    """Refuse invalid numbers; `check_values` compares the value with its bounds later."""
     entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
     if not math.isfinite(entry.value):
         raise InputError(path, f"parameter {name} is not a finite number", "correct it")
@@ -148,7 +148,7 @@ def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
 
 
 def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
-    """Parameter as its part declares it, with what a plant file gives in place of that."""
+    """Declared parameter, updated by its entry in a plant file."""
     entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
     if entry.unit not in (None, q.unit):
         raise InputError(
@@ -173,19 +173,14 @@ def check_condition_units(
 
 
 def link_of_plant(path: Path) -> LinkDescription:
-    """Link that a plant's file describes, the study's where it does not; or that of a link's
-    file.
-    """
+    """Link of a plant's or a link's file; the study's link if a plant's file describes none."""
     if path.suffix.lower() == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
         return read_link(path)
     return read_plant_document(path).link or STUDY_LINK
 
 
 def write_plant_document(document: PlantDocument, path: Path) -> None:
-    """Write a plant file as a whole; JSON or TOML by the suffix.
-
-    `path`: as `read_plant_document` reads it; its directory is made if need be.
-    """
+    """Write a plant file in one step, JSON or TOML by the suffix; create its directory."""
     path.parent.mkdir(parents=True, exist_ok=True)
     text = (
         plant_json(document) + "\n"
@@ -201,7 +196,7 @@ def plant_json(document: PlantDocument) -> str:
 
 
 def plain_plant(document: PlantDocument) -> dict[str, Any]:
-    """Document as dictionaries and lists; the link is left out where there is none."""
+    """Document as dictionaries and lists; without the link if there is none."""
     plain: dict[str, Any] = msgspec.to_builtins(document)
     if document.link is None:
         del plain["link"]
@@ -211,7 +206,7 @@ def plain_plant(document: PlantDocument) -> dict[str, Any]:
 
 
 def _without_none(value: Any) -> Any:
-    """Plain document without its null values, which TOML cannot express."""
+    """Plain document without null values, which TOML cannot express."""
     if isinstance(value, dict):
         return {k: _without_none(v) for k, v in value.items() if v is not None}
     return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value

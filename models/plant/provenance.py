@@ -1,6 +1,6 @@
-"""Provenance of a plant: its parent, its data, and every trial that its values were fitted to.
+"""Provenance of a plant: its parent, its data, and every trial that it was fitted to.
 
-The struct is the `provenance` table of a plant document. It is read and written here only.
+The struct is the `provenance` table of a plant document. Only this module reads it.
 """
 
 from __future__ import annotations
@@ -30,48 +30,48 @@ _WRITE_AGAIN = "write the plant again with 'dropstitch identify' or 'dropstitch 
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Error of one simulated signal over all rows."""
+    """Error of one simulated signal over all samples."""
 
-    rms: float  # Root mean square and mean absolute error, in `unit`
-    mae: float
+    rms: float  # Root mean square error, in `unit`
+    mae: float  # Mean absolute error, in `unit`
     unit: str
 
 
 class TipError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root mean square distance from the measured end effector; None without motion capture."""
+    """Root mean square error of the end effector; None without motion capture."""
 
     tip_rms_m: float | None = None
-    # Of a link that does not bend at the measured angles, in m
+    # The same for a rigid link at the measured angles
     rigid_tip_rms_m: float | None = None
 
 
 class DofEvaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Errors on the trials of one number of joints."""
+    """Errors of a plant on the trials with one number of joints."""
 
     signals: dict[str, SignalError]
-    trials: int
-    payloads: dict[str, TipError] = {}
+    trials: int  # Number of trials
+    payloads: dict[str, TipError] = {}  # Errors by payload in kg
 
 
 class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Errors of a plant on trials."""
 
     signals: dict[str, SignalError]
-    trials: int
-    dof: dict[str, DofEvaluation] = {}  # The same by number of joints
+    trials: int  # Number of trials
+    dof: dict[str, DofEvaluation] = {}  # Errors by number of joints
     origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Noise floor of one number of joints; every spectrum is a string of numbers."""
+    """Noise floor for one number of joints; every spectrum is a string of numbers."""
 
     frequency_hz: str  # Frequencies of `noise` and `model`
-    repeats: float  # Trials that went into each mean curve
-    noise: dict[str, str]  # Variance of a coefficient by signal
-    model: dict[str, str]
+    repeats: float  # Number of repetitions behind each mean curve
+    noise: dict[str, str]  # Variance of a Fourier coefficient by noise, by signal
+    model: dict[str, str]  # Variance of a Fourier coefficient by model error, by signal
     # Mean error: group of trials → payload in kg → signal → spectrum
     curves: dict[str, dict[str, dict[str, str]]]
-    # Rest before the motion by group of trials; the rig's where it is left out
+    # Rest before the motion by group of trials; the rig's for a missing group
     rest_s: dict[str, float]
     payload_ratio_hz: str  # Frequencies of `noise_ratio` and `model_ratio`
     # Variance at one payload over its mean: payload in kg → signal → ratios
@@ -80,38 +80,38 @@ class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FittedTrial(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Trial that a value of the plant was fitted to."""
+    """Trial that the plant was fitted to."""
 
-    name: str  # For people; trials of different directories may have the same name
-    sha256: str  # Hash of conditions and samples (`models.trials.trial.Trial.sha256`)
-    source: str  # Its origin (`models.trials.trial_origin`); no rig where it was measured
-    rig: str = ""
-    pressure_pa: float = 0.0  # Pressure of the link; 0 of other plants
+    name: str  # Name for display; trials of different directories may have the same name
+    sha256: str  # Hash of conditions and samples
+    source: str  # `source` of the trial's conditions, such as rig, measured or recording
+    rig: str = ""  # Name of the simulated rig; empty for a measured trial
+    pressure_pa: float = 0.0  # Pressure of the link; 0 for other plants
 
 
 class Provenance(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """Origin of a plant's values."""
+    """Where a plant's values come from."""
 
     # Hash of the plant document that the fit started from; empty for a nominal plant
     parent_sha256: str = ""
     data_sha256: str = ""  # Hash of the set of trials of the last fit, held-out ones included
-    fitted_trials: tuple[FittedTrial, ...] = ()  # Trials of the last fit and of all fits before it
-    # Names of the trials of the last `identify` that were not fitted
+    fitted_trials: tuple[FittedTrial, ...] = ()  # Trials of the last fit and of all earlier fits
+    # Names of the trials that the last `identify` held out
     held_out_trials: tuple[str, ...] = ()
-    fitted_parameters: tuple[str, ...] = ()  # Parameters of the last `identify`
-    # Residual of the last `identify` by signal, in the signal's unit
+    fitted_parameters: tuple[str, ...] = ()  # Parameters that the last `identify` fitted
+    # Root mean square residual of the last `identify` by signal, in the signal's unit
     residual_rms: dict[str, float] = {}
-    # Errors on the held-out trials, or on the fitted ones where none were held out
+    # Errors on the held-out trials, or on the fitted ones if none were held out
     held_out: Evaluation | None = None
     named: tuple[str, ...] = ()  # Effects that `gap` added or changed
-    noise_floor: dict[str, FloorRecord] = {}  # By number of joints
-    # Gains that the servos had in the fitted trials, by joint; empty where nobody said
+    noise_floor: dict[str, FloorRecord] = {}  # Noise floor by number of joints
+    # Gains of the servos in the fitted trials, by joint; empty if unknown
     servo_gains: tuple[ServoGains, ...] = ()
 
     def fitted_with(self, trials: Iterable[Trial]) -> tuple[FittedTrial, ...]:
-        """Fitted trials of this plant and, after them, those of `trials` that are not among them.
+        """Fitted trials of this plant, followed by the new ones among `trials`.
 
         Trials with the same hash are the same, even under different names.
         """
@@ -128,10 +128,10 @@ class Provenance(
         return merged_origins(TrialOrigin(t.source, t.rig) for t in self.fitted_trials)
 
     def was_fitted_to(self, trial: Trial) -> bool:
-        """Whether a trial with these conditions and samples was fitted, under any name."""
+        """Whether the plant was fitted to this trial, under any name."""
         return trial.sha256() in {t.sha256 for t in self.fitted_trials}
 
 
 def read_provenance(where: Path | str, table: object) -> Provenance:
-    """Provenance from the decoded table of a plant document."""
+    """Convert the decoded `provenance` table of a plant document."""
     return convert(table, Provenance, where, "provenance does not fit its form", _WRITE_AGAIN)

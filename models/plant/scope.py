@@ -1,7 +1,7 @@
 """Symbols of a plant during composition: parameters, states, inputs and physical quantities.
 
-Drive, load and effects do not know each other. Each reads and changes quantities of the scope,
-symbolic expressions by joint or by hinge, in the order of the ports
+Drive, load and effects do not refer to each other. Each reads and changes quantities of the scope,
+which are symbolic expressions by joint or by hinge, in the order of the ports
 (`models.plant.effects.order.PORTS`)::
 
     sensor → command → stiffness → mass → bend_torque → joint_torque → servo_torque → motion
@@ -34,20 +34,20 @@ LINEAR = {"angle": "m", "torque": "n"}
 """Suffixes of a joint's coordinate and of the torque (or force) on it, by kind of motion."""
 
 READING_ITERATIONS: Final = 3
-"""Fixed-point steps from an encoder's reading to the coordinate; each one takes the error times the
-ripple's slope, below 0.1 for a ripple of 6 mrad at 16 periods a turn."""
+"""Fixed-point steps from an encoder's reading to the coordinate; each reduces the error by the
+slope of the ripple, below 0.1 for a ripple of 6 mrad with 16 periods a turn."""
 
 
 @dataclass
 class StateVariable:
-    """State during composition."""
+    """State of a plant during composition."""
 
     variable: Variable  # Name, unit and bounds
     symbol: Expr
     initial: Expr  # Value at the start
     rate: Expr = 0
-    begin: Expr | None = None  # Discrete update at the begin and the end of a step; None for none
-    finish: Expr | None = None
+    begin: Expr | None = None  # Discrete update at the begin of a step; None for none
+    finish: Expr | None = None  # Discrete update at the end of a step; None for none
 
 
 @dataclass
@@ -57,23 +57,24 @@ class Scope:
     Attributes
     ----------
     joints : tuple of int
-        (1,) or (1, 2).
+        Numbers of the joints: (1,) or (1, 2).
     suffix : dict
-        `ROTARY` or `LINEAR`.
+        Unit suffixes of names: `ROTARY` or `LINEAR`.
     step_s : SX
         Length of the whole step, for discrete updates.
     states, inputs, parameters : dict by name
-        Declared so far.
+        What the parts have declared so far.
     absent : set of str
         Parameters that are fixed at zero.
     goal, start : dict by joint
         Goal after the command port; coordinate of the joint at the start.
     goal_change, current_jump_per_rate, sampled_above : dict by joint
-        Change of a shaped goal; jump of the current per its rate; sample above the step's end.
+        Change of a shaped goal per step; jump of the current per its rate; height of the current's
+        sample above the step's end.
     goal_without_staircase : dict by joint
-        Declares and returns the line through the middles of the steps of a goal with a shape.
+        Function that declares and returns the line through the middles of a shaped goal's steps.
     delayed_staircase : dict by joint
-        Delay of such a goal, where there is one.
+        Delay of a shaped goal, if any.
     angle, rate, acceleration : dict by joint
         Coordinate and rate on the drive's side of the gear; acceleration where it is imposed.
     mean_acceleration : dict by joint
@@ -81,45 +82,45 @@ class Scope:
     holding_torque : dict by joint
         Drive torque that balances the load at the start.
     friction_direction : dict by joint
-        Smooth sign of the rate with presliding, from drives that have it.
+        Smooth sign of the rate with presliding, from drives with the feature "smooth friction".
     current, motor_torque : dict by joint
         Current and torque of the drive.
     friction, joint_torque : dict by joint
-        Friction that opposes `rate`; any other torque on the joint.
+        Friction, which opposes `rate`; sum of all other torques on the joint.
     transmitted_torque, gear_drive_torque : dict by joint
-        Torque that the load puts on the gear apart from its inertia, and that the drive puts on it,
-        where friction depends on it.
+        Torque on the gear from the load, without its inertia, and from the drive; set where the
+        friction depends on it.
     torque_scale, position_gain_scale, current_limit_reduction : dict by joint
         Factors on the drive's torque and position gain; reduction of its current limit.
     windup, windup_rate, windup_acceleration : dict by joint
         Lost motion in the gear: the load's coordinate is angle - windup.
     lean, lean_rate, lean_acceleration : dict by joint
-        Angle by which the link's markers lean in its mount, which moves no mass.
+        Angle by which the link's markers lean in the mount; it moves no mass.
     bend, bend_rate, stiffness, bend_torque : dict by hinge
-        Bend of the load's hinges, its rate, the hinge's stiffness, and the torque on the bend.
+        Bend of the load's hinges, its rate, the hinge's stiffness and the torque on the bend.
     cross_bend, rest_bend : dict by hinge
-        Bend across the plane of a single joint, by the hinge's name, where there is any; bend at
-        rest upright, the reference of the Deformation Index.
+        Bend across the plane of a single joint, by the hinge's name, if any; bend at rest upright,
+        the reference of the Deformation Index.
     payload_kg, payload_offset_m : SX
         Mass at the tip and its offset towards +x.
     encoder_error, current_bias, current_scale : dict by joint
-        Sensor errors: added to the angle; added to the current; relative to the current.
+        Sensor errors: offset of the angle; offset of the current; relative error of the current.
     encoder_ripple, rate_error : dict by joint
-        Functions of the coordinate, where there are any: further error of the encoder, and error of
-        the rate in the velocity loop as a fraction of it.
+        Functions of the coordinate, if any: periodic error of the encoder; relative error of the
+        rate in the velocity loop.
     sensor_lag : dict by joint
-        Low-pass of the joint's signals, where there is one.
+        Low-pass of the joint's signals, if any.
     frame_turn_rad, frame_scale, frame_delay_s, frame_lag_s : SX
-        Of the motion capture: turn about x, y and z (a tuple, applied in the order z, x, y),
-        relative error of its scale, delay of its clock, time of its first-order low-pass.
+        Errors of the motion capture: turn about x, y and z (a tuple, applied in the order z, x, y),
+        relative error of scale, delay of the clock, time constant of its first-order low-pass.
     columns : tuple of str
-        Columns of a trial that the plant's document declares; none for those of the link.
+        Columns of a trial that the plant's document declares; empty for the link's.
     layout : MarkerLayout or None
-        Places of the link's markers; None for four rows of four by the link's size.
+        Layout of the link's markers; None for four rows of four on a link of its size.
     gravity, most_payload_kg : tuple of float, float
-        Direction of gravity, of length one, z along the link at zero angle; largest payload.
+        Unit vector of gravity, z along the link at zero angle; largest payload in kg.
     features : frozenset of str
-        Features of the drive and the load.
+        Features of drive and load, which effects may need.
     """
 
     joints: tuple[int, ...]
@@ -194,55 +195,55 @@ class Scope:
             self.torque_scale[j] = self.position_gain_scale[j] = 1
 
     def declare(self, parameters: Sequence[Parameter]) -> None:
-        """Add parameters, each with its symbol."""
+        """Add parameters and create a symbol for each."""
         for q in parameters:
             self.parameters[q.name] = (variable_of(q), ca.SX.sym(q.name))
             if is_absent(q):
                 self.absent.add(q.name)
 
     def name(self, pattern: str, joint: int | None = None) -> str:
-        """Name with `{j}`, `{angle}` and `{torque}` of the pattern filled in.
+        """Return a name, with the placeholders of its pattern filled in.
 
         Parameters
         ----------
         pattern : str
-            Name with `{j}`, `{angle}` and `{torque}` as place holders.
+            Name with `{j}`, `{angle}` and `{torque}` as placeholders.
         joint : int, optional
             Number of the joint, for `{j}`.
         """
         return pattern.format(j=joint, **self.suffix)
 
     def p(self, pattern: str, joint: int | None = None) -> Expr:
-        """Symbol of the parameter whose name is the pattern filled in.
+        """Return the symbol of a parameter.
 
         Parameters
         ----------
         pattern, joint
-            As for `name`.
+            Name of the parameter as for the method `name`.
         """
         return self.parameters[self.name(pattern, joint)][1]
 
     def measured_angle(self, joint: int) -> Expr:
-        """Joint coordinate as the encoder measures it."""
+        """Return the joint coordinate as the encoder measures it."""
         reading = self.angle[joint] + self.encoder_error[joint]
         if joint in self.encoder_ripple:
             reading = reading + self.encoder_ripple[joint](self.angle[joint])
         return reading
 
     def measured_rate(self, joint: int) -> Expr:
-        """Rate of the joint as the velocity loop measures it."""
+        """Return the rate of the joint as the velocity loop measures it."""
         error = self.rate_error[joint](self.angle[joint]) if joint in self.rate_error else 0
         return self.rate[joint] * (1 + error)
 
     def true_angle(self, joint: int, reading: Expr) -> Expr:
-        """Joint coordinate at which the encoder shows a reading.
+        """Return the joint coordinate at which the encoder shows `reading`.
 
         Parameters
         ----------
         joint : int
             Number of the joint.
         reading : SX
-            Measured coordinate.
+            Coordinate as the encoder measures it.
         """
         angle = reading - self.encoder_error[joint]
         if joint in self.encoder_ripple:
@@ -252,26 +253,26 @@ class Scope:
         return angle
 
     def ripple_since_upright(self, joint: int) -> Expr:
-        """Periodic error of the encoder, less that where it shows upright."""
+        """Return the encoder's periodic error minus its value at a reading of zero (upright)."""
         if joint not in self.encoder_ripple:
             return 0
         ripple = self.encoder_ripple[joint]
         return ripple(self.angle[joint]) - ripple(self.true_angle(joint, 0))
 
     def initial_value(self, expression: Expr) -> Expr:
-        """Value of an expression at the start as a function of the bends, solved last."""
+        """Return an expression's value at the start, as a function of the bends (solved last)."""
         bends = {b.name() for b in self.bend.values()}
         still = [(s.symbol, s.initial) for n, s in self.states.items() if n not in bends]
         return substitute(expression, still)
 
     def input(self, variable: Variable) -> Expr:
-        """Add an input; returns its symbol."""
+        """Add an input and return its symbol."""
         symbol = ca.SX.sym(variable.name)
         self.inputs[variable.name] = (variable, symbol)
         return symbol
 
     def state(self, variable: Variable, initial: Expr = 0.0) -> Expr:
-        """Add a state, constant until it is given a rate or an update; returns its symbol.
+        """Add a state and return its symbol; it is constant until a rate or an update is set.
 
         Parameters
         ----------
@@ -286,7 +287,7 @@ class Scope:
 
 
 def variable_of(parameter: Parameter) -> Variable:
-    """Parameter as a variable of a step model."""
+    """Convert a parameter to a variable of a step model."""
     q = parameter
     return Variable(
         q.name, q.unit, q.value, q.description, q.low, q.high,
@@ -297,12 +298,12 @@ def variable_of(parameter: Parameter) -> Variable:
 def variables_of(
     parameters: Mapping[str, Parameter], variables: Sequence[Variable]
 ) -> tuple[Variable, ...]:
-    """Parameters as variables of a step model, in the order of others with the same names."""
+    """Parameters as variables of a step model, in the order of `variables`."""
     return tuple(variable_of(parameters[v.name]) for v in variables)
 
 
 def without_values(parameters: Mapping[str, Parameter]) -> tuple[tuple[str, Parameter], ...]:
-    """Parameters with what a composition depends on: all but values, unless fixed at zero."""
+    """Parameters reduced to what a composition depends on: no values except fixed zeros."""
     return tuple(
         (name, msgspec.structs.replace(q, value=float(not is_absent(q)), error=None, source=""))
         for name, q in parameters.items()
@@ -315,7 +316,7 @@ def is_absent(parameter: Parameter) -> bool:
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:
-    """Expression in which the first of each pair is replaced by the second, simultaneously."""
+    """Replace the first of each pair by the second, all at once."""
     if not pairs:
         return expression
     old, new = (ca.vertcat(*side) for side in zip(*pairs, strict=True))

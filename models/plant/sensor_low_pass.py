@@ -10,10 +10,10 @@ from typing import Any
 class SensorLowPass:
     """Low-pass of the measured signals of a joint."""
 
-    time_s: Any  # Mean delay of the filtered signal
-    # Fraction of it in a second stage, 0.5 for two equal stages; None for first order
+    time_s: Any  # Mean delay of the filtered signals
+    # Fraction of the delay in a second stage, 0.5 for two equal stages; None for first order
     second_share: Any | None
-    angle_s: Any  # Time of the first-order low-pass of the coordinate
-    # Mean of the current above that of the plant, in jumps of a goal that moves as the joint does;
-    # None for a drive without a saw-tooth
+    angle_s: Any  # Time constant of the first-order low-pass of the coordinate
+    # Mean of the current above the plant's, in units of the jumps of a goal that moves as the joint
+    # does; None for a drive without a saw-tooth
     jump_fraction: Any | None = None

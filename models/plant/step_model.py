@@ -34,15 +34,15 @@ Array = NDArray[np.float64]
 class Variable:
     """A scalar variable of a model."""
 
-    name: str  # With its unit suffix
-    # SI unit in the spelling of FMI, "1" for none (see `firmware_py.signals.UNIT_OF_SUFFIX`)
+    name: str  # Name with its unit suffix
+    # SI unit in the spelling of FMI, "1" if none (see `firmware_py.signals.UNIT_OF_SUFFIX`)
     unit: str
     start: float = 0.0  # Initial or nominal value
     description: str = ""
-    minimum: float = -math.inf  # Bounds; infinite where there are none
+    minimum: float = -math.inf
     maximum: float = math.inf
     nominal: float = 1.0
-    # Whether an output has a meaning at the end of a step only, like a measured sample
+    # Whether an output is valid at the end of a step only, like a measured sample
     sampled: bool = False
 
 
@@ -50,12 +50,12 @@ ARGUMENTS: Final = {
     "initial": "up", "begin": "xuph", "flow": "xuph", "finish": "xuph", "smooth_finish": "xuph",
     "output": "xup", "rate": "xup",
 }  # fmt: skip
-"""Arguments of each function of a model: state, inputs, parameters, step."""
+"""Arguments of each function of a model: state x, inputs u, parameters p, step h."""
 
 
 @dataclass(frozen=True)
 class StepModel:
-    """Sampled model; the module's text defines a step."""
+    """Sampled model; the module's docstring defines a step."""
 
     name: str
     inputs: tuple[Variable, ...]  # Their order is the order of u, p, x and y
@@ -70,14 +70,14 @@ class StepModel:
     max_substep_s: float = 1e-3
     # (x, u, p) -> dx/dt of the continuous part, which `flow` integrates
     rate: ca.Function | None = None
-    # `finish` as it is differentiated, where `finish` sets states to zero that are too small to
-    # matter: a state of zero may depend on parameters. None where `finish` does not.
+    # Form of `finish` for differentiation, if `finish` sets negligibly small states to zero: a
+    # state of zero may still depend on parameters. None if `finish` needs no other form.
     smooth_finish: ca.Function | None = None
-    # Whether the inputs of a step are measured at its end; else they are sent at its begin
+    # Whether the inputs of a step are measured at its end; otherwise they are sent at its begin
     inputs_at_end: bool = False
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
-        """Vector p of the start values, some of them replaced."""
+        """Vector p of the start values, with `changes` by name."""
         names = [v.name for v in self.parameters]
         values = np.array([v.start for v in self.parameters], dtype=np.float64)
         for name, value in (changes or {}).items():
@@ -95,7 +95,7 @@ class StepModel:
     ) -> StepModel:
         """Model with other inputs and parameters, from which those of this one follow.
 
-        `own`: (u, p) of the new model -> (u, p) of this one.
+        `own` computes (u, p) of this model from (u, p) of the new one.
         """
         size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
 
@@ -114,7 +114,7 @@ class StepModel:
         return replace(self, name=name, inputs=inputs, parameters=parameters, **changed)
 
     def substeps(self, step_s: float) -> int:
-        """Number of sub-steps that one step of `step_s` takes."""
+        """Number of sub-steps in one step of `step_s`."""
         return max(1, math.ceil(step_s / self.max_substep_s - 1e-9))
 
     def advance(self, x: Array, u: Array, p: Array, step_s: float) -> Array:
@@ -125,10 +125,9 @@ class StepModel:
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
     ) -> Array:
-        """Outputs at the start and after each step.
+        """Outputs at the start and after each step, shape (n + 1, len(outputs)).
 
-        Shapes: `u` (n, len(inputs)).
-        Returns shape (n + 1, len(outputs)), row k is the output at k * step_s.
+        `u` has shape (n, len(inputs)); row k of the result is the output at k * step_s.
         """
         p = self.parameter_values() if p is None else p
         x = np.asarray(self.initial(u[0], p)).ravel() if x is None else x
@@ -143,7 +142,7 @@ class StepModel:
 def _whole_step(
     begin: ca.Function, flow: ca.Function, finish: ca.Function, count: int
 ) -> ca.Function:
-    """One step as one function: a call costs more than the arithmetic of a sub-step."""
+    """One step as one function, because a call costs more than the arithmetic of a sub-step."""
     x, u, p, h = (ca.MX.sym(label, begin.size_in(i)) for i, label in enumerate("xuph"))
     state = begin(x, u, p, h)
     for _ in range(count):

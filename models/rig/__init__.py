@@ -1,1 +1,1 @@
-"""Rig: the MuJoCo simulation of the real robot, and the protocol of the study."""
+"""Rig: the simulation that stands for the real robot, and the protocol of the study."""

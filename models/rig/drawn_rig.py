@@ -1,9 +1,9 @@
 """Rigs drawn at random: structure and values.
 
-What a simulation believes of a robot is wrong in form and in numbers. Rigs of drawn form stand for
-that: numbers of the gap workflow are set on those with numbers below `FIRST_TEST_NUMBER`, and on
-none of the others (`rig_purpose`). Forms that only named structures for testing have are never
-drawn: Dahl's hysteresis, the low-pass filter of a live capture, 5 or 17 hinges, the rod.
+A simulation of a robot is wrong in form and in numbers. Rigs of drawn form represent that. Numbers
+of the gap workflow are tuned on rigs with numbers below `FIRST_TEST_NUMBER` only (`rig_purpose`).
+Some forms are never drawn, only named structures for testing have them: Dahl's hysteresis, the
+low-pass filter of a live capture, 5 or 17 hinges, the rod.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ __all__ = [
 ]
 
 PREFIX: Final = "drawn_"
-"""Beginning of the name of a drawn rig; its number follows."""
+"""Prefix of the name of a drawn rig, before its number."""
 
 SEED: Final = 9000
-"""Of the drawn rigs that have names."""
+"""Seed of the drawn rigs that have names."""
 
 FIRST_TEST_NUMBER: Final = 900
 """Drawn rigs from this number on are for testing."""
 
 
 class Range(NamedTuple):
-    """Range in which a value is drawn evenly."""
+    """Range in which a value is drawn uniformly."""
 
     low: float
     high: float
@@ -67,8 +67,8 @@ DRAWN: Final[dict[str, Range | tuple[str | int, ...]]] = {
     "servo.position_integral_per_s2": Range(0.0, 5.0),
     "stribeck": ("gaussian", "rational"),
 }
-"""Values and forms, by choice of `RigStructure`, that are drawn evenly, in this order: in another
-one every drawn rig would be another rig."""
+"""Values and forms (choices of `RigStructure`) that are drawn uniformly, in this order: another
+order would change every drawn rig."""
 
 LOG_DEVIATION: Final = {
     "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
@@ -82,7 +82,7 @@ LOG_DEVIATION: Final = {
     "servo.inertia_kg_m2": 0.1, "servo.smooth_rate_rad_s": 0.4, "servo.backlash_rad": 0.3,
     "sensor.mocap_cutoff_hz": 0.2,
 }  # fmt: skip
-"""Standard deviation of the logarithm of a value [assumed: makes of one kind of link and servo]."""
+"""Standard deviation of the logarithm of a value between makes of link and servo [assumed]."""
 
 LINK_DEVIATION: Final = {
     "stiffness.bending_n_m2": 0.1, "stiffness.root_nm_rad": 0.1, "link.mass_kg": 0.1,
@@ -91,14 +91,11 @@ LINK_DEVIATION: Final = {
 """Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
 
 NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
-"""Noise of the sensors."""
+"""Parameters of the sensors' noise."""
 
 
 def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
-    """Draw a rig.
-
-    `make`: rig of the make around which values are drawn; the study's where it is not given.
-    """
+    """Draw a rig around the values of `make`, by default the study's."""
     rig = read_rig("default") if make is None else make
     values = {
         n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
@@ -113,23 +110,23 @@ def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> Rig
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation: they show what it does itself."""
+    """Rig whose trials have neither noise nor variation: they show the rig's own behaviour."""
     return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
 
 
 def rig_named(name: str) -> RigParameters:
-    """Rig by name, drawn ones and those of described links included.
+    """Return a rig by name, also drawn rigs and rigs of described links.
 
     Parameters
     ----------
     name : str
-        As for `models.rig.rig_parameters.read_rig`, or `drawn_K`, the K-th drawn rig, or the file
-        of a link (`firmware_py.link.link_description`).
+        Name or file for `models.rig.rig_parameters.read_rig`; `drawn_K` for the K-th drawn rig; or
+        the file of a link (`firmware_py.link.link_description`).
 
     Raises
     ------
     InputError
-        If the number is none, or as `read_rig`.
+        If K is not a number, or `read_rig` fails.
 
     Examples
     --------
@@ -155,11 +152,11 @@ def drawn_link(number: int, link: int, make: RigParameters | None = None) -> Rig
 
 
 def rig_purpose(name: str) -> Literal["tuning", "test"]:
-    """Purpose of a rig: "tuning" where numbers of the workflow may be set on it, or "test".
+    """Purpose of a rig: "tuning" if numbers of the workflow may be set on it, else "test".
 
-    A named structure says its own (`models.rig.rig_structure.NamedStructure`). `drawn_K` is for
-    tests from K = 900 on: nothing of the workflow is ever set on such a rig. Any other rig, as that
-    of a described link, counts as one for tuning, since nobody knows what was set on it.
+    A named structure states its own (`models.rig.rig_structure.NamedStructure`). `drawn_K` is for
+    tests from K = 900 on; nothing of the workflow is set on such a rig. Any other rig, like that of
+    a described link, counts as one for tuning, because what was set on it is unknown.
     """
     if name.startswith(PREFIX):
         return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"

@@ -14,35 +14,35 @@ __all__ = ["Rig", "ServoSignals", "build_rig"]
 
 
 class ServoSignals(Protocol):
-    """Signals of one servo before the errors of its sensors."""
+    """Signals of one servo before sensor errors."""
 
     @property
     def encoder_rad(self) -> float:
-        """Angle that encoder and firmware see, before quantisation."""
+        """Angle that encoder and firmware read, before quantisation."""
         ...
 
     @property
     def sampled_current_a(self) -> float:
-        """Motor current as the servo samples it for its register, before its sensor's errors."""
+        """Motor current as the servo samples it for its register, before sensor errors."""
         ...
 
 
 class Rig(Protocol):
     """Simulated robot, at rest and upright at the start.
 
-    An engine is a class whose constructor takes the arguments of `build_rig`. It hides the effects
-    of the catalogue by the parameters that `RigParameters.effects` names, and forms of the drive
-    are those of `models.rig.rig_servo.RigServo`, one for each driven joint.
+    An engine is a class whose constructor takes the arguments of `build_rig`. It simulates the
+    hidden effects by the parameters that `RigParameters.effects` names. The drives take their forms
+    from `models.rig.rig_servo.RigServo`, one for each driven joint.
     """
 
     @property
     def step_s(self) -> float:
-        """Integration step: a whole fraction of the control period."""
+        """Integration step in s, an integer fraction of the control period."""
         ...
 
     @property
     def time_s(self) -> float:
-        """Time since the start."""
+        """Time since the start in s."""
         ...
 
     @property
@@ -59,14 +59,14 @@ class Rig(Protocol):
         ...
 
     def look(self) -> LinkState:
-        """Whether the link is whole, has folded, or its simulation has become unstable.
+        """Whether the link is intact, has folded, or its simulation has become unstable.
 
-        To be called once a control period.
+        Call it once per control period.
         """
         ...
 
     def start_leak(self) -> None:
-        """Start the leak of pressure; there is none before the recorded run."""
+        """Start the pressure leak, at the start of the recorded run."""
         ...
 
     def send(self, goal_rad: Array) -> None:
@@ -87,10 +87,8 @@ def build_rig(
 ) -> Rig:
     """Build the engine that the rig's structure names.
 
-    Shapes: `gravity` (3,).
-    `parameters`: with structure, hidden effects and the variation of the trial.
-    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
-    `gravity`: direction of gravity in the world frame; its length does not matter.
+    `eccentricity_m` is the offset of the payload's centre from the axis, towards +x and +y.
+    `gravity` is a direction in the world frame; its length does not matter.
     """
     for joint in (j for j in parameters.added_in_joint if j > dof):
         raise InputError(

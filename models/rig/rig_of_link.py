@@ -32,10 +32,10 @@ def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
 
 
 def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
-    """Values that the description gives itself."""
+    """Values that the description states directly."""
     model, preset = model_named(link.servo.model), link.preset
     scale, study = LinkScale(link), LinkScale(STUDY_LINK)
-    # The rig adds p h² to the wall's shear; of a round section that is too much.
+    # The rig adds p h² to the wall's shear; for a round section that is too much.
     excess_n = link.pressure_pa * (link.width_m**2 - scale.area_m2)
     wall = own["stiffness.wall_shear_n"] * (scale.wall_shear_n / study.wall_shear_n)
     return {
@@ -58,7 +58,7 @@ def _ratios(scale: LinkScale) -> dict[str, float]:
     servo, over = scale.servo_ratios, scale.over_study
     width = scale.link.width_m / STUDY_LINK.width_m
     length = scale.link.length_m / STUDY_LINK.length_m
-    pressure = over("pressure_ratio")  # the rig multiplies by it itself
+    pressure = over("pressure_ratio")  # the rig already multiplies by it
     torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
     coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
     return {
@@ -84,7 +84,7 @@ def _ratios(scale: LinkScale) -> dict[str, float]:
         "servo.load_friction_share": servo["load_friction"],
         "servo.breakaway_friction_nm": coulomb,
         "servo.cogging_nm": torque,
-        # Presliding over the same angle, damped alike against the rotor.
+        # Presliding over the same angle, with the same damping ratio against the rotor.
         "servo.bristle_stiffness_nm_rad": coulomb,
         "servo.bristle_damping_nm_s_rad": math.sqrt(coulomb * inertia),
         "servo.backlash_rad": servo["backlash_rad"],

@@ -1,4 +1,4 @@
-"""Parameters of the rig: one TOML file with value, unit and source of each."""
+"""Parameters of the rig: a TOML file with value, unit and source of each."""
 
 from __future__ import annotations
 
@@ -30,33 +30,33 @@ RIG_TOML: Final = Path(__file__).with_name("rig.toml")
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One parameter as its table in the TOML file gives it."""
+    """One parameter, as a table of the TOML file."""
 
     value: float
-    unit: str  # SI; "1" for none
+    unit: str  # SI unit; "1" if dimensionless
     source: str  # Where the value comes from
-    effect: str = ""  # Effect of the catalogue whose strength is added to the value; empty for none
-    in_one_joint: bool = False  # Whether the effect may be hidden in one joint alone
-    minimum: float = -math.inf  # Bounds of the value with everything that is added to it
+    effect: str = ""  # Effect of the catalogue that adds its strength to the value; empty for none
+    in_one_joint: bool = False  # Whether the effect may be hidden in a single joint
+    minimum: float = -math.inf  # Lower bound of the value, with all strengths added
     maximum: float = math.inf
 
 
 @dataclass(frozen=True)
 class RigParameters(Mapping[str, float]):
-    """Values by name, like `parameters["servo.coulomb_friction_nm"]`.
+    """Parameters of a rig: values by name, like `parameters["servo.coulomb_friction_nm"]`.
 
     Attributes
     ----------
     entries : dict of str to Entry
-        By `group.name`.
+        Value, unit, source and bounds by `group.name`.
     path : Path
-        File that they were read from.
+        File that the parameters were read from.
     structure : RigStructure
-        Choices of formulation that the values belong to.
+        Forms of the equations that the values belong to.
     link : LinkDescription or None
         Link that the values were scaled to (`models.rig.rig_of_link`); None for the study's.
     added_in_joint : dict of int to dict of str to float
-        What is added in one joint alone, by joint and name.
+        Additions to values of a single joint, by joint and parameter name.
     """
 
     entries: dict[str, Entry]
@@ -76,20 +76,20 @@ class RigParameters(Mapping[str, float]):
 
     @property
     def layout(self) -> MarkerLayout:
-        """Places of the markers."""
+        """Layout of the markers on the link."""
         if self.link is not None:
             return self.link.layout
         return square_layout(self["link.length_m"], self["link.width_m"])
 
     def changed(self, **values: float) -> RigParameters:
-        """Parameters with other values, by `group.name`."""
+        """Return the parameters with other values, by `group.name`."""
         entries = dict(self.entries)
         for name, value in values.items():
             entries[name] = msgspec.structs.replace(entries[name], value=value)
         return replace(self, entries=entries)
 
     def scaled(self, names: Iterable[str], factor: float) -> RigParameters:
-        """Parameters of which some are multiplied, with what is added to these in one joint."""
+        """Return the parameters with some values multiplied, also additions in a single joint."""
         chosen = set(names)
         added = {
             joint: {n: more * (factor if n in chosen else 1.0) for n, more in own.items()}
@@ -99,35 +99,35 @@ class RigParameters(Mapping[str, float]):
         return replace(self.changed(**values), added_in_joint=added)
 
     def of_joint(self, joint: int) -> RigParameters:
-        """Parameters of one joint, 1 or 2, with what is added in it alone."""
+        """Return the parameters of one joint, 1 or 2, with what is added in it."""
         added = self.added_in_joint.get(joint, {})
         if not added:
             return self
         return self.changed(**{name: self[name] + more for name, more in added.items()})
 
     def sha256(self) -> str:
-        """Hash of structure, all values and a link of one's own, for provenance."""
+        """Return the hash of structure, values and described link, for provenance."""
         content: list[Any] = [self.structure, dict(self), *([self.link] if self.link else [])]
         content += [self.added_in_joint] if self.added_in_joint else []
         return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
 
     def effects(self) -> dict[str, str]:
-        """Effects that this rig can hide, each with its parameter's name."""
+        """Return the effects that this rig can hide, each with its parameter's name."""
         return {entry.effect: name for name, entry in self.entries.items() if entry.effect}
 
     def hide(self, strengths: Mapping[str, float]) -> RigParameters:
-        """Add effects of the catalogue to the rig's defaults.
+        """Return the rig with effects of the catalogue added to its defaults.
 
         Parameters
         ----------
         strengths : mapping of str to float
-            By effect, or by EFFECT:JOINT for one joint alone, in the unit that
-            `models.shared.catalogue` lists.
+            Strength by EFFECT, or by EFFECT:JOINT for a single joint, in the effect's unit in
+            `models.shared.catalogue`.
 
         Raises
         ------
         InputError
-            If the rig lacks an effect, or has it not in one joint alone, or the sum leaves the
+            If the rig lacks an effect, cannot hide it in a single joint, or the sum leaves the
             parameter's bounds.
         """
         result = self
@@ -165,10 +165,10 @@ def read_rig(rig: str) -> RigParameters:
 
 
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
-    """Read the parameters of a rig.
+    """Read the parameters of a rig, by default the project's; missing ones keep its values.
 
-    `path`: TOML file; by default the rig of the project. What it leaves out is as there. A file
-    with a table `structure` has choices and changes values only: an effect keeps its place.
+    A file with a table `structure` may change only structure and values: effects keep their
+    parameters.
     """
     document = _read_document(path)
     structure = DEFAULT_STRUCTURE

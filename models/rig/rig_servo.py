@@ -1,17 +1,17 @@
 """Servo of the rig: rotor, gear, friction and the control cascade of its firmware.
 
-The rotor (its inertia seen from the output) drives the joint through a gear with backlash and
-compliance; the encoder sits on the rotor. The level of friction grows with the torque that the gear
+The rotor (with its inertia reflected to the output) drives the joint through a gear with backlash
+and compliance; the encoder is on the rotor. The friction level grows with the torque that the gear
 transmits:
 
     g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2) + F_b exp(-s / d).
 
-The distance s since the last reversal is forgotten at rest, ds/dt = |w| - s / T. The forms of
-friction and set-point are those of `models.rig.forms`. The position loop asks for the rate
+The distance s since the last reversal decays at rest, ds/dt = |w| - s / T. The forms of friction
+and set-point are those of `models.rig.forms`. The position loop sets the rate
 
     k_p e + k_i S + k_f dr/dt,   e = r - q,   dS/dt = e,
 
-where the structure has a position loop with feed-forward; k_p e alone elsewhere.
+if the structure's position loop has feed-forward, else k_p e alone.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from models.rig.rig_parameters import RigParameters
 class RigServo:
     """A position servo: position loop, PI velocity loop, current limit.
 
-    `parameters`: of the rig, with what is added in this joint alone.
+    The parameters include what is added in this joint alone (`RigParameters.of_joint`).
     """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
@@ -81,7 +81,7 @@ class RigServo:
 
     @property
     def encoder_rad(self) -> float:
-        """Angle that encoder and firmware see, before quantisation."""
+        """Angle that encoder and firmware read, before quantisation."""
         read = self.rotor_rad + self._encoder_offset
         if self._ripple:
             periods, phase = self._ripple_periods
@@ -90,7 +90,7 @@ class RigServo:
 
     @property
     def _measured_rad_s(self) -> float:
-        """Rate that the velocity loop sees."""
+        """Rate that the velocity loop measures."""
         if not (self._ripple and self._ripple_in_rate):
             return self.rotor_rad_s
         periods, phase = self._ripple_periods
@@ -99,20 +99,15 @@ class RigServo:
 
     @property
     def sampled_current_a(self) -> float:
-        """Motor current as the servo samples it for its register, before its sensor's errors."""
+        """Motor current as the servo samples it for its register, before sensor errors."""
         return self._register.value_a
 
     def send(self, goal_rad: float, time_s: float) -> None:
-        """Send a goal; it takes effect at the integration step nearest to the end of the dead
-        time.
-        """
+        """Send a goal; it takes effect at the integration step nearest to the end of the delay."""
         self._pending.append((time_s + self._delay_s - 0.5 * self._step_s, goal_rad))
 
     def step(self, time_s: float, joint_rad: float, joint_rad_s: float) -> float:
-        """Advance rotor and firmware by one step.
-
-        Returns torque of the gear on the joint in N·m, without `load_nm`.
-        """
+        """Advance rotor and firmware; return the gear's torque on the joint, without `load_nm`."""
         while self._pending and self._pending[0][0] <= time_s + 1e-9:
             self._goal.take(self._pending.popleft()[1])
         self._update_current()
@@ -160,12 +155,12 @@ class RigServo:
         return level
 
     def _near_standstill(self, rate: float) -> float:
-        """Fraction of Stribeck friction left at a rate (`models.plant.effects.friction`)."""
+        """Remaining fraction of Stribeck friction at a rate (`models.plant.effects.friction`)."""
         squared = (rate / self._stribeck_speed) ** 2
         return 1.0 / (1.0 + squared) if self._fades_rationally else math.exp(-squared)
 
     def _breakaway_level(self, rate: float) -> float:
-        """Friction above the sliding level: full after a reversal, lost with the distance."""
+        """Friction above the sliding level: full after a reversal, fading with the distance."""
         if rate and (rate > 0.0) != self._forward:
             self._forward, self._slid_rad = rate > 0.0, 0.0
         self._slid_rad += self._step_s * (abs(rate) - self._slid_rad / self._dwell_s)

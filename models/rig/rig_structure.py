@@ -1,4 +1,4 @@
-"""Structure of a rig: the choices of formulation, beside its numbers."""
+"""Structure of a rig: the forms of its equations, as opposed to their numbers."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ STRUCTURES: Final = Path(__file__).with_name("structures")
 
 
 class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Choices of formulation; the defaults are those of the project's own rig."""
+    """Forms of a rig's equations; the defaults are those of the project's rig."""
 
-    # Mechanics of the link: a MuJoCo model of hinges, or a Cosserat rod
+    # Mechanics of the link: hinges in MuJoCo, or a Cosserat rod
     engine: Literal["mujoco", "cosserat"] = "mujoco"
-    # Hinge pairs of the span (MuJoCo); the root's pair comes before
+    # Hinge pairs of the span in MuJoCo, without the root's
     hinges: Annotated[int, msgspec.Meta(ge=5, le=17)] = 8
-    # How the elastic moment levels off (`models.rig.hinged.bending_law`)
+    # How the elastic moment saturates (`models.rig.hinged.bending_law`)
     limit: Literal["tanh", "wrinkling"] = "tanh"
     # Friction of the link's skin (`models.rig.forms.hysteresis_forms`)
     hysteresis: Literal["bouc_wen", "maxwell_slip", "dahl"] = "bouc_wen"
-    # Spectrum of relaxation (`models.rig.forms.creep_forms`)
+    # Spectrum of relaxation times (`models.rig.forms.creep_forms`)
     creep: Literal["branches", "power_law"] = "branches"
     # Friction of the servo (`models.rig.forms.friction_forms`)
     friction: Literal["lugre", "smooth"] = "lugre"
     # How Stribeck friction fades with the rate (`models.rig.rig_servo`)
     stribeck: Literal["gaussian", "rational"] = "gaussian"
-    # Backlash inside the gear, or in the link's mount, where markers alone show it
+    # Where the backlash is: in the gear, or in the link's mount, where it moves only the markers
     # (`models.rig.forms.marker_play`)
     play: Literal["gear", "markers"] = "gear"
     # Set-point between two goals (`models.rig.forms.goal_forms`)
     goal: Literal["held", "interpolated", "profile"] = "held"
     # Current that the servo's register holds (`models.rig.forms.current_sampling`)
     current_sampling: Literal["tick", "phase", "mean"] = "tick"
-    # Proportional, or with feed-forward of the goal's rate and an integral of the error
-    # (`models.rig.rig_servo`)
+    # Position loop: proportional, or also with feed-forward of the goal's rate and an integral of
+    # the error (`models.rig.rig_servo`)
     position_loop: Literal["proportional", "feedforward"] = "proportional"
-    # Where the velocity loop measures its rate: at the motor, or with the encoder, whose periodic
-    # error is then in it (`models.rig.rig_servo`)
+    # Where the velocity loop measures its rate: at the motor, or at the encoder with its periodic
+    # error (`models.rig.rig_servo`)
     rate_sensor: Literal["motor", "encoder"] = "motor"
-    # Filter of the motion capture's software (`models.rig.forms.mocap_filter`)
+    # Filter in the software of the motion capture (`models.rig.forms.mocap_filter`)
     mocap_filter: Literal["none", "low_pass", "zero_phase"] = "none"
 
 
@@ -54,10 +54,10 @@ DEFAULT_STRUCTURE: Final = RigStructure()
 
 
 class NamedStructure(msgspec.Struct, frozen=True, kw_only=True):
-    """Head of the file of a structure."""
+    """Content of a structure's file, apart from parameters."""
 
-    summary: str  # One line for people
-    # "tuning" where numbers of the workflow may be set on it, "test" where they never are
+    summary: str  # Description in one line
+    # "tuning" if numbers of the workflow may be set on it, "test" if they never are
     purpose: Literal["tuning", "test"]
     structure: RigStructure
 
@@ -69,6 +69,6 @@ def named_structures() -> dict[str, NamedStructure]:
 
 
 def structure_of(document: dict[str, Any], path: Path) -> NamedStructure:
-    """Head of the file of a structure."""
+    """Convert the decoded file of a structure."""
     remedy = "see docs/rig/structures.md for its form"
     return convert(document, NamedStructure, path, "is no structure of a rig", remedy)

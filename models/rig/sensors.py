@@ -20,7 +20,7 @@ class MarkerLog(NamedTuple):
     markers_m: Array
 
     def at(self, time_s: Array) -> Array:
-        """Markers at times within the log, linearly interpolated, shape (n, markers, 3)."""
+        """Markers at times within the log, interpolated linearly, shape (n, markers, 3)."""
         position = (time_s - self.start_s) / self.step_s
         before = np.clip(position.astype(int), 0, len(self.markers_m) - 2)
         fraction = (position - before)[:, None, None]
@@ -30,9 +30,9 @@ class MarkerLog(NamedTuple):
 
 
 def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
-    """Angle in rad rounded to whole pulses, as the servo reports it.
+    """Angle in rad, rounded to whole pulses as the servo reports it.
 
-    `encoder_rad`: angle of the rotor, seen from the output, with the offset of the encoder.
+    `encoder_rad` is the angle of the rotor at the output, with the encoder's offset.
     """
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
@@ -55,14 +55,12 @@ def read_markers(
     shift_m: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Markers at `time_s` as the motion capture gives them after resampling.
+    """Markers at `time_s` (n,) as the motion capture gives them after resampling.
 
     The cameras run at 240 Hz, not synchronised; every frame has marker noise and timing jitter. A
-    frame at time t shows the markers of one delay before.
-
-    Shapes: `time_s` (n,), `shift_m` (3,).
-    Returns shape (n, markers, 3), in the world frame of the motion capture, with its tilt, scale
-    and shift.
+    frame at time t shows the markers of one delay earlier.
+    Returns shape (n, markers, 3) in the world frame of the motion capture, with its tilt, scale and
+    shift.
     """
     p = parameters
     interval_s = 1.0 / p["sensor.mocap_rate_hz"]
@@ -78,6 +76,6 @@ def read_markers(
 
 
 def _frame_rotation(p: RigParameters) -> Rotation:
-    """Turn of the motion capture's frame: about z, then x, then y."""
+    """Rotation of the motion capture's frame: about z, then x, then y."""
     turns = [p[f"sensor.frame_{name}_rad"] for name in ("yaw", "roll", "tilt")]
     return Rotation.from_euler("zxy", turns)

@@ -22,19 +22,19 @@ from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
 __all__ = ["Variation", "check_link_state", "draw_variation", "run_case"]
 
 REST_SAMPLES: Final = 60
-"""Rows at rest in front of the motion: the reference of the Deformation Index."""
+"""Rows at rest before the motion, the reference of the Deformation Index."""
 
 _MARGIN: Final = 6
-"""Ticks logged before and after the recorded run, for the mocap's delay and resampling."""
+"""Ticks logged before and after the recorded run, for delay and resampling of the markers."""
 
 
 @dataclass(frozen=True)
 class Variation:
     """Deviation of one trial from the nominal rig."""
 
-    parameters: RigParameters  # With the pressure, friction and synchronisation of this trial
+    parameters: RigParameters  # With pressure, friction and synchronisation of this trial
     eccentricity_m: tuple[float, float]  # Offset of the payload towards +x and +y
-    frame_shift_m: Array  # (3,), shift of the motion capture's frame
+    frame_shift_m: Array  # Shift of the motion capture's frame, (3,)
 
 
 def draw_variation(
@@ -59,20 +59,20 @@ def draw_variation(
 
 
 def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
-    """Run one trial.
+    """Simulate one trial.
 
     Parameters
     ----------
     parameters : RigParameters
-        Of the rig, hidden effects included.
+        Parameters of the rig, with hidden effects.
     case : TrialCase
-        The trial to run.
+        Conditions of the trial.
 
     Raises
     ------
     InputError
-        If the payload cannot be, the link folds, or the integration step is no whole fraction of
-        the control period.
+        If the payload is negative or not finite, the link folds, the simulation becomes unstable,
+        or the integration step does not divide the control period.
     """
     if not 0.0 <= case.payload_kg < math.inf:
         raise InputError("payload_kg", f"is {case.payload_kg:g}", "give 0 or more")
@@ -86,7 +86,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
             p.path, f"world.step_s is {rig.step_s}", f"choose a whole fraction of {PERIOD_S} s"
         )
 
-    # The motion rests before its start and returns to rest after its end: that is the warm-up.
+    # A motion rests before its start and returns to rest after its end, so one run is the warm-up.
     warm_up_s = np.arange(
         -p["world.settle_s"], case.motion.duration_s + GLIDE_S + p["world.pause_s"], PERIOD_S
     )
@@ -167,7 +167,7 @@ def _trial(
 
 
 def _gravity_m_s2(case: TrialCase, p: RigParameters) -> tuple[float, float, float] | None:
-    """Gravity in the link's frame; None where it is the usual one of an upright link."""
+    """Gravity in the link's frame; None if it is that of an upright link."""
     x, y, z = case.gravity
     size = p["world.gravity_m_s2"] / math.hypot(x, y, z)
     vector = (x * size, y * size, z * size)

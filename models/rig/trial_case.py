@@ -13,23 +13,22 @@ from firmware_py.motion import STUDY_PERIOD_S, Motion
 
 STUDY_PRESSURE_PA: Final = 41_300.0
 DOWN: Final = (0.0, 0.0, -1.0)
-"""Direction of gravity where the robot is upright."""
+"""Direction of gravity for an upright robot."""
 
 FOLDED_RAD: Final = 0.8
-"""Bend of a hinge or section beyond which the link has folded and the trial is refused
-[assumed]."""
+"""Bend of a hinge or section above which the link has folded and the trial is refused [assumed]."""
 
 BENDING_RAD: Final = 0.3
-"""Bend from which a link whose state is lost in the next period has folded [assumed]: a simulation
-with too long a step is lost from small bends."""
+"""Bend above which a link whose state diverges in the next period has folded [assumed]; a
+simulation with too long a step diverges from small bends."""
 
 LinkState = Literal["whole", "folded", "unstable"]
 
 
 def state_of_link(bend_rad: float, before_rad: float) -> LinkState:
-    """State of a simulated link by its largest bend now and one look before.
+    """State of a simulated link, from its largest bend now and one period earlier.
 
-    `bend_rad`: largest bend; not finite where the simulation has lost it.
+    `bend_rad` is not finite if the simulation has diverged.
     """
     if bend_rad < FOLDED_RAD:
         return "whole"
@@ -38,22 +37,22 @@ def state_of_link(bend_rad: float, before_rad: float) -> LinkState:
 
 @dataclass(frozen=True)
 class TrialCase:
-    """One trial to run.
+    """Conditions of one trial to simulate.
 
     Attributes
     ----------
     motion : Motion
         Reference motion, with the number of driven joints.
     payload_kg : float
-        Declared payload.
+        Declared payload in kg.
     trial : int
-        Number of the repetition; it draws its own variation and noise.
+        Number of the repetition, each with its own variation and noise.
     seed : int
-        Of the whole set.
+        Seed of the whole set of trials.
     pressure_pa : float
-        Declared pressure.
+        Declared pressure in Pa.
     gravity : tuple of float
-        Direction of gravity in the world frame.
+        Direction of gravity in the world frame; its length does not matter.
     """
 
     motion: Motion
@@ -85,5 +84,5 @@ class TrialCase:
         return "_".join(parts)
 
     def rng(self) -> np.random.Generator:
-        """Random numbers of this trial, independent of other trials and of the process."""
+        """Return the trial's random generator, independent of other trials and of the process."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])

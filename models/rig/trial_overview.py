@@ -27,8 +27,8 @@ _LABELS = (
 def draw_overview(directory: Path) -> Path:
     """Draw `overview.svg` from the first simulated trial of every payload in a directory.
 
-    Rows: distance of the tip from that of a rigid link over time; its component along x, current
-    and Deformation Index over angle 1. One column per motion.
+    Rows: distance of the tip from a rigid link's over time; its component along x, current and
+    Deformation Index over angle 1. One column per motion.
     """
     columns = _first_of_each_payload(read_trials(directory).where(lambda t: t.meta.source == "rig"))
     path = directory / "overview.svg"

@@ -1,4 +1,4 @@
-"""Runner of many trials on several processes; the result of a case depends on the case alone."""
+"""Runner of many trials in several processes; a result depends on its case only."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ def run_trial_cases(
     workers: int,
     on_done: Callable[[str], None],
 ) -> list[Path]:
-    """Run and write every case.
+    """Simulate and write every case; return the CSV files in the order of the cases.
 
-    `on_done`: called with the name of each trial that is written.
-    Returns CSV files in the order of the cases.
+    `on_done` is called with the name of each trial after it is written.
     """
     paths = {}
     if workers == 1 or len(cases) == 1:

@@ -1,8 +1,8 @@
-"""C compiler: shared libraries by the same compiler on every machine (`ziglang` from PyPI).
+"""C compiler: shared libraries from the same compiler on every machine (`ziglang` from PyPI).
 
-The flags keep the arithmetic of the source: no contraction of a*b + c into one rounding, so that
-a compiled model equals the interpreted one (docs/sources.md, "FMI"). Results are cached by content.
-It compiles for every platform of `TARGETS`, wherever it runs.
+The flags keep the arithmetic of the source: they do not contract a*b + c into one rounding, so a
+compiled model equals the interpreted one (docs/sources.md, "FMI"). Results are cached by content.
+It compiles for every platform of `TARGETS` on any of them.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ TARGETS: Final[Mapping[str, str]] = {
     "x86_64-darwin": "x86_64-macos.11.0",
     "aarch64-darwin": "aarch64-macos.11.0",
 }
-"""Zig's names of platforms by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
+"""Zig's names of platforms, by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
 
 CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
-"""Compiled libraries by hash of everything that went into them."""
+"""Directory of compiled libraries, by hash of sources, headers, options and compiler."""
 
 OPTIONS_VARIABLE: Final = "DROPSTITCH_CC_OPTIONS"
-"""Environment variable with further options. "-O0" compiles large models in a tenth of the time, to
-code that is four times slower and gives the same bits; the tests of short runs use it."""
+"""Environment variable with further options. "-O0" compiles large models in a tenth of the
+time; the code is four times slower and gives the same bits. The tests of short runs use it."""
 
 _FLAGS: Final = (
     "-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden",
     "-fno-sanitize=undefined", "-DCASADI_SYMBOL_EXPORT=", "-s", "-Wl,--build-id=none",
     "-g0",  # no debug information, which is stripped anyway: a third of the compile time
-    "-fno-slp-vectorize",  # a quarter of the compile time of a large model, for no faster code
+    "-fno-slp-vectorize",  # a quarter of the compile time of a large model, without gain
 )  # fmt: skip
 
 
@@ -73,10 +73,9 @@ def load_library(
 ) -> ctypes.CDLL:
     """Compile C sources for this machine and load the library.
 
-    `write_sources`: writes files into a directory that is removed again; returns the sources to
-    compile.
+    `write_sources` writes files into a temporary directory and returns the sources to compile.
     """
-    # Windows does not delete a mapped file: there the directory is left to its own clean-up.
+    # Windows does not delete a mapped file: the directory stays there for the system's clean-up.
     with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
         directory = Path(scratch)
         path = compile_library(
@@ -103,11 +102,9 @@ def compile_library(
 ) -> Path:
     """Compile C sources into one shared library.
 
-    Only symbols that a source marks with default visibility are exported; CasADi's own are not,
-    unless `flags` defines CASADI_SYMBOL_EXPORT.
-
-    `target`: zig's name of the platform; by default that of this machine.
-    `at_once`: whether sources are compiled at the same time, on two processors.
+    Only symbols that a source marks with default visibility are exported; CasADi's are exported if
+    `flags` defines CASADI_SYMBOL_EXPORT. `target` is zig's name of the platform, by default this
+    machine's. `at_once` compiles two sources at a time.
     """
     target = target or target_here()
     options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
@@ -137,14 +134,14 @@ def _compile_cached(
         with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
             fresh = Path(scratch) / output.name
             compile_(sources, fresh, include, options)
-            fresh.replace(cached)  # atomic: another process may build the same
+            fresh.replace(cached)  # atomic: another process may build the same library
     output.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(cached, output)
     return output
 
 
 def compiler_options() -> list[str]:
-    """Further options of the compiler, from the environment."""
+    """Additional options of the compiler, from the environment."""
     return os.environ.get(OPTIONS_VARIABLE, "").split()
 
 
@@ -163,7 +160,7 @@ def _compile(
 def _compile_at_once(
     sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
 ) -> None:
-    """Compile each source by a compiler of its own, two at a time; one compiler takes turns."""
+    """Compile two sources at a time, each in a compiler process of its own."""
     objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
     alone = [option for option in options if option not in ("-shared", "-s")]
     with ThreadPoolExecutor(2) as pool:
@@ -176,7 +173,7 @@ def _compile_at_once(
 
 
 def _environment() -> dict[str, str]:
-    """Environment of the compiler; without a home directory its cache is in `CACHE`."""
+    """Environment of the compiler; without a home directory, its cache is in `CACHE`."""
     environment = dict(os.environ)
     if not environment.get("HOME"):
         environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
@@ -184,7 +181,7 @@ def _environment() -> dict[str, str]:
 
 
 def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str]) -> str:
-    """Hash of sources, of every header in reach, of the options and of the compiler."""
+    """Hash of sources, headers in the include directories, options and compiler version."""
     digest = hashlib.sha256(importlib.metadata.version("ziglang").encode())
     digest.update("\0".join(options).encode())
     headers = sorted(h for directory in include for h in directory.glob("*.h"))

@@ -1,10 +1,10 @@
 """Catalogue of physical effects: names, ports and the SI unit of their strength.
 
-The rig (`models.rig`) and the plant (`models.plant.effects`) model each effect by equations of
-their own. They have this table in common, which is a contract: `--hide NAME=STRENGTH` adds
-STRENGTH, in this unit, to the rig's default. Strength zero means absent. An effect of the servo, a
-joint or a sensor is the same in every driven joint, unless `--hide NAME:JOINT=STRENGTH` adds it in
-one joint alone.
+The rig (`models.rig`) and the plant (`models.plant.effects`) model each effect by different
+equations. They share this table, which is a contract: `--hide NAME=STRENGTH` adds STRENGTH, in this
+unit, to the rig's default. A strength of zero means that the effect is absent. An effect of the
+servo, a joint or a sensor is the same in every driven joint, unless `--hide NAME:JOINT=STRENGTH`
+adds it in a single joint.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ Port = Literal[
 
 
 REFERENCE_BEND_RAD: Final = 0.1
-"""Bend (of the root, or of the whole span) at which softening and hardening are given."""
+"""Bend (of the root, or of the whole span) at which softening and hardening are defined."""
 
 LEAK_TIME_S: Final = 10.0
-"""Time over which the leaking fraction is given."""
+"""Time in which the leaking fraction is lost."""
 
 
 class EffectRow(NamedTuple):
-    """One row of the catalogue."""
+    """Row of the catalogue."""
 
-    port: Port
-    unit: str  # Of its strength (its first parameter); "1" for a fraction
-    strength: str
+    port: Port  # Place where the effect acts
+    unit: str  # Unit of the strength (the first parameter); "1" for a fraction
+    strength: str  # Meaning of the strength
     size: float = math.nan  # Strength that would be noticed on the bench; NaN for none
 
 
@@ -107,14 +107,14 @@ BEYOND_THE_RIG: Final[dict[str, EffectRow]] = {
         "servo_torque", "N.m.s/rad", "viscous friction forwards above its mean of both directions"
     ),
 }
-"""Effects of loads that the rig does not have, so it cannot hide them."""
+"""Effects that the rig cannot hide, because they need another load."""
 
 EVERY_EFFECT: Final[dict[str, EffectRow]] = CATALOGUE | BEYOND_THE_RIG
 """Every effect that a plant may have."""
 
 
 def effect_and_joint(hidden: str) -> tuple[str, int | None]:
-    """Effect and joint of `NAME:JOINT`; the joint is None where `NAME` stands alone."""
+    """Effect and joint of `NAME:JOINT`; the joint is None for `NAME` alone."""
     effect, colon, joint = hidden.partition(":")
     if not colon:
         return effect, None
@@ -142,7 +142,7 @@ def parse_strength(argument: str) -> tuple[str, float]:
 
 
 def parse_strengths(arguments: Sequence[str]) -> dict[str, float]:
-    """Strengths by effect from every `--hide EFFECT=STRENGTH` of a command line."""
+    """Strengths by effect, from all `--hide EFFECT=STRENGTH` of a command line."""
     strengths: dict[str, float] = {}
     for argument in arguments:
         effect, strength = parse_strength(argument)

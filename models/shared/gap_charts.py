@@ -1,6 +1,6 @@
 """Charts of the gap workflow on matplotlib axes: heat map, bars, waterfall, traces.
 
-matplotlib draws every chart of the project, because it lays out ticks, labels and scales itself.
+matplotlib draws these charts, because it lays out ticks, labels and scales.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.shared.palette import AFTER, BEFORE, INK, MUTED, PAPER, heat_colours
 
 Array = NDArray[np.float64]
 SHOWN_ROWS: Final = 400
-"""Points of a trace: more than a screen shows are left out."""
+"""Most points of a trace: a screen shows no more."""
 BEFORE_AND_AFTER: Final = (LegendEntry(BEFORE, "before"), LegendEntry(AFTER, "after"))
 
 
@@ -40,8 +40,7 @@ def draw_heat_map(
 ) -> None:
     """Draw a table of values on a logarithmic colour scale from 1, white, to `most`, dark red.
 
-    Shapes: `curve` (n,).
-    `curve`: curve between -1 and 1 above the columns, over their whole width.
+    `curve` (n,), between -1 and 1, is drawn above the columns over their whole width.
     """
     scale = LogNorm(1.0, max(most, 1.5), clip=True)
     colours, whole = heat_colours(), all(float(v).is_integer() for v in cells.values())
@@ -59,7 +58,7 @@ def draw_heat_map(
         ax.plot(place, -1.1 - 0.5 * curve, color=MUTED, lw=1.2)
     ax.set(xlim=(-0.5, len(columns) - 0.5), ylim=(len(rows) - 0.5, top))
     ax.set_yticks(range(len(rows)), rows)
-    turned = sum(map(len, columns)) > 44  # letters of 8.5 pt beside each other
+    turned = sum(map(len, columns)) > 44  # letters of 8.5 pt that fit side by side
     ax.set_xticks(
         range(len(columns)), columns,
         **({"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if turned else {}),
@@ -70,7 +69,7 @@ def draw_heat_map(
 
 
 def heat_legend(most: float) -> list[LegendEntry]:
-    """Legend of the colours of `draw_heat_map`: noise, the largest value and two between."""
+    """Legend of the colours of `draw_heat_map`: noise, the largest value and two in between."""
     colours = heat_colours()
     values = np.geomspace(1.0, max(most, 1.5), 4)
     labels = ["1 (noise)", *(f"{v:.2g}" for v in values[1:-1]), f"{values[-1]:.2g} noise floors"]
@@ -83,7 +82,7 @@ def heat_legend(most: float) -> list[LegendEntry]:
 def draw_bars(
     ax: Any, rows: Sequence[tuple[str, float]], limit: float, said: str, marked: int = 1
 ) -> None:
-    """Draw horizontal bars with their values, the first ones marked, and a line at a limit."""
+    """Draw horizontal bars with their values, the first ones coloured, and a line at a limit."""
     for k, (_, value) in enumerate(rows):
         ax.barh(k, value, height=0.7, color=BEFORE if k < marked else MUTED)
         _bar_label(ax, value, k, f"{value:.1f}")
@@ -91,9 +90,9 @@ def draw_bars(
 
 
 def draw_waterfall(ax: Any, steps: Sequence[tuple[str, float]], limit: float, said: str) -> None:
-    """Draw what each step leaves, solid, and removes, pale, with a line at a limit.
+    """Draw what each step leaves (solid) and removes (pale), with a line at a limit.
 
-    `steps`: in order; the first is the start, the last the floor.
+    The first step is the start, the last one the noise floor.
     """
     before = steps[0][1]
     for k, (_, value) in enumerate(steps):
@@ -130,10 +129,7 @@ def draw_traces(
     quantity: str,
     floor: float | None = None,
 ) -> None:
-    """Draw errors over time, the first before and the second after, on a band of ± `floor`.
-
-    Shapes: `time_s` (n,), `series` (n,).
-    """
+    """Draw errors over time, the first before and the second after, on a band of ± `floor`."""
     if floor is not None:
         ax.axhspan(-unit.factor * floor, unit.factor * floor, color=MUTED, alpha=0.2, lw=0)
     every = max(1, len(time_s) // SHOWN_ROWS)

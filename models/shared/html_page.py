@@ -1,6 +1,6 @@
-"""HTML pages without outside files: the parts of `page_parts` through one template.
+"""HTML pages without external files, from the parts of `page_parts` through one template.
 
-Text is escaped by the template; drawings are put in as they are.
+The template escapes text; drawings are inserted unchanged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STYLE: Final = HERE / "style.css"
 
 
 def stylesheet() -> str:
-    """The style of every page, its colours from the palette."""
+    """Style sheet of every page, with the colours of the palette."""
     return css_variables() + STYLE.read_text(encoding="utf-8")
 
 
@@ -31,10 +31,9 @@ def render_page(
     sections: Sequence[Section],
     made: datetime | None = None,
 ) -> str:
-    """Render a whole page.
+    """Render a whole page, with a table of contents of its sections.
 
-    `sections`: the page; each has a link in the table of contents.
-    `made`: time that the page names as its own, in UTC.
+    `made` is the time stamp of the page, in UTC.
     """
     return _environment().get_template("page.html").render(
         title=title,

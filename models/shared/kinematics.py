@@ -17,12 +17,10 @@ Array = NDArray[np.float64]
 
 
 def base_rotation(angle_rad: Array) -> Array:
-    """Rotation of the base plate.
+    """Rotation R = R_y(angle_1) R_x(-angle_2) of the base plate, shape (n, 3, 3).
 
-    Shapes: `angle_rad` (n, dof).
-    `angle_rad`: joint angles in rad; with one column joint 2 is at zero.
-    Returns shape (n, 3, 3), R = R_y(angle_1) R_x(-angle_2); its columns are the plate's axes in the
-    world frame.
+    `angle_rad` has the shape (n, dof); with one column joint 2 is at zero. The columns of R are the
+    plate's axes in the world frame.
     """
     q1 = angle_rad[:, 0]
     q2 = angle_rad[:, 1] if angle_rad.shape[1] > 1 else np.zeros_like(q1)
@@ -39,32 +37,23 @@ def base_rotation(angle_rad: Array) -> Array:
 def base_corners_m(
     angle_rad: Array, base_offset_m: float, corners_m: Sequence[tuple[float, float]]
 ) -> Array:
-    """Places on the base plate below the markers of a row, in their order.
-
-    Shapes: `angle_rad` (n, dof).
-    Returns shape (n, corners, 3), in the world frame.
-    """
+    """Corners on the base plate below the markers of a row, world frame, shape (n, corners, 3)."""
     body = np.array([[x, y, base_offset_m] for x, y in corners_m])
     return np.asarray(np.einsum("nij,cj->nci", base_rotation(angle_rad), body))
 
 
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
-    """Tip of a link that does not bend.
+    """Tip of a rigid link in the world frame, in m, shape (n, 3).
 
-    Shapes: `angle_rad` (n, dof).
-    `base_offset_m`, `length_m`: distance of the base plate from the joint axes, and length of the
-    link.
-    Returns shape (n, 3), in the world frame, in m.
+    `base_offset_m` is the distance of the base plate from the joint axes.
     """
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
 
 
 def pointing_angles_rad(position_m: Array) -> Array:
-    """Joint angles of a straight link through a point: the inverse of `rigid_tip_m`.
+    """Joint angles (n, 2) of a straight link through points (n, 3): the inverse of `rigid_tip_m`.
 
-    Shapes: `position_m` (n, 3).
-    `position_m`: any point on the link's axis, world frame, in m.
-    Returns shape (n, 2), angle 1 and angle 2 in rad.
+    The points are anywhere on the link's axis, in the world frame.
     """
     x, y, z = position_m.T
     return np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])

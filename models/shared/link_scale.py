@@ -1,9 +1,9 @@
-"""Masses, stiffness and damping that a link of any size is expected to have.
+"""Expected masses, stiffness and damping of a link of any size.
 
-Each follows from the size, the section and the pressure with the material of the study's link
+They follow from size, section and pressure, with the material of the study's link
 (docs/sources.md, "The link"): walls of the same fabric, the same bond of the root patch. Rig and
-plant multiply their values and bounds for the study's link by the ratio of the two, so that a
-link that is described with the study's numbers gives exactly these.
+plant multiply their values and bounds for the study's link by the ratio of the two links, so a link
+described with the study's numbers has exactly the study's values.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 __all__ = ["LinkScale"]
 
 WALL_STIFFNESS_N_M: Final = 60e3
-"""Et of the walls."""
+"""Stiffness Et of the walls."""
 WALL_SHEAR_N_M: Final = 4280.0
-"""Gt of the walls: 1070 N = 5/6 2h Gt."""
+"""Shear stiffness Gt of the walls: 1070 N = 5/6 2h Gt."""
 AREAL_MASS_KG_M2: Final = 0.9 / (4 * 0.15 * 0.95)
 """Mass of fabric and yarns per area of the walls."""
 TIP_MASS_KG_M2: Final = 0.25 / 0.15**2
 """Mass of the hardware at the tip per area of the section."""
 PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
-"""Length of link that bends like the root patch, over the width: 350 N·m/rad at 135 N·m²."""
+"""Length of link that bends like the root patch, relative to the width: 350 N·m/rad at 135 N·m²."""
 HELD_RAD: Final = math.radians(30.0)
 """Largest angle of the study's motions."""
 REFERENCE_PRESSURE_PA: Final = 41_300.0
 MODAL_MASS_FRACTION: Final = 0.236
-"""Part of a cantilever's mass that swings with its tip: 33/140 (Rayleigh, static deflection)."""
+"""Fraction of a cantilever's mass that moves with its tip: 33/140 (Rayleigh, static deflection)."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +42,23 @@ class LinkScale:
 
     @property
     def perimeter_m(self) -> float:
-        """Of the section."""
+        """Perimeter of the section."""
         return (4.0 if self.link.section == "square" else math.pi) * self.link.width_m
 
     @property
     def area_m2(self) -> float:
-        """Of the section."""
+        """Area of the section."""
         return (1.0 if self.link.section == "square" else math.pi / 4) * self.link.width_m**2
 
     @property
     def mass_kg(self) -> float:
-        """Mass of the link: as given, or by the area of its walls."""
+        """Mass of the link: as described, or from the area of its walls."""
         given = self.link.mass_kg
         return AREAL_MASS_KG_M2 * self.perimeter_m * self.link.length_m if given is None else given
 
     @property
     def tip_mass_kg(self) -> float:
-        """Mass of the hardware at the tip: as given, or by the area of the section."""
+        """Mass of the hardware at the tip: as described, or from the area of the section."""
         given = self.link.tip_mass_kg
         return TIP_MASS_KG_M2 * self.area_m2 if given is None else given
 
@@ -75,7 +75,7 @@ class LinkScale:
 
     @property
     def pressure_ratio(self) -> float:
-        """Pressure over that at which the stiffness is known; stiffness is proportional."""
+        """Pressure relative to that of the known stiffness, which is proportional to it."""
         return self.link.pressure_pa / REFERENCE_PRESSURE_PA
 
     @property
@@ -101,7 +101,7 @@ class LinkScale:
 
     @property
     def shear_n(self) -> float:
-        """Whole shear stiffness, with the pressure's part p A."""
+        """Shear stiffness of walls and pressure, which adds p A."""
         return self.wall_shear_n + self.link.pressure_pa * self.area_m2
 
     @property
@@ -126,7 +126,7 @@ class LinkScale:
 
     @property
     def first_mode_rad_s(self) -> float:
-        """First mode without payload, base held."""
+        """Frequency of the first mode without payload, with a fixed base."""
         swinging_kg = MODAL_MASS_FRACTION * self.mass_kg + self.tip_mass_kg
         return math.sqrt(self.tip_stiffness_n_m / swinging_kg)
 
@@ -134,8 +134,8 @@ class LinkScale:
     def holding_nm(self) -> float:
         """Largest torque of a joint against the weight of link and payload, up to 30° from zero.
 
-        The weight's lever at angle q is g_x cos q - g_z sin q of the distance from the axis: half
-        of it at 30° where the link stands or hangs, all of it at zero where it lies.
+        The lever of the weight at angle q is g_x cos q - g_z sin q of the distance from the axis.
+        For a link that stands or hangs it is one half at 30°, for a lying one all at zero.
         """
         link, reach = self.link, self.link.base_offset_m + self.link.length_m
         own = self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
@@ -149,16 +149,16 @@ class LinkScale:
 
     @property
     def holding_of_limit(self) -> float:
-        """`holding_nm` over the torque at the servo's current limit."""
+        """`holding_nm` relative to the torque at the servo's current limit."""
         return self.holding_nm / self.link.preset.torque_limit_nm
 
     def over_study(self, name: str) -> float:
-        """A property over the same one of the study's link."""
+        """Ratio of a property to that of the study's link."""
         return float(getattr(self, name) / getattr(_STUDY, name))
 
     @cached_property
     def servo_ratios(self) -> dict[str, float]:
-        """Numbers of the servo's preset over those of the study's servo."""
+        """Ratios of the servo's preset to that of the study's servo."""
         own, study = self.link.preset, STUDY_LINK.preset
         names = (
             "torque_constant_nm_a", "coulomb_friction_nm", "viscous_friction_nm_s_rad",

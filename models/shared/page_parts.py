@@ -1,6 +1,6 @@
 """Parts of a page: sections with paragraphs, tables, figures, facts and commands.
 
-Text is plain text and is escaped when the page is rendered; `Markup` passes as HTML.
+Text is plain text and is escaped when the page is rendered; `Markup` is inserted as HTML.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import ClassVar, NamedTuple
 from markupsafe import Markup
 
 NO_VALUE = "–"
-"""Cell of a table without a value."""
+"""Text of a table cell without a value."""
 
 Text = str | Markup
 
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Paragraph of text."""
+    """Running text, or a lead, a note or a line about missing inputs."""
 
     macro: ClassVar = "paragraph"
     text: Text
@@ -28,17 +28,17 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Notice:
-    """Coloured line with a label, for what a reader must not overlook."""
+    """Coloured line with a label, that a reader must not overlook."""
 
     macro: ClassVar = "notice"
-    kind: str  # Its colour: "simulated", "measured", "mixed" or "unknown"
-    label: str  # The same in words
+    kind: str  # Selects the colour: "simulated", "measured", "mixed" or "unknown"
+    label: str  # The kind in words
     text: Text
 
 
 @dataclass(frozen=True)
 class TableCell:
-    """Text of a cell, and whether it meets its target (None: it has none)."""
+    """Text of a cell, and whether it meets its target (None without a target)."""
 
     text: Text
     met: bool | None = None
@@ -52,20 +52,20 @@ class Table:
     """Table whose first column names the rows."""
 
     macro: ClassVar = "table"
-    title: str  # Above the table; "" for none
+    title: str  # Heading; "" for none
     header: Sequence[Text]  # Names of the columns
     rows: Sequence[Sequence[Cell]]  # Cells, one per column
     note: str = ""
 
     @property
     def cells(self) -> list[list[TableCell]]:
-        """Rows of cells."""
+        """Rows with every text as a cell."""
         return [[c if isinstance(c, TableCell) else TableCell(c) for c in row] for row in self.rows]
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One drawing."""
+    """Drawing in a figure."""
 
     title: str
     alt: str  # What the drawing shows, for readers who cannot see it
@@ -82,11 +82,11 @@ class LegendEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """Panels under one heading and one legend, side by side where there is room."""
+    """Panels under one heading and one legend, side by side if there is room."""
 
     macro: ClassVar = "figure"
-    title: str  # Heading, "" for none; sentence below
-    note: str
+    title: str  # Heading; "" for none
+    note: str  # Sentence below the heading
     panels: Sequence[Panel]
     paper: str = ""  # Number of the paper's figure, "" for none
     legend: Sequence[LegendEntry] = ()  # What the colours stand for
@@ -102,7 +102,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class CommandList:
-    """Commands in order; `folded` hides them behind their number."""
+    """Commands in order; `folded` shows their number until the reader unfolds them."""
 
     macro: ClassVar = "commands"
     commands: Sequence[str]
@@ -111,10 +111,10 @@ class CommandList:
 
 @dataclass(frozen=True)
 class ClaimCard:
-    """One claim with what each study says about it."""
+    """Claim with the findings of each study."""
 
     claim: str
-    # Studies that agree; whether the claim holds (None: they cannot tell); the finding
+    # Studies that agree; whether the claim holds (None if they cannot tell); the finding
     verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
     depends_on: Sequence[str]
 
@@ -123,7 +123,7 @@ class ClaimCard:
 
 @dataclass(frozen=True)
 class ClaimCards:
-    """Cards side by side."""
+    """Claim cards side by side."""
 
     macro: ClassVar = "claims"
     cards: Sequence[ClaimCard]
@@ -142,6 +142,6 @@ class Section:
 
 
 def missing_inputs(command: str) -> Paragraph:
-    """Line in place of a part whose inputs are missing, with the command that writes them."""
+    """Line that replaces a part with missing inputs, with the command that writes them."""
     text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
     return Paragraph(text.format(command), "missing")

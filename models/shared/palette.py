@@ -1,8 +1,8 @@
 """Colours of every page, chart and picture.
 
-The series colours can be told apart by people with red-green colour blindness as well
-(`tests/models/shared/test_palette.py` simulates it); ordered quantities have ramps whose lightness
-falls all the way.
+The series colours are distinct for people with red-green colour blindness too
+(`tests/models/shared/test_palette.py` simulates it). Ordered quantities have ramps of steadily
+falling lightness.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
 
 INK: Final = "#1f2933"
-"""Text, axes, and what was measured."""
+"""Text, axes, and measured signals."""
 PAPER: Final = "#ffffff"
 MUTED: Final = "#8a94a0"
-"""Frames of charts, noise floors, what stands in the background."""
+"""Frames of charts, noise floors and other background."""
 GRID: Final = "#e4e8ec"
 SPAN: Final = "#d5dbe1"
 """Shaded spans of time."""
@@ -26,12 +26,12 @@ ORANGE: Final = "#b4532a"
 PURPLE: Final = "#4a1f6e"
 GREEN: Final = "#2e9e6b"
 AMBER: Final = "#c77700"
-"""Beside blue and what is grey only: too near orange for the others."""
+"""For use with blue and grey only: it is too close to orange for the others."""
 SERIES: Final = (BLUE, ORANGE, PURPLE, GREEN)
-"""Of what has no order, in this sequence."""
+"""Colours of series without an order, in this sequence."""
 
 ALARM: Final = "#9c1c16"
-"""Limits and what exceeds them: dashed lines and marks, because it is near orange."""
+"""Limits and what exceeds them: dashed lines and marks only, because it is close to orange."""
 BEFORE: Final = ORANGE
 AFTER: Final = BLUE
 MEASURED: Final = INK
@@ -69,16 +69,16 @@ DARK_PAGE_COLOURS: Final = {
     "mixed": "#c7abea",
     "unknown": "#a9b3bd",
 }
-"""The same where a reader prefers dark pages; figures keep the light ones."""
+"""The same for readers who prefer dark pages; figures keep the light colours."""
 
 HEAT: Final = ("#fff7ec", "#fdcc8a", "#e34a33", "#7f0000")
-"""White to dark red by way of orange (ColorBrewer, OrRd)."""
+"""White over orange to dark red (ColorBrewer, OrRd)."""
 
 
 def css_variables() -> str:
-    """The page colours as CSS variables: light, and dark on the screens of those who prefer it.
+    """The page colours as CSS variables: light, and dark for readers who prefer it on screen.
 
-    A figure keeps the light colours: its drawing has them built in.
+    A figure keeps the light colours, because they are built into its drawing.
     """
     light = _declared(":root", PAGE_COLOURS)
     dark = _declared(":root", DARK_PAGE_COLOURS) + _declared(".figure", PAGE_COLOURS)

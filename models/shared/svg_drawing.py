@@ -1,4 +1,4 @@
-"""Drawings by matplotlib as SVG: one style, text as text, no external resources."""
+"""Drawings from matplotlib as SVG: one style, text as text, no external resources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from models.shared.page_parts import Panel
 from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
 
 SIZE_IN: Final = (4.3, 2.9)
-"""On a phone its 9 pt text measures about 10 px, in two columns about 15 px."""
+"""Size of a drawing: its 9 pt text is about 10 px high on a phone, about 15 px in two columns."""
 
 STYLE: Final = {
     "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,
@@ -39,15 +39,15 @@ STYLE: Final = {
 THIN: Final = 1.1
 _WIDER: Final = 1.4
 _COINCIDENT: Final = 0.005
-"""Distance of two lines over the axis below which they cover each other: about a line's width."""
+"""Distance of coincident lines, relative to the axis: about a line's width."""
 _POINTS_COMPARED: Final = 200
 
 FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
-"""The same for pictures that are files of their own."""
+"""The same for pictures in separate files."""
 
 
 class Drawing:
-    """Axes in the style of the pages, `height_in` high, drawn once the block is left.
+    """Axes in the style of the pages, `height_in` high, rendered at the end of the block.
 
     ::
 
@@ -74,18 +74,16 @@ class Drawing:
                 self._svg = _to_svg(self._figure)
 
     def panel(self, title: str, alt: str) -> Panel:
-        """The drawing with its title and its description."""
+        """Panel with this drawing, its title and its description."""
         return Panel(title, alt, _with_own_ids(self._svg, title + alt))
 
 
 def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[float]:
-    """Line widths with which curves can be told apart, drawn in their order.
+    """Line widths that keep curves distinguishable, in drawing order.
 
-    Where each covers the one before for at least half of its length, every line is narrower than
-    the one beneath, so that all are seen; elsewhere all are thin.
-
-    Shapes: `curves` (n, 2).
-    `shown`: length of the longer axis, in the unit of the points.
+    If each curve covers the one before over at least half of its length, every line is narrower
+    than the one beneath; otherwise all are thin. Shapes: `curves` (n, 2). `shown` is the length of
+    the longer axis, in the unit of the points.
     """
     thinned = [c[:: max(len(c) // _POINTS_COMPARED, 1)] for c in curves]
     covered = [
@@ -100,9 +98,8 @@ def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[f
 def log_axis(ax: Any, values: Iterable[float]) -> None:
     """Logarithmic y axis around `values`, labelled at 1, 2 and 5 in plain figures.
 
-    Give the values of every panel of a figure, and its panels share one scale.
-
-    `values`: all values to show; those that are not positive are ignored.
+    With the values of every panel of a figure, its panels share one scale. Values that are not
+    positive are ignored.
     """
     positive = [v for v in values if v > 0]
     ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))
@@ -112,7 +109,7 @@ def log_axis(ax: Any, values: Iterable[float]) -> None:
 
 
 def _to_svg(figure: Any) -> str:
-    """Inline SVG: scales with its box, takes the page's font."""
+    """Inline SVG that scales with its box and uses the page's font."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
@@ -127,10 +124,10 @@ def _to_svg(figure: Any) -> str:
 
 
 def _with_own_ids(svg: str, about: str) -> str:
-    """The drawing with ids that are unique in the page.
+    """Make the ids of a drawing unique in the page.
 
-    Definitions (markers, clips) are named by their content, and another figure may hold the same,
-    so each drawing gets a prefix; ids that nothing refers to are left out.
+    Definitions (markers, clips) are named by their content, which another figure may share, so each
+    drawing gets a prefix. Unreferenced ids are removed.
     """
     prefix = hashlib.sha256((about + svg).encode()).hexdigest()[:6]
     used = set(re.findall(r'[("]#([\w.-]+)', svg))

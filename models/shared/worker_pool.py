@@ -17,16 +17,16 @@ from firmware_py.console import terminations_raised
 from firmware_py.errors import InputError
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Each worker computes on one thread: the workers take all cores already."""
+"""Each worker computes on one thread: the workers already use all cores."""
 
 
 @contextlib.contextmanager
 def worker_pool(processes: int, option: str = "--workers") -> Iterator[ProcessPoolExecutor]:
     """Pool of spawned processes.
 
-    Where the body is left by an exception, Ctrl-C and SIGTERM included, the workers are terminated:
-    what they had begun is lost, so files are written under another name first. They end also where
-    this process is killed.
+    If an exception leaves the body, also Ctrl-C or SIGTERM, the workers are terminated and lose
+    what they began, so files are written under another name first. The workers also end if this
+    process is killed.
     """
     os.environ.update(dict.fromkeys(THREADS, "1"))  # set before the processes load numpy
     others = set(multiprocessing.active_children())
@@ -56,7 +56,7 @@ def _begin_worker() -> None:
 
 
 def end_with_parent() -> None:
-    """End this process at once when the process that started it is gone, also by SIGKILL."""
+    """End this process at once when its parent has ended, even by SIGKILL."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_after, args=(parent,), daemon=True).start()

@@ -1,1 +1,1 @@
-"""Trials: the file contract, the Deformation Index and the importers of other formats."""
+"""Trials: the file contract, the Deformation Index and importers for other formats."""

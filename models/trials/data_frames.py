@@ -1,6 +1,6 @@
-"""Data frames of trials: pandas in and out, with the SI unit in every column's name.
+"""Trials as pandas data frames, and back, with the SI unit in every column's name.
 
-pandas is imported where a function needs it: it is the extra `library`.
+pandas is imported on first use; it is in the extra `library`.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 __all__ = ["as_data_frame", "trial_frame", "trial_from_frame", "trials_frame"]
 
 CONDITIONS = ("name", "dof", "motion", "payload_kg", "amplitude_rad", "trial")
-"""Columns that tell the trials of one frame apart."""
+"""Columns that distinguish the trials of one frame."""
 
 
 def as_data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Columns by name as a data frame.
+    """Return columns by name as a data frame.
 
     Parameters
     ----------
     columns : mapping of str to array_like, shape (n,)
-        For instance of a log (`Recording.columns`), of `simulate_plant` or of
+        For example of a log (`Recording.columns`), of `simulate_plant` or of
         `Predictions.columns`.
 
     Raises
@@ -46,12 +46,12 @@ def as_data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def trial_frame(trial: Trial) -> pd.DataFrame:
-    """Samples of a trial, one row each; the conditions are in `attrs`.
+    """Return the samples of a trial, one row each; the conditions are in `attrs`.
 
     Parameters
     ----------
     trial : Trial
-        Any.
+        Trial of the link or of any plant.
 
     Raises
     ------
@@ -73,17 +73,17 @@ def trial_frame(trial: Trial) -> pd.DataFrame:
 
 
 def trials_frame(trials: Iterable[Trial]) -> pd.DataFrame:
-    """Samples of several trials below each other, behind the conditions that tell them apart.
+    """Return the samples of several trials in one frame, with columns that distinguish the trials.
 
     Parameters
     ----------
     trials : iterable of Trial
-        One at least.
+        At least one trial.
 
     Raises
     ------
     InputError
-        If pandas is not installed, or there is no trial.
+        If pandas is not installed, or `trials` is empty.
     """
     frames = []
     for trial in trials:
@@ -103,23 +103,23 @@ def trial_from_frame(
     meta: TrialMeta | None = None,
     signals: PlantSignals | None = None,
 ) -> Trial:
-    """Trial from the columns of a data frame, checked like a file.
+    """Return the trial that a data frame holds, checked like a file.
 
     Parameters
     ----------
     frame : DataFrame
-        Columns of the trial contract; a missing value is an occluded marker.
+        Columns as in a trial file; a missing value is an occluded marker.
     name : str, optional
-        Of the trial; by default that in `frame.attrs`.
+        Name of the trial; by default the one in `frame.attrs`.
     meta : TrialMeta, optional
-        Conditions; by default those in `frame.attrs`, as `trial_frame` leaves them.
+        Conditions; by default those in `frame.attrs`, as `trial_frame` sets them.
     signals : mapping of str to SignalRole, optional
         Signals of a plant that is not the link (`Plant.signals`).
 
     Raises
     ------
     InputError
-        If there are no conditions, or samples or conditions are not those of a trial.
+        If name or conditions are missing, or if samples or conditions are invalid.
     """
     attributes = dict(frame.attrs)
     name = name or str(attributes.get("name", ""))

@@ -2,9 +2,9 @@
 
     DI = 1/N sum_i |L_i - L'_i| / L_i
 
-over N lengths: the segments of each long edge, from its place on the base plate through its marker
-in every row. The study's link has N = 16, four segments of four edges. Other sets of lengths can be
-selected.
+over N lengths: the segments of each long edge, from its corner on the base plate through its marker
+in every row. The study's link has N = 16: four segments on each of four edges. Other sets of
+lengths can be selected.
 """
 
 from __future__ import annotations
@@ -23,16 +23,14 @@ __all__ = ["DEFINITIONS", "deformation_index", "marker_lengths_m"]
 Definition = Literal["edges", "base_to_marker", "all_pairs"]
 DEFINITIONS: Final[tuple[Definition, ...]] = ("edges", "base_to_marker", "all_pairs")
 MAX_OCCLUDED_FRACTION: Final = 0.2
-"""Fraction of occluded lengths in a trial above which a warning is given."""
+"""Fraction of occluded lengths in a trial above which the user is warned."""
 
 
 def marker_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
-    """Lengths whose change the index measures.
+    """Lengths in m whose change the index measures, shape (n, N); NaN where an end is occluded.
 
-    `trial`: of the link; NaN is an occluded marker.
-    `definition`: `edges`: segments along the long edges, one a marker; `base_to_marker`: from the
-    edge's place on the base plate to each of its markers; `all_pairs`: between any two markers.
-    Returns shape (n, N), lengths in m, NaN where an end is occluded.
+    `edges`: segments along the long edges, one per marker. `base_to_marker`: from the corner on the
+    base plate to each marker of its edge. `all_pairs`: between any two markers.
     """
     markers_m, rows_m = trial.markers_m, trial.marker_rows_m
     places_m = trial.meta.layout.corners_m
@@ -51,22 +49,23 @@ def _norm(vectors: Array) -> Array:
 
 
 def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
-    """Deformation Index of every row of a trial.
+    """Return the Deformation Index of every row of a trial.
 
-    The reference lengths are the means over the trial's rest rows. A row's mean is over the
-    visible lengths; it is NaN where there is none.
+    The reference lengths are the means over the trial's rest rows. A row averages over its visible
+    lengths and is NaN if there is none.
 
     Parameters
     ----------
     trial : Trial
-        Of the link; NaN is an occluded marker.
+        Trial of the link; NaN marks an occluded marker.
     definition : {"edges", "base_to_marker", "all_pairs"}
-        Set of lengths, as for `marker_lengths_m`.
+        Set of lengths: segments along the long edges; from base plate to marker; between any two
+        markers.
 
     Returns
     -------
     ndarray, shape (n,)
-        Dimensionless.
+        Deformation Index, dimensionless.
 
     Raises
     ------

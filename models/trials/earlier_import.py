@@ -1,8 +1,8 @@
-"""Earlier import: the trial that an import would replace, and the recording that it came from.
+"""Check of an earlier import: which recording the trial to be replaced came from.
 
-A trial that was imported holds the hash of its recording (`TrialMeta.recording_sha256`). The same
-recording may be imported again, with another map for example; a trial of another recording, or a
-file that is no trial, is never replaced.
+An imported trial stores the hash of its recording (`TrialMeta.recording_sha256`). You may import
+the same recording again, for example with another map. A trial of another recording, or a file
+that is no trial, is never replaced.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded, read_toml
 
 _MOST_FILES: Final = 1000
-"""Files of a folder that are hashed; the reader of bags takes fewer."""
+"""Most files of a folder that are hashed; the reader of bags accepts fewer."""
 _PART_BYTES: Final = 1 << 20
 _REMEDY: Final = "give another --out, or move it away"
 
 
 def recording_hash(path: Path) -> str:
-    """SHA-256 of a recording; of a folder (a ROS 2 bag), that of its files in order of name."""
+    """SHA-256 of a recording; for a folder (a ROS 2 bag), over its files in order of name."""
     is_bag = path.is_dir()
     files = sorted(islice(path.iterdir(), _MOST_FILES)) if is_bag else [path]
     digest = hashlib.sha256()

@@ -1,4 +1,4 @@
-"""Row at which the motion of a recording starts: its goals tell it, whoever counted the rest."""
+"""Row at which the motion of a recording starts, detected from the goals."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from firmware_py.motion import KINDS, Motion
 from models.trials.trial import Array, Trial
 
 REST_FRACTION: Final = 1e-3
-"""Largest change of a goal that counts as rest, as a fraction of the goal's range [assumed]."""
+"""Largest change of a goal at rest, as a fraction of the goal's range [assumed]."""
 
 JUMP_FRACTION: Final = 0.05
 """Least change of a goal from one row to the next that may be a step, as a fraction of its range
 [assumed]."""
 
 SMOOTHEST_START_ROWS: Final = 120
-"""Rows within which a reference motion has left its rest by `REST_FRACTION`; a multisine of 20 s
-needs 34."""
+"""Rows within which a reference motion has changed by `REST_FRACTION`; a multisine of 20 s needs
+34."""
 
 GOAL_TOLERANCE: Final = 0.01
-"""Root mean square by which goals may differ from those of a motion, as a fraction of the largest
+"""Largest root mean square difference between the goals and a motion, as a fraction of the largest
 goal: the resolution of a small servo is a seventh of that [assumed]."""
 
 
 def motion_start(trial: Trial) -> int:
     """Row of time zero of a trial.
 
-    Where the conditions name a reference motion and the goals follow it, to whichever side it
-    begins, its goals tell the row; else the conditions do.
+    Where the conditions name a reference motion and the goals follow it, in either direction, the
+    row is fitted to the goals. Otherwise it is `rest_samples` of the conditions.
     """
     meta, known = trial.meta, trial.meta.rest_samples
     kind = next((k for k in KINDS if k == meta.motion), None)
@@ -58,11 +58,9 @@ def motion_start(trial: Trial) -> int:
 
 
 def rows_at_rest(goals: Array) -> int:
-    """Rows before the goals of any motion start.
+    """Rows before the goals of any motion start; `goals` has shape (n, goals).
 
-    A smooth motion leaves its rest in the row after time zero; a step does in that of time zero.
-
-    Shapes: `goals` (n, goals).
+    A smooth motion first changes in the row after time zero, a step in the row of time zero.
     """
     scale = np.ptp(goals, axis=0)
     moved = np.flatnonzero(np.any(np.abs(goals - goals[0]) > REST_FRACTION * scale, axis=1))

@@ -14,7 +14,7 @@ KIND_WORDS: Final[dict[OriginKind, str]] = {
     "simulated": "Simulated", "measured": "Measured", "mixed": "Simulated and measured",
     "unknown": "Origin not stated",
 }  # fmt: skip
-"""Label of a notice, and, in small letters, of a badge."""
+"""Label of a notice and, in lower case, of a badge."""
 
 _ADDED: Final[dict[OriginKind, str]] = {
     "simulated": " No robot was measured.",

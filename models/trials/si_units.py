@@ -1,4 +1,4 @@
-"""SI units: exponents of base units, factors of other units, and the units of a plant's signals.
+"""SI units: exponents of base units, factors to SI, and the check of a plant's signal units.
 
 A unit is written as FMI requires: a product and quotient of symbols, like "N.m.s/rad" or
 "rad/(N.m)"; "1" is dimensionless.
@@ -31,7 +31,7 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
     "psi": ("Pa", 6894.757), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0), "W": ("W", 1.0),
     "1": ("1", 1.0),
 }  # fmt: skip
-"""SI unit of the contract and factor to it, by a unit as a map may write it."""
+"""SI unit of the trial files and the factor to it, by the unit that a map may name."""
 
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "1": {},
@@ -53,9 +53,9 @@ _TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
 
 
 def base_exponents(unit: str) -> dict[str, int]:
-    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are left out.
+    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are omitted.
 
-    `unit`: product and quotient of symbols; an integer after a symbol is its power.
+    A unit is a product and quotient of symbols; an integer after a symbol is its power.
     """
     tokens = _TOKEN.findall(unit)
     if "".join(tokens) != unit or not tokens:
@@ -94,23 +94,11 @@ def _factor(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
 
 
 def check_signal_units(where: Path, signals: Mapping[str, SignalRole]) -> None:
-    """Refuse a signal of a plant's file whose numbers would not be in the unit of its quantity.
+    """Refuse a signal of a plant's file whose unit is not that of its quantity.
 
-    The suffix of the plant's own name of a signal says its unit. A condition has the unit of the
-    parameter that it replaces (`models.plant.plant.read_plant`); it and a name without a suffix
-    must have an SI unit here.
-
-    Parameters
-    ----------
-    where : Path
-        The plant's file.
-    signals : mapping of str to SignalRole
-        Signals that it declares.
-
-    Raises
-    ------
-    InputError
-        For the first signal with another unit.
+    The suffix of the plant's name of a signal states its unit. A condition has the unit of the
+    parameter that it replaces (`models.plant.plant.read_plant`). A condition, or a name without a
+    suffix, must have an SI unit here.
 
     Examples
     --------
@@ -134,10 +122,7 @@ give 'm' here, the map of the import converts the recording.
 def other_unit(
     where: Path, name: str, signal: SignalRole, contrast: str, expected: str
 ) -> InputError:
-    """Error of a signal whose unit is not the expected one.
-
-    `contrast`: what the unit should be, or why it is wrong.
-    """
+    """Error of a signal with a wrong unit; `contrast` says why it is wrong."""
     wanted = repr(expected) if " " not in expected else expected
     return InputError(
         where,
@@ -147,7 +132,7 @@ def other_unit(
 
 
 def _is_si(unit: str) -> bool:
-    """Whether a text is an SI unit; temperatures are in degrees Celsius."""
+    """Whether a text is an SI unit; degC is accepted for temperatures."""
     try:
         base_exponents(unit)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Takes of one map: files, their conditions by file name or table, their servo files."""
+"""Takes that one map imports: their files, conditions (from file name or table) and servo files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SUFFIXES: Final = {
     "motive": (".csv",), "c3d": (".c3d",), "recording": (".mcap",),
     "table": (".csv", ".tsv", ".json", ".mat"),
 }  # fmt: skip
-"""Files of a folder that are takes, by format."""
+"""Suffixes of the files in a folder that count as takes, by format."""
 
 _KINDS: Final = {
     field.name: field.type
@@ -29,11 +29,11 @@ _KINDS: Final = {
     if field.name not in ("conditions", "recording_sha256")
 }
 _NAME: Final = "{name}"
-"""Part of the name of a servo file that stands for the name of the take."""
+"""Placeholder in the name of a servo file for the name of the take."""
 _OWN: Final = ("file", "servo", "offset_s")
-"""Columns of a table of takes that are no conditions."""
+"""Columns of a table of takes that are not conditions."""
 _MOST_TABLE_BYTES: Final = 1_000_000
-"""Size of the largest table of takes: people write it [assumed]."""
+"""Largest size of a table of takes; tables are written by hand [assumed]."""
 
 
 class Take(NamedTuple):
@@ -48,8 +48,7 @@ class Take(NamedTuple):
 def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[Take]:
     """Takes among files and folders, each with its conditions.
 
-    `files`: recordings; a folder stands for those of the format in it (a rosbag is a folder
-    itself).
+    A folder stands for the recordings of the format in it; a rosbag is itself a folder.
     """
     rules = mapping.takes
     table_path = Path(mapping.path).parent / rules.table
@@ -70,7 +69,7 @@ def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[
 
 
 def _refuse_one_name(files: Sequence[Path]) -> None:
-    """Refuse two files of one name: their trials would be one file, also where case is ignored."""
+    """Refuse two files of one name, whatever the case: their trials would overwrite each other."""
     known: dict[str, Path] = {}
     for file in files:
         other = known.setdefault(file.stem.casefold(), file)
@@ -107,8 +106,9 @@ def _files(
 def _by_name(file: Path, mapping: RecordingMap) -> dict[str, Any]:
     """Conditions in the name of a file, by the map's pattern.
 
-    Each condition takes as little of the name as it can, and one character at least. The first
-    place of the text behind it is the right one wherever there is one, so nothing is tried twice.
+    Each condition takes the shortest part of the name that fits, at least one character. The first
+    match of the text after a condition is correct whenever a match exists, so there is no
+    backtracking.
     """
     pattern = mapping.takes.pattern
     first, *parts = re.split(r"\{(\w+)\}", pattern)
@@ -155,7 +155,7 @@ def _offset_s(path: Path, text: str) -> float:
 
 
 def _table(path: Path) -> dict[str, dict[str, str]]:
-    """Rows of a table of takes by the name of their file."""
+    """Rows of a table of takes, by file name."""
     remedy = "correct 'table' in the map"
     try:
         header, *rows = csv.reader(read_text(path, remedy, _MOST_TABLE_BYTES).splitlines() or [""])

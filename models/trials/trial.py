@@ -24,35 +24,35 @@ SCHEMA: Final = 1
 LINK_CONDITIONS: Final = (
     "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
 )  # fmt: skip
-"""Conditions that a trial of the link must have and no other trial has."""
+"""Conditions that a trial of the link has and a trial of another plant lacks."""
 
 UPRIGHT_M_S2: Final = (0.0, 0.0, -9.81)
-"""Gravity where a trial does not give it: docs/sources.md, "The link"."""
+"""Gravity where a trial does not state it: docs/sources.md, "The link"."""
 
 
 class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Signal of a plant that is not the link."""
 
-    # SI unit in the spelling of FMI, "1" for none: that of the plant's own name of the signal. A
-    # recording in another unit is converted by the map of its import.
+    # SI unit of the plant's quantity in the spelling of FMI, "1" if dimensionless. The map of an
+    # import converts a recording that is in another unit.
     unit: str
     # `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
     # output of that name. `supply`: measured, and an input of the plant. `condition`: constant in a
-    # trial, under `[conditions]` of its TOML file, in place of the plant's parameter of that name.
-    # All but conditions are columns.
+    # trial, set under `[conditions]` of its TOML file, and replaces the plant's parameter of that
+    # name. All but conditions are columns.
     role: Literal["goal", "measured", "supply", "condition"]
-    # The plant's own name of the signal, where the trial's files call it otherwise. A trial that
-    # was read has the plant's names.
+    # Name of the signal in the plant, if the trial files use another. Reading a trial renames the
+    # column to it.
     quantity: str = ""
 
 
 class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Conditions of a trial (the TOML file); every dimensional key ends in its unit.
 
-    Those of `LINK_CONDITIONS` are zero where the trial is of another plant. `conditions` are
-    numbers that replace the plant's parameters of the same name in this trial. `gravity_m_s2` is
-    None where the link stands upright, `markers` where there are four rows of four.
-    `recording_sha256` is the hash of the recording that the trial was imported from; empty for any
+    `LINK_CONDITIONS` are zero for a trial of another plant. `conditions` replace the plant's
+    parameters of the same name in this trial. `gravity_m_s2` is None where the link stands
+    upright, `markers` is None for four rows of four. `recording_sha256` is the hash of the
+    recording that the trial was imported from, empty if it was not imported.
     other trial.
     """
 
@@ -78,16 +78,16 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def layout(self) -> MarkerLayout:
-        """Places of the markers."""
+        """Layout of the markers on the link."""
         return self.markers or square_layout(self.link_length_m, self.link_width_m)
 
     @property
     def gravity(self) -> tuple[float, float, float]:
-        """Acceleration by gravity in the frame whose z axis is the link at zero angle."""
+        """Gravity in m/s², in the frame whose z axis is the link at zero angle."""
         return self.gravity_m_s2 or UPRIGHT_M_S2
 
     def document(self) -> dict[str, object]:
-        """Content of the TOML file, without the conditions that do not apply."""
+        """Return the content of the TOML file, without conditions that do not apply."""
         entries: dict[str, object] = msgspec.to_builtins(self)
         for key in ("conditions", "recording_sha256"):
             if not entries[key]:
@@ -100,18 +100,18 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 @dataclass(frozen=True)
 class Trial:
-    """One run of the robot.
+    """One run of the robot: conditions and samples.
 
     Attributes
     ----------
     name : str
-        File name without suffix.
+        File name without its suffix.
     meta : TrialMeta
-        Conditions.
+        Conditions of the run.
     columns : dict of str to ndarray, shape (n,)
         Samples by column name, in file order.
     path : Path
-        CSV file that it was read from (or `NAME.csv` for one not yet written).
+        CSV file that it was read from; empty for a trial that was not read from a file.
     """
 
     name: str
@@ -123,17 +123,17 @@ class Trial:
         return len(self.columns["time_s"])
 
     def stack(self, *names: str) -> Array:
-        """Columns by name as one array, shape (n, len(names))."""
+        """Return columns side by side, shape (n, len(names))."""
         return np.column_stack([self.columns[name] for name in names])
 
     @property
     def time_s(self) -> Array:
-        """Sample times, shape (n,)."""
+        """Sample times in s, shape (n,)."""
         return self.columns["time_s"]
 
     @property
     def step_s(self) -> float:
-        """Uniform time step in s."""
+        """Time step in s."""
         return float((self.time_s[-1] - self.time_s[0]) / (len(self) - 1))
 
     def _joints(self, pattern: str) -> Array:
@@ -153,7 +153,7 @@ class Trial:
     def joint(self) -> Array:
         """Joint coordinates, in rad or, on a straight guide, in m; shape (n, dof).
 
-        As measured; where they were not, as commanded; zero where neither was recorded.
+        Measured where there is an encoder, else as commanded, else zero.
         """
         last = self.meta.dof
         for pattern in ("angle_{j}_rad", "position_{j}_m", "goal_{j}_rad", "goal_{j}_m"):
@@ -168,29 +168,29 @@ class Trial:
 
     @property
     def tip_m(self) -> Array:
-        """End effector in the world frame, shape (n, 3)."""
+        """Position of the end effector in the world frame, shape (n, 3)."""
         return self.stack("tip_x_m", "tip_y_m", "tip_z_m")
 
     @property
     def markers_m(self) -> Array:
-        """Markers in the world frame, shape (n, markers, 3); NaN where occluded."""
+        """Markers in m in the world frame, shape (n, markers, 3); NaN where occluded."""
         markers = self.meta.layout.names
         names = [f"{marker}_{axis}_m" for marker in markers for axis in "xyz"]
         return self.stack(*names).reshape(len(self), len(markers), 3)
 
     @property
     def marker_rows_m(self) -> Array:
-        """Markers by row and corner, shape (n, rows, corners, 3); NaN where occluded."""
+        """Markers in m by row and corner, shape (n, rows, corners, 3); NaN where occluded."""
         layout = self.meta.layout
         return self.markers_m.reshape(len(self), layout.rows, layout.corners, 3)
 
     @property
     def moving(self) -> slice:
-        """Rows after the rest rows."""
+        """Rows after the initial rest."""
         return slice(self.meta.rest_samples, None)
 
     def sha256(self) -> str:
-        """Hash of the samples and conditions, whatever they were imported from, for provenance."""
+        """Return the hash of samples and conditions, independent of the recording."""
         meta = msgspec.structs.replace(self.meta, recording_sha256="")
         digest = hashlib.sha256(msgspec.json.encode(meta.document()))
         for name, column in self.columns.items():
@@ -200,12 +200,12 @@ class Trial:
 
 
 ONE_AMPLITUDE_FRACTION: Final = 0.01
-"""Amplitudes of one motion differ by at most this fraction: 30° is written as 0.5236 rad, too
+"""Largest relative difference between amplitudes of one motion; 30° may be written as 0.5236 rad
 [assumed]."""
 
 
 def is_one_amplitude(first_rad: float, second_rad: float) -> bool:
-    """Whether two amplitudes are of one motion."""
+    """Whether two amplitudes belong to one motion."""
     return math.isclose(first_rad, second_rad, rel_tol=ONE_AMPLITUDE_FRACTION)
 
 
@@ -231,15 +231,16 @@ class TrialSet(Sequence[Trial]):
         return iter(self.trials)
 
     def where(self, keep: Callable[[Trial], bool]) -> TrialSet:
-        """Trials for which `keep` is true."""
+        """Return the trials for which `keep` is true."""
         return TrialSet(tuple(t for t in self.trials if keep(t)))
 
     def split(self) -> tuple[TrialSet, TrialSet]:
-        """Split the trials into those to fit to and those to test on.
+        """Split the trials into a set to fit and a set to test on.
 
-        Fitted are, of each motion and number of joints at its largest amplitude, the trials with
-        the lowest number of their payload and phase. Held out are repetitions and smaller
-        amplitudes of the same motion; this set is empty where there is one trial of each kind only.
+        The fitted set holds, for each motion and number of joints, the trials at the largest
+        amplitude; among those of equal payload and phase, the one with the lowest number. The
+        held-out set holds the repetitions and the smaller amplitudes. It is empty where there is
+        one trial of each kind only.
 
         Returns
         -------
@@ -267,12 +268,12 @@ class TrialSet(Sequence[Trial]):
         return self.where(fitted), self.where(lambda t: not fitted(t))
 
     def sha256(self) -> str:
-        """Hash over all trials, for provenance."""
+        """Return the hash of all trials and their names, for provenance."""
         digest = hashlib.sha256()
         for t in self.trials:
             digest.update(t.name.encode() + t.sha256().encode())
         return digest.hexdigest()
 
     def content_sha256(self) -> str:
-        """Hash of all trials whatever their names, which depend on where they lie."""
+        """Return the hash of all trials without their names, which depend on their directories."""
         return hashlib.sha256("".join(sorted(t.sha256() for t in self.trials)).encode()).hexdigest()

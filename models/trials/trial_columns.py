@@ -1,4 +1,4 @@
-"""Columns of a trial: which there must be, and their reading and checking from a CSV file."""
+"""Columns of a trial: which are required, and how they are read from CSV and checked."""
 
 from __future__ import annotations
 
@@ -24,20 +24,17 @@ PlantSignals = Mapping[str, SignalRole]
 MOST_COLUMNS: Final = 1000
 """Most columns of a table [assumed]; a trial of the link has 62 with 16 markers."""
 FEWEST_ROWS: Final = 3
-"""Fewest rows of a trial: a rate needs two, its change three."""
+"""Fewest rows of a trial: a velocity needs two, an acceleration three."""
 STEP_RANGE_S: Final = (5e-5, 0.5)
-"""Shortest and longest step: the motion is below 4 Hz, and the fastest analog channels have some
-kilohertz."""
+"""Shortest and longest time step: the motion is below 4 Hz, the fastest analogue channels have a
+few kilohertz."""
 _MARKER = re.compile(r"m\d\d_[xyz]_m")
 _COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
 """Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
 
 
 def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Signal, ...]:
-    """Columns that a trial must have.
-
-    `signals`: signals that a plant's file declares; None or empty for the link.
-    """
+    """Columns that a trial must have; without `signals` of a plant file, those of the link."""
     if not signals:
         return trial_signals(dof, markers)
     rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
@@ -45,7 +42,7 @@ def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Si
 
 
 def check_step_range(where: Path | str, field: str, step_s: float) -> None:
-    """Refuse a step that no recording of the link has."""
+    """Refuse a time step that no recording of the link has."""
     low_s, high_s = STEP_RANGE_S
     if low_s <= step_s <= high_s:
         return
@@ -57,7 +54,7 @@ def check_step_range(where: Path | str, field: str, step_s: float) -> None:
 
 
 def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
-    """Columns of a CSV file by name."""
+    """Read and check the columns of a CSV file."""
     required = [s.name for s in signals]
     try:
         end = TableEnd(read_lines(path, "name an existing trial"))
@@ -79,10 +76,7 @@ def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) 
 def check_columns(
     where: Path, columns: Mapping[str, Array], signals: Sequence[Signal], known: set[str]
 ) -> None:
-    """Refuse columns that are no samples of a trial.
-
-    Shapes: `columns` (n,).
-    """
+    """Refuse columns, each of shape (n,), that are no samples of a trial."""
     required = [s.name for s in signals]
     _check_header(where, list(columns), required, known)
     for name in required:
@@ -97,7 +91,7 @@ def _read_rows(
     path: Path, header: list[str], reader: Iterator[list[str]], required: Sequence[str],
     end: TableEnd,
 ) -> Array:  # fmt: skip
-    """Samples (n, columns); row by row, since their text takes ten times the memory."""
+    """Samples, shape (n, columns); read row by row, because the text takes ten times the memory."""
     optional = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
     tip = {k for k, name in enumerate(header) if name in tip_names()}
     numbers, count, blank = array("d"), 0, False
@@ -132,7 +126,7 @@ def _read_rows(
 
 
 def _numbers(row: list[str]) -> list[float]:
-    """Cells as numbers, NaN where they are none: Python would read 0.0_17 as 0.017."""
+    """Cells as numbers, NaN if they are none; `float` would read 0.0_17 as 0.017."""
     try:
         if "_" not in "".join(row):
             return [float(cell) for cell in row]

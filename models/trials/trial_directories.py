@@ -23,7 +23,7 @@ def read_trial_directories(
 ) -> TrialSet:
     """Read the trials of several directories.
 
-    A name that two directories hold gets the directory's name in front.
+    If two directories hold a trial of the same name, the directory's name is put in front.
     """
     if len({d.resolve() for d in directories}) < len(directories):
         raise InputError(directories[-1], "is given twice", "name each directory once")
@@ -40,7 +40,7 @@ def read_trial_directories(
 
 
 def refuse_unusable(trials: Sequence[Trial]) -> None:
-    """Refuse trials from which a plant would be fitted or diagnosed wrongly without a word."""
+    """Refuse trials whose errors would silently spoil a fit or a diagnosis."""
     known: dict[bytes, Trial] = {}
     for trial in trials:
         for j in range(1, trial.meta.dof + 1):

@@ -1,8 +1,8 @@
 """Trial files: `NAME.csv` with the samples beside `NAME.toml` with the conditions.
 
-Row k holds angle, current and markers as sampled at `time_s`, and the goal that was sent right
-after that sample. The time step is uniform. An empty cell is an occluded marker (NaN); without
-motion capture every marker and the tip are empty. docs/trials.md defines all columns and keys.
+Row k holds angle, current and markers sampled at `time_s`, and the goal sent right after that
+sample. The time step is uniform. An empty cell is an occluded marker (NaN). Without motion capture
+all markers and the tip are empty. docs/trials.md defines all columns and keys.
 """
 
 from __future__ import annotations
@@ -50,21 +50,20 @@ __all__ = [
 ]
 
 STEP_TOLERANCE: Final = 1e-3
-"""Largest relative deviation of a time step from the mean that counts as uniform."""
+"""Largest relative deviation of a time step from the mean."""
 
 LONGEST_NAME_BYTES: Final = 200
 """Longest name of a trial; file systems take 255 bytes with the suffix."""
 
 _ALWAYS: Final = ("dof", "payload_kg", "trial", "motion", "period_s")
-"""Conditions of every trial."""
+"""Conditions that every trial has."""
 _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (1e3, 1e6), "trial": (0, 1e6),
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
 _PERIOD_S: Final = (1e-3, 1e4)
-"""Range for the link: goals that a program sent last a step or more. Another plant may have none.
-"""
+"""Range for the link: a goal lasts at least one step. The period of another plant may be zero."""
 
 
 def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
@@ -73,14 +72,14 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     Parameters
     ----------
     directory : Path or str
-        Of the trials.
+        Directory of the trials.
     signals : mapping of str to SignalRole, optional
         Signals that the plant's file declares, for a plant that is not the link.
 
     Raises
     ------
     InputError
-        If the directory is missing or holds no trial, or a trial cannot be used or lacks a file.
+        If the directory is missing or holds no trial, or a trial is invalid or lacks a file.
 
     Examples
     --------
@@ -114,7 +113,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     Parameters
     ----------
     path : Path or str
-        The CSV file; `NAME.toml` must lie beside it.
+        CSV file; `NAME.toml` must lie beside it.
     signals : mapping of str to SignalRole, optional
         As for `read_trials`.
 
@@ -153,7 +152,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
 
 
 def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
-    """Refuse a trial whose samples or conditions no file may hold."""
+    """Refuse a trial that could not be written as a valid file."""
     where = Path(trial.name)
     own = {s.quantity or name: s for name, s in (signals or {}).items()}
     meta = check_meta(trial.meta.document(), where, own)
@@ -165,7 +164,7 @@ def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
 
 
 def _own_columns(columns: Mapping[str, Array], signals: PlantSignals | None) -> dict[str, Array]:
-    """Columns by the plant's own names (`SignalRole.quantity`)."""
+    """Columns under the names of the plant's signals (`SignalRole.quantity`)."""
     return {_quantity(name, signals): values for name, values in columns.items()}
 
 
@@ -179,21 +178,21 @@ def _quantity(name: str, signals: PlantSignals | None) -> str:
 
 
 def check_trial_name(name: str, where: Path | str) -> None:
-    """Refuse a name of a trial with which its files would lie elsewhere, or be hidden."""
+    """Refuse a trial name that would put its files elsewhere or hide them."""
     plain = name.isprintable() and not set(name) & set("/\\") and not name.startswith(".")
     if not name or not plain or len(name.encode("utf-8", "surrogateescape")) > LONGEST_NAME_BYTES:
         raise InputError(where, f"{name!r} is no name of a trial", "give one without a directory")
 
 
 def write_trial(trial: Trial, directory: Path | str) -> Path:
-    """Write a trial so that `read_trial` returns the same bits.
+    """Write a trial so that `read_trial` returns it bit for bit.
 
     Parameters
     ----------
     trial : Trial
-        To write; the files get its name.
+        Trial to write; its name becomes the file name.
     directory : Path or str
-        Made if need be.
+        Target directory; it is created if missing.
 
     Returns
     -------
@@ -203,7 +202,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     Raises
     ------
     InputError
-        If the name of the trial leads out of the directory.
+        If the name of the trial would leave the directory, or is hidden, empty or too long.
 
     Examples
     --------
@@ -225,7 +224,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
     path = directory / f"{trial.name}.csv"
     names = list(trial.columns)
     samples = trial.stack(*names)
-    with replacing(path) as fresh:  # a run that is stopped leaves no half of a trial
+    with replacing(path) as fresh:  # an interrupted run leaves no partial trial
         with fresh.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(names)
@@ -238,7 +237,7 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
 def check_meta(
     document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
 ) -> TrialMeta:
-    """Conditions from a decoded TOML table."""
+    """Check the conditions of a decoded TOML table."""
     needed = () if signals else LINK_CONDITIONS
     conditions: Any = document.get("conditions", {})
     misspelt = document.keys() - {field.name for field in msgspec.structs.fields(TrialMeta)}
@@ -270,7 +269,7 @@ def check_meta(
 
 
 def _check_motion_name(where: Path, name: str) -> None:
-    """Refuse a name that is a reference motion's but for its case: trials are grouped by it."""
+    """Refuse a name that differs from a reference motion by case only: it groups the trials."""
     if not name.strip():
         raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
     meant = name.strip().lower()

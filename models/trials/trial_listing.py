@@ -1,4 +1,4 @@
-"""List of the trials of a directory, in which no file of a trial is left out without a word."""
+"""List of the trials of a directory; a trial that lacks one of its two files is refused."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 
 _OF_A_TRIAL: Final = {"motion", "rest_samples", "trial"}
-"""Keys of the conditions of every trial that together stand in no other document."""
+"""Keys that every trial's conditions have and that no other document combines."""
 
 
 def sample_files(directory: Path) -> list[Path]:
     """CSV files of the trials of a directory, in order; the suffix may be in capitals.
 
-    Other TOML files than those of trials, such as a map or a plant, may lie beside them.
+    Other TOML files, such as a map or a plant, may lie beside them.
     """
     try:
         files = sorted(directory.iterdir())
@@ -37,10 +37,7 @@ def sample_files(directory: Path) -> list[Path]:
 
 
 def conditions_beside(samples: Path) -> Path:
-    """File of the conditions of a trial; its suffix may be in capitals.
-
-    Returns whether it is there or not.
-    """
+    """Path of a trial's TOML file, existing or not; its suffix may be in capitals."""
     usual = samples.with_suffix(".toml")
     if usual.exists():
         return usual
@@ -49,7 +46,7 @@ def conditions_beside(samples: Path) -> Path:
 
 
 def _holds_conditions(path: Path) -> bool:
-    """Whether a TOML file is that of a trial; in a map, `trial` is a table."""
+    """Whether a TOML file is that of a trial's conditions; in a map, `trial` is a table."""
     try:
         document = read_toml(path)
     except InputError:

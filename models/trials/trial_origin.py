@@ -1,9 +1,8 @@
 """Origin of trials: simulated or measured, and on which rig.
 
-It follows from `source` of a trial's conditions; one that is none of those that the project writes
-is not taken for either. Which rig it was the trial does not tell, so that nothing can be tuned to
-it. The record beside it does (`models.rig.conditions_record`), of which the name of the rig alone
-is read, as a label for people.
+It follows from `source` of a trial's conditions; a value that the project does not write is
+"unknown". A trial does not state its rig, so that nothing can be tuned to it. The record beside the
+trial does (`models.rig.conditions_record`); only the name of the rig is read from it, as a label.
 """
 
 from __future__ import annotations
@@ -31,29 +30,29 @@ __all__ = [
 OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
 
 SIMULATED: Final = ("rig", "sil", "simulated")
-"""Rig; the robot's loop with emulated servos; the twin."""
+"""Sources of simulated trials: the rig; the robot's loop with emulated servos; the twin."""
 RECORD: Final = "rig_conditions.json"
 MEASURED: Final = ("measured", "recording")
-"""Motion capture or a table; the log of a robot."""
+"""Sources of measured trials: motion capture or a table; the log of a robot."""
 
 
 class _Entry(msgspec.Struct, frozen=True):
-    """What is read of the conditions of a trial."""
+    """Part of a trial's record that is read here."""
 
     rig: str
 
 
 class _Record(msgspec.Struct, frozen=True):
-    """What is read of the record of a directory."""
+    """Part of a directory's record that is read here."""
 
     trials: dict[str, _Entry]
 
 
 class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Trials of one origin."""
+    """Trials of one origin, and their number."""
 
     source: str
-    rig: str = ""  # Name of the rig; empty for a measured system, and where no record says
+    rig: str = ""  # Name of the rig; empty for a measured system or without a record
     trials: int = 1
 
     @property
@@ -81,7 +80,7 @@ class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
 
     @property
     def counted(self) -> str:
-        """The same with the number of trials."""
+        """Origin in words with the number of trials."""
         return f"{self.trials} {self.words}"
 
 
@@ -90,19 +89,19 @@ def _behind(rig: str) -> str:
 
 
 def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
-    """Origins of trials, each once, in the order of their first trial."""
+    """Distinct origins of trials, in the order of their first trial."""
     return merged_origins(TrialOrigin(t.meta.source, recorded_rig(t)) for t in trials)
 
 
 def recorded_rig(trial: Trial) -> str:
-    """Name of the rig that a trial ran on, by the record beside its file; empty without one."""
+    """Name of the rig that a trial ran on, from the record beside its file; empty without one."""
     if trial.meta.source != "rig" or trial.path == Path():
         return ""
     return _rigs(trial.path.parent / RECORD).get(trial.name, "")
 
 
 def _rigs(record: Path) -> dict[str, str]:
-    """Names of rigs by trial; none where the record is missing or damaged."""
+    """Names of rigs by trial; empty if the record is missing or damaged."""
     try:
         content = msgspec.convert(read_json(record, "simulate the trials again"), _Record)
     except (InputError, msgspec.ValidationError):
@@ -111,7 +110,7 @@ def _rigs(record: Path) -> dict[str, str]:
 
 
 def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
-    """Origins with the numbers of equal ones added."""
+    """Origins merged, with the numbers of equal ones added."""
     counts: Counter[tuple[str, str]] = Counter()
     for origin in origins:
         counts[origin.source, origin.rig] += origin.trials
@@ -119,10 +118,9 @@ def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
 
 
 def kind_of_origins(origins: Iterable[TrialOrigin]) -> OriginKind:
-    """Kind of a set of trials: "mixed" where it holds simulated and measured ones.
+    """Kind of a set of trials: "mixed" if it holds simulated and measured ones.
 
-    `origins`: without any, or with one that is unknown, the kind is "unknown", unless both others
-    occur.
+    Otherwise the kind is "unknown" if the set is empty or holds an unknown origin.
     """
     kinds = {origin.kind for origin in origins}
     if {"simulated", "measured"} <= kinds:

@@ -1,4 +1,4 @@
-"""Flexible link on a joint, in a plane without gravity: one mode of inertia, spring and damper."""
+"""Flexible link on a joint, in a horizontal plane: one mode of inertia, spring and damper."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from models.plant.step_model import Variable
 
 
 class FlexibleLink(RigidLoad):
-    """Link whose tip is behind the joint by a deflection θ: J (q̈ + θ̈) + c θ̇ + k θ = 0.
+    """Link whose tip is deflected by θ from the joint: J (q̈ + θ̈) + c θ̇ + k θ = 0.
 
-    Source: the model of a link with a torsion spring at its root that makers of such links give
-    [Quanser; docs/sources.md, "Real recordings"]. A trial may begin in motion: deflection and its
-    rate at the start are those measured.
+    Source: the model of a link with a torsion spring at its root, from makers of such links
+    [Quanser; docs/sources.md, "Real recordings"]. A trial may begin in motion: it starts with the
+    measured deflection and its rate.
     """
 
     kind: ClassVar[str] = "flexible_link"
@@ -25,7 +25,7 @@ class FlexibleLink(RigidLoad):
     suffix: ClassVar[dict[str, str]] = ROTARY
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Inertia, stiffness and damping, and the deflection at the start."""
+        """Return inertia, stiffness and damping, and the deflection at the start."""
         return (
             Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=NO_DEFAULT, low=1e-6,
                       high=100.0, description="inertia of link and load about the joint",
@@ -59,15 +59,15 @@ class FlexibleLink(RigidLoad):
         scope.bend_torque["root", 1] = -elastic - damping
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint less that of the spring."""
+        """Set the torque on the gear: other torque on the joint minus that of the spring."""
         scope.transmitted_torque[1] = scope.joint_torque[1] - scope.bend_torque["root", 1]
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Inertia in both coordinates; neither gravity nor velocity forces."""
+        """Return the inertia in both coordinates; there are no gravity and no velocity forces."""
         inertia = scope.p("link_inertia_kg_m2")
         return inertia * ca.SX.ones(2, 2), ca.SX.zeros(2, 1)
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Return the deflection as a strain gauge at the root shows it."""
+        """Return the deflection as a strain gauge at the root measures it."""
         variable = Variable("deflection_1_rad", "rad", 0.0, "measured deflection of the link")
         return {variable.name: (variable, scope.bend["root", 1])}

@@ -1,4 +1,4 @@
-"""Loads behind a gear of finite stiffness: a shaft and a slide, each with friction of its own."""
+"""Loads behind a gear of finite stiffness: a shaft and a slide, each with its own friction."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ UNITS = {"rad": ("rad", "N.m", "kg.m2"), "m": ("m", "N", "kg")}
 class GearedShaft(RigidLoad):
     """Shaft x behind a gear: J ẍ + c ẋ + k x + F tanh(ẋ/v) = τ, τ = −k_g φ − d_g φ̇, φ = x − q.
 
-    Friction F is on the load's side of the gear, that of the effects on the drive's. The play of
-    `backlash` lies between them, in φ: the gear's spring touches only beyond it.
+    Friction F is on the load's side of the gear; friction of the effects is on the drive's. The
+    play of `backlash` lies between them, in φ: the gear's spring touches only beyond it.
     """
 
     kind: ClassVar[str] = "geared_shaft"
@@ -73,17 +73,17 @@ class GearedShaft(RigidLoad):
         )
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint less that of the load."""
+        """Set the torque on the gear: other torque on the joint minus that of the load."""
         scope.transmitted_torque[1] = scope.joint_torque[1] - self._resistance(scope)
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Inertia in both coordinates, and the load's spring and friction."""
+        """Return the inertia in both coordinates, and the load's spring and friction."""
         weight = "load_inertia_1_kg_m2" if scope.suffix["angle"] == "rad" else "load_mass_1_kg"
         inertia = scope.p(weight) + (0 if scope.suffix["angle"] == "rad" else scope.payload_kg)
         return inertia * ca.SX.ones(2, 2), self._resistance(scope) * ca.SX.ones(2, 1)
 
     def _resistance(self, scope: Scope) -> Expr:
-        """Torque that spring and friction put against the load's motion."""
+        """Torque of spring and friction that opposes the load's motion."""
         place = scope.angle[1] - scope.windup[1] + scope.bend["gear", 1]
         rate = scope.rate[1] - scope.windup_rate[1] + scope.bend_rate["gear", 1]
         dry = scope.p("load_friction_{j}_{torque}", 1)
@@ -94,7 +94,7 @@ class GearedShaft(RigidLoad):
 
 
 class GearedSlide(GearedShaft):
-    """The same on a straight guide: displacement and force."""
+    """Slide behind a gear: `GearedShaft` with displacement and force."""
 
     kind: ClassVar[str] = "geared_slide"
     suffix: ClassVar[dict[str, str]] = LINEAR

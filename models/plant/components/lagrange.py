@@ -8,10 +8,10 @@ A point mass has the entry (i, i). A uniform slender rod between two nodes has m
 between them, the consistent mass matrix of a bar (Przemieniecki, Theory of Matrix Structural
 Analysis, 1968, chapter 11).
 
-All vectors have their components in the frame of the base, which turns with ω. A node at r there
-has the velocity ω×r + ṙ and the acceleration ω̇×r + ω×(ω×r + 2ṙ) + r̈ (Goldstein, Classical
-Mechanics, section 4.10). That takes half the operations of world coordinates, in which every term
-of a bend is multiplied by the rotations of the joints.
+All vectors are in the frame of the base, which turns with ω. A node at r has the velocity
+ω×r + ṙ and the acceleration ω̇×r + ω×(ω×r + 2ṙ) + r̈ (Goldstein, Classical Mechanics, section
+4.10). That takes half the operations of world coordinates, where the rotations of the joints
+multiply every term of a bend.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import casadi as ca
 from models.plant.scope import Expr
 
 Masses = Mapping[tuple[int, int], Expr]
-"""Mass mᵢⱼ = mⱼᵢ in kg of each pair i ≤ j of nodes that has one."""
+"""Masses mᵢⱼ = mⱼᵢ in kg by pair i ≤ j of nodes; zero for a missing pair."""
 
 
 def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
@@ -39,12 +39,10 @@ def lagrange_equations(
     bends: tuple[Expr, Expr],
     gravity_m_s2: Expr,
 ) -> tuple[Expr, Expr]:
-    """Mass matrix and force of velocity and gravity terms, over joint angles, then bends.
+    """Mass matrix (n, n) and force (n,) of velocity and gravity terms; joint angles before bends.
 
-    Shapes: `nodes_m` (3,), `gravity_m_s2` (3,).
-    `nodes_m`: positions r of the nodes in the frame of the base, functions of the bends.
-    `joints`: angles and rates of the one or two joints, see `symbolic_base_rotation`.
-    Returns `mass_matrix` (n, n); `force` (n,).
+    `nodes_m` are the positions r (3,) of the nodes in the frame of the base, as functions of the
+    bends. `joints` are angles and rates of the one or two joints (`symbolic_base_rotation`).
     """
     axes, turning, changing = _base_motion(*joints)
     weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
@@ -70,14 +68,14 @@ def lagrange_equations(
         ]
         momentum = sum((m * jacobians[j] for m, j in coupled), start=ca.SX(3, count))
         force += jacobian.T @ sum((m * fall[j] for m, j in coupled), start=ca.SX(3, 1))
-        for row in range(count):  # the upper half is the lower one
+        for row in range(count):  # the matrix is symmetric
             for column in range(row + 1):
                 mass_matrix[row, column] += ca.dot(jacobian[:, row], momentum[:, column])
     return ca.tril2symm(ca.tril(mass_matrix)), force
 
 
 def _base_motion(angles: Sequence[Expr], rates: Sequence[Expr]) -> tuple[list[Expr], Expr, Expr]:
-    """Axis of each joint, ω, and ω̇ without the joints' accelerations, in the frame of the base."""
+    """Axes of the joints, ω, and ω̇ without the joints' accelerations, in the frame of the base."""
     if len(angles) == 1:
         axis = ca.SX([0, 1, 0])
         return [axis], axis * rates[0], ca.SX(3, 1)
@@ -92,16 +90,13 @@ def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
 
 
 def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
-    """Solution of a symmetric positive definite system, by LDL decomposition.
-
-    Shapes: `matrix` (n, n), `right` (n,).
-    """
+    """Solve a symmetric positive definite system, (n, n) and (n,), by LDL decomposition."""
     diagonal, upper, order = ca.ldl(matrix)
     return ca.ldl_solve(right, diagonal, upper, order)
 
 
 def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
-    """Rotation R_y(first) R_x(-second), as `models.shared.kinematics.base_rotation`."""
+    """Rotation R_y(first) R_x(-second), like `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
     return ca.vertcat(

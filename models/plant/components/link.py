@@ -1,21 +1,21 @@
 """Inflatable link as a pseudo-rigid body: a root hinge and a span hinge per plane.
 
-The root hinge is the glued patch, which softens towards a limit moment; the span hinge represents
+The root hinge is the glued patch, which softens towards a limit moment. The span hinge represents
 bending and shear of the span. Both bend in two planes (docs/sources.md, "The link")::
 
     τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
     τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
 
-The term in φ_f is the contact of the folded skin with itself; it is below 0.5 % of M_c up to φ_f/3
-and keeps a link that buckles from turning over. Effects add hysteresis, creep and more at the port
+The term in φ_f is the self-contact of the folded skin. It is below 0.5 % of M_c up to φ_f/3 and
+prevents a buckling link from turning over. Effects add hysteresis, creep and more at the port
 `bend_torque`.
 
-The Deformation Index follows from the bend. The span's bend is distributed along it like the slope
-of a cantilever under a tip force: the fraction f(σ) = 2σ − σ² is reached at σL, so that segment k
-between two marker rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ. An edge at (x, y) from the
-axis has the strain −(x β_x + y β_y) / l_k over a segment of length l_k; the study's link has rows
-at L/4 … L and edges at half its width. Markers are measured with noise n, so that equation 1 of
-the paper averages E|strain + n|.
+The Deformation Index follows from the bend. The span's bend is distributed like the slope of a
+cantilever under a tip force: the fraction f(σ) = 2σ − σ² is reached at σL, so segment k between two
+marker rows bends by β_k = [k = 1] φ + (f_k − f_{k−1}) ψ. An edge at (x, y) from the axis has the
+strain −(x β_x + y β_y) / l_k over a segment of length l_k. The study's link has rows at L/4 … L and
+edges at half its width. Markers are measured with noise n, so equation 1 of the paper averages
+E|strain + n|.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from models.plant.scope import ROTARY, Expr, Hinge, Scope
 from models.plant.step_model import Variable
 
 STUDY_FRACTIONS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Heights of the marker rows of the study's link over its length."""
+"""Heights of the marker rows of the study's link, relative to its length."""
 
 
 def slope_fraction(position: float) -> float:
@@ -45,7 +45,7 @@ def slope_fraction(position: float) -> float:
 
 
 class Link:
-    """Link on a base joint of one or two axes."""
+    """Inflatable link on a base joint with one or two axes."""
 
     kind: ClassVar[str] = "link"
     suffix: ClassVar[dict[str, str]] = ROTARY
@@ -54,7 +54,7 @@ class Link:
     hinges: ClassVar[tuple[str, ...]] = ("root", "span")
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Geometry, masses, and stiffness and damping of each plane."""
+        """Return geometry, masses, and stiffness and damping of each plane."""
         shared = (
             Parameter(name="base_offset_m", unit="m", value=STUDY_LINK.base_offset_m, low=0.0,
                       high=1.0, description="base plate above the joint axes",
@@ -141,15 +141,15 @@ class Link:
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint less the torque on the root's bend.
+        """Set the torque on the gear: other torque on the joint minus torque on the root's bend.
 
-        A torque on the joint that also bends the root is in both terms and cancels.
+        A torque on the joint that also bends the root is in both terms and cancels out.
         """
         for j in scope.joints:
             scope.transmitted_torque[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Mass matrix and force over the joints' coordinates and the bends."""
+        """Return mass matrix and force over the joints' coordinates and the bends."""
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return lagrange_equations(
             *self._nodes(scope),
@@ -159,7 +159,7 @@ class Link:
         )
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Deformation Index, and end effector in the world frame of the motion capture."""
+        """Return the Deformation Index, and the end effector in the frame of the motion capture."""
         joint, bend = self._delayed(scope)
         turn_x, turn_y, turn_z = scope.frame_turn_rad
         turn = symbolic_base_rotation(turn_y, -turn_x) @ _about_z(turn_z)
@@ -179,9 +179,9 @@ class Link:
         return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
 
     def _delayed(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
-        """Joint angles and bends as the motion capture shows them, to second order in its times.
+        """Joint angles and bends as the motion capture measures them, to second order in its times.
 
-        Delay δ and low-pass T: e^(−sδ) / (1 + sT) ≈ 1 − (δ + T) s + (δ²/2 + δT + T²) s².
+        With delay δ and low-pass T: e^(−sδ) / (1 + sT) ≈ 1 − (δ + T) s + (δ²/2 + δT + T²) s².
         """
         delay_s, lag_s = scope.frame_delay_s, scope.frame_lag_s
         curvature = delay_s**2 / 2 + lag_s * (delay_s + lag_s)
@@ -213,7 +213,7 @@ class Link:
         bend: dict[Hinge, Expr],
         across: Mapping[str, Expr],
     ) -> tuple[Expr, Expr, Expr, Expr]:
-        """Root, span hinge and tip (3,), and the rotation of the last section."""
+        """Positions (3,) of root, span hinge and tip, and the rotation of the last section."""
         turns = [list(joint.values())]
         for hinge in self.hinges:
             own = [bend[hinge, j] for j in scope.joints]
@@ -230,7 +230,7 @@ class Link:
         return plate_m, hinge_m, tip_m, section
 
     def _nodes(self, scope: Scope) -> tuple[list[Expr], dict[tuple[int, int], Expr]]:
-        """Base plate, span hinge, tip and payload in the frame of the base, and their masses."""
+        """Base plate, span hinge, tip and payload in the frame of the base, and the masses."""
         upright = dict.fromkeys(scope.joints, ca.SX(0))
         plate_m, hinge_m, tip_m, section = self._frames(scope, upright, scope.bend, {})
         nodes = [plate_m, hinge_m, tip_m]
@@ -238,7 +238,7 @@ class Link:
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         add_rod(masses, mass_kg * position, 0, 1)
         add_rod(masses, mass_kg * (1 - position), 1, 2)
-        masses[3, 3] = scope.payload_kg  # beside the tip's mass: an offset of zero changes no bit
+        masses[3, 3] = scope.payload_kg  # a node of its own: an offset of zero changes no bit
         nodes.append(tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0))
         return nodes, masses
 
@@ -247,8 +247,8 @@ class Link:
     ) -> Expr:
         """Equation 1 of the paper over the segments of all edges.
 
-        Opposite edges have equal strain, so each pair is taken once. The places on the base plate
-        are computed from the measured angle, not from the true one.
+        Opposite edges have equal strain, so each pair is computed once. The corners on the base
+        plate are computed from the measured angle, not from the true one.
         """
         rows, edges = _edges(scope)
         total: Expr = 0
@@ -262,7 +262,7 @@ class Link:
                 + (k == 0) * (joint[j] - scope.angle[j] - scope.ripple_since_upright(j))
                 for j in scope.joints
             ]
-            noisy_ends = 1 if k == 0 else 2  # the place on the base plate has no marker
+            noisy_ends = 1 if k == 0 else 2  # the corner on the base plate has no marker
             noise = scope.p("marker_noise_m") * noisy_ends**0.5 / segment_m
             for levers, count in edges:
                 levered = zip(levers, turn, strict=False)
@@ -272,7 +272,7 @@ class Link:
 
 
 def _direction(unit: Sequence[float]) -> str:
-    """Axis of the link's frame along a vector of length one, else the vector itself."""
+    """Name of the link's axis along a unit vector, or the vector's components."""
     for axis, part in zip("xyz", unit, strict=True):
         if abs(part) > 1 - 1e-9:
             return f"-{axis}" if part < 0 else axis
@@ -287,9 +287,8 @@ def _about_z(angle_rad: Expr) -> Expr:
 def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:
     """Rows and edges of the markers.
 
-    Returns `rows`: height over the length of the link, and length of the segment below, of each
-    row; `edges`: distances from the axis along x and y, and how many edges have this strain or its
-    negative.
+    A row is its relative height and the length of the segment below. An edge is its distances from
+    the axis along x and y, and the number of edges with that strain or its negative.
     """
     length_m, layout = scope.p("link_length_m"), scope.layout
     if layout is None:
@@ -308,7 +307,7 @@ def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Exp
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
-    """E|x| of a normal x (folded normal distribution); |mean| where the deviation is zero."""
+    """E|x| of a normal x (folded normal distribution); close to |mean| if the deviation is zero."""
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)

@@ -21,7 +21,7 @@ class PlantLoad(Protocol):
     features : tuple of str
         Features that effects may need (`models.plant.effects.Need`).
     suffix : dict
-        `models.plant.scope.ROTARY` or `models.plant.scope.LINEAR`.
+        Unit suffixes of names: `models.plant.scope.ROTARY` or `LINEAR`.
     """
 
     kind: ClassVar[str]
@@ -30,11 +30,11 @@ class PlantLoad(Protocol):
     suffix: ClassVar[dict[str, str]]
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters for the joints of `scope`."""
+        """Return the parameters for the joints of `scope`."""
         ...
 
     def declare(self, scope: Scope) -> None:
-        """Add the states of the load, and its bends where it has any."""
+        """Add the states of the load, and its bends if any."""
         ...
 
     def apply_elastic_torques(self, scope: Scope) -> None:
@@ -46,9 +46,9 @@ class PlantLoad(Protocol):
         ...
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Mass matrix (n, n) and force (n,) over the joints' coordinates and the bends."""
+        """Return mass matrix (n, n) and force (n,) over the joints' coordinates and the bends."""
         ...
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Measured quantities of the load, beyond the joints, by name."""
+        """Return the measured quantities of the load by name, without those of the joints."""
         ...

@@ -23,14 +23,14 @@ class RigidLoad:
         """Set nothing: there are no bends."""
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """No output beyond the joint."""
+        """Return no output: the joint's are the only ones."""
         return {}
 
 
 class Pendulum(RigidLoad):
     """Rigid pendulum that hangs down at zero: J q̈ = τ − (m + m_p) g l sin q − ½ m_a g l sin q.
 
-    A point mass m (and the payload m_p) at the end of a uniform arm m_a of length l:
+    A point mass m with the payload m_p is at the end of a uniform arm m_a of length l, so
     J = (m + m_p + m_a/3) l².
     """
 
@@ -39,7 +39,7 @@ class Pendulum(RigidLoad):
     suffix: ClassVar[dict[str, str]] = ROTARY
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Masses, length and gravity."""
+        """Return masses, length and gravity."""
         return (
             Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.001, high=100.0,
                       description="mass at the end", source="weighed"),
@@ -52,11 +52,11 @@ class Pendulum(RigidLoad):
         )  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint less gravity."""
+        """Set the torque on the gear: other torque on the joint minus gravity."""
         scope.transmitted_torque[1] = scope.joint_torque[1] - self._gravity(scope)
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Inertia and gravity torque."""
+        """Return inertia and gravity torque."""
         mass_kg = scope.p("mass_kg") + scope.payload_kg + scope.p("arm_mass_kg") / 3
         return ca.SX(mass_kg * scope.p("arm_length_m") ** 2), ca.SX(self._gravity(scope))
 
@@ -74,7 +74,7 @@ class Mass(RigidLoad):
     suffix: ClassVar[dict[str, str]] = LINEAR
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Declare the moving mass."""
+        """Return the moving mass."""
         return (
             Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.01, high=1e4,
                       role="nuisance", description="moving mass", source="weighed"),
@@ -85,5 +85,5 @@ class Mass(RigidLoad):
         scope.transmitted_torque[1] = ca.SX(scope.joint_torque[1])
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Mass and a force of zero."""
+        """Return the mass, and a force of zero."""
         return ca.SX(scope.p("mass_kg") + scope.payload_kg), ca.SX(0)

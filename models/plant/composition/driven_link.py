@@ -1,18 +1,18 @@
 """Link driven by the measured angles, without a servo loop between the data and the load.
 
-The angle is measured at the end of each step. Between two samples it is taken as a ramp, which a
-critically damped second-order filter follows, so that the link's base has a smooth acceleration
-for any quantisation and step (ω = `follow_rate_per_s`; the filter lags behind an acceleration a by
-a/ω², 0.1 mrad in the study). The current is the one that the motion needs::
+The angle is measured at the end of each step. A ramp connects two samples, and a critically damped
+second-order filter follows it, so that the acceleration of the link's base is smooth for any
+quantisation and step (ω = `follow_rate_per_s`; the filter lags an acceleration a by a/ω², 0.1 mrad
+in the study). The current is the one that the motion needs::
 
     k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
 
-with friction F of the plant's effects and the bends' acceleration b̈ from their own equations.
+with friction F of the plant's effects; the bends' acceleration b̈ follows from their own equations.
 
-A ramp bends at the samples only, so that the filter's q̈ is a saw-tooth: with ω h = 2, as in the
-study, it has decayed to nothing where the current is sampled. The bends take up the saw-tooth,
-but the rotor would seem to have no inertia. Its J q̈ therefore has the mean of q̈ over the step,
-which is the change of q̇ per step.
+The ramp changes slope at the samples only, so the filter's q̈ is a saw-tooth. With ω h = 2, as in
+the study, it has decayed to zero where the current is sampled. The bends take up the saw-tooth, but
+the rotor would seem to have no inertia. Its J q̈ therefore uses the mean of q̈ over the step, which
+is the change of q̇ per step.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ FOLLOW_RATE: Final = Parameter(
 def compose_driven(
     name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Compose the link driven by the measured angles, payload given, current as an output.
+    """Compose the link driven by measured angles, with a known payload and the current as output.
 
-    `identify` fits the link with it: without a loop a wrong gain cannot hide a wrong stiffness.
+    `identify` fits the link with it: without a loop, a wrong gain cannot hide a wrong stiffness.
     """
     declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable(scope))
@@ -69,7 +69,7 @@ def compose_driven(
 
 
 def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
-    """Add the measured angles as inputs; set angle, rate and acceleration as filtered."""
+    """Add the measured angles as inputs; set angle, rate and acceleration by the filter."""
     apply_effects(scope, ("sensor",), effects)
     angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
     unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
@@ -97,7 +97,7 @@ def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
 def apply_measured_motion(
     scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> None:
-    """Set the rates of the bends on joints that move as measured, and the current needed."""
+    """Set the rates of the bends on joints that move as measured, and the current needed for it."""
     load.declare(scope)
     apply_load_torques(scope, load, effects)
     mass, force = load.motion_equations(scope)

@@ -14,11 +14,11 @@ NEWTON_STEPS: Final = 3
 """Newton steps from the straight link to the equilibrium; stiffness may depend on the bend."""
 
 LARGEST_START_RAD: Final = 0.5
-"""Limit of a bend in each Newton step: a link too weak to stand has no equilibrium near zero."""
+"""Limit of a bend in each Newton step: a weak link has no equilibrium near zero."""
 
 
 def start_in_motion(scope: Scope) -> None:
-    """Set the initial value of every state that has a parameter `start_STATE`, after all others."""
+    """Set the initial value of every state that has a parameter `start_STATE`; call it last."""
     for name, state in scope.states.items():
         if f"start_{name}" in scope.parameters:
             state.initial = scope.p(f"start_{name}")
@@ -28,12 +28,11 @@ def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     """Set the initial value of every state, and `rest_bend`.
 
     The joints rest at the first goal, the bends are in equilibrium there (`NEWTON_STEPS` from the
-    straight link), and the drive holds the load. `rest_bend` is the equilibrium where the encoders
-    show upright: the reference of the Deformation Index.
-
-    `force`: velocity and gravity forces over the joints' coordinates and the bends.
+    straight link), and the drive holds the load. `rest_bend` is the equilibrium at encoder readings
+    of zero (upright), the reference of the Deformation Index. `force` holds velocity and gravity
+    forces over the joints' coordinates and the bends.
     """
-    for state in scope.states.values():  # one may start at another, e.g. at the shaped goal
+    for state in scope.states.values():  # a state may start at another, e.g. the shaped goal
         state.initial = scope.initial_value(state.initial)
     bends = [scope.states[b.name()] for b in scope.bend.values()]
     symbols = ca.vertcat(*(b.symbol for b in bends))
@@ -41,7 +40,7 @@ def set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     residual = ca.vertcat(*scope.bend_torque.values()) - force[count:, :]
 
     def at_rest(expression: Expr, angles: Sequence[Expr]) -> Expr:
-        """Expression with every state but joints and bends at its initial value."""
+        """Expression with every state except joints and bends at its initial value."""
         own = {s.name() for s in (*scope.angle.values(), *scope.bend.values())}
         still = [(s.symbol, s.initial) for n, s in scope.states.items() if n not in own]
         expression = substitute(expression, still)

@@ -1,4 +1,4 @@
-"""Composition of a load on joints that move as measured: torque and the load's signals out."""
+"""Composition of a load on joints that move as measured; outputs are torque and load signals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import StepModel, Variable
 
 EFFORT_NAME: Final = {"nm": "torque", "n": "force"}
-"""Name of the effort that a joint's motion needs, by the suffix of its unit."""
+"""Name of the torque or force that a joint's motion needs, by its unit suffix."""
 
 
 def compose_imposed(
@@ -24,7 +24,7 @@ def compose_imposed(
 ) -> StepModel:
     """Compose a load on joints whose coordinates are inputs (drive `measured`).
 
-    Effects of the command have nothing to act on.
+    Effects of the command do not act: there is no goal.
     """
     declare_measured_motion(scope, effects)
     scope.payload_kg = scope.input(payload_variable(scope))

@@ -1,14 +1,14 @@
 """Observer: the link driven by the measured angle, its payload estimated from the current.
 
 The current is predicted from the motion (`models.plant.composition.driven_link`) for the estimated
-payload m and for friction that deviates from the plant's by a fraction s_j. The innovation corrects
-m and s (an extended Kalman filter of constants). The bends depend on m through their whole past, so
-their sensitivity S = ∂x/∂m is integrated beside them, Ṡ = f_x S + f_m, and a correction Δm moves
+payload m, and for friction that deviates from the plant's by a fraction s_j. The innovation
+corrects m and s (an extended Kalman filter of constants). The bends depend on m through their whole
+past. So their sensitivity S = ∂x/∂m is integrated too, Ṡ = f_x S + f_m, and a correction Δm moves
 the bends by S Δm: to first order the link is where it would be had m been known from the start.
 This is the recursive prediction error method [Ljung and Söderström 1983].
 
-A sample has the weight q̇²/(q̇² + v²): at rest dry friction can take any value, so nothing is
-learnt. An innovation beyond three of its standard deviations counts as three.
+A sample has the weight q̇²/(q̇² + v²), because at rest dry friction can have any value and the sample
+holds no information. An innovation beyond three standard deviations counts as three.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from models.plant.scope import Expr, Scope, StateVariable, substitute
 from models.plant.step_model import StepModel, Variable
 
 MAX_SUBSTEP_S: Final = 2.2e-3
-"""Longest Runge–Kutta step, eight a period. The angle is measured, so dry friction is not
+"""Longest Runge–Kutta step, eight per period. The angle is measured, so dry friction is not
 integrated; the tips are within 10 µm of those of a step of 0.25 ms."""
 
 
 INNOVATION_S: Final = 1.0
-"""Time constant of the innovation's mean square; assumed, a quarter of the study's cycle."""
+"""Time constant of the innovation's mean square, a quarter of the study's cycle [assumed]."""
 LEAST_SQUARE: Final = 1e-24
-"""Least square under a root: the slope of the root is infinite at zero."""
+"""Lower limit of a square under a root, whose slope is infinite at zero."""
 
 
 def observer_parameters() -> tuple[Parameter, ...]:
@@ -77,11 +77,11 @@ def observer_parameters() -> tuple[Parameter, ...]:
 def compose_observer(
     name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
 ) -> StepModel:
-    """Compose the link driven by measurement, payload estimated."""
+    """Compose the link driven by measurements, with the payload estimated."""
     declare_measured_motion(scope, effects)
     measured = [scope.input(current_variable(j)) for j in scope.joints]
     payload = scope.state(payload_variable(scope), scope.p("payload_prior_kg"))
-    mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a symbol of its own: to derive by it
+    mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a separate symbol, for derivatives
     before = set(scope.states)
     apply_measured_motion(scope, drive, load, effects)
     moved = {n: s for n, s in scope.states.items() if n not in before}
@@ -112,7 +112,7 @@ MAX_SENSITIVITY_PER_KG: Final = 20.0
 
 
 class _Sensitivity:
-    """S = ∂x/∂m of the load's states x, as states of their own."""
+    """S = ∂x/∂m of the load's states x, integrated as additional states."""
 
     def __init__(self, scope: Scope, moved: Mapping[str, StateVariable], mass_kg: Expr) -> None:
         self._scope, self._mass_kg, self._states = scope, mass_kg, tuple(moved.values())
@@ -126,12 +126,12 @@ class _Sensitivity:
             scope.states[slope.name()].rate = self.along(ca.SX(s.rate))
 
     def along(self, expression: Expr) -> Expr:
-        """Derivative of an expression by m along the run."""
+        """Total derivative of an expression with respect to m."""
         direct = ca.jacobian(expression, self._mass_kg)
         return ca.jtimes(expression, self._x, self._slopes) + direct
 
     def correct(self, change_kg: Expr) -> None:
-        """Move the load to where it would be with m larger by `change_kg`.
+        """Move the load to where it would be if m were larger by `change_kg`.
 
         A link that buckles has no finite sensitivity, hence the limit `MAX_SENSITIVITY_PER_KG`.
         """
@@ -148,9 +148,9 @@ class _Sensitivity:
 def _state_of_the_estimate(
     scope: Scope, outputs: Mapping[str, tuple[Variable, Expr]], sensitivity: _Sensitivity
 ) -> dict[str, tuple[Variable, Expr]]:
-    """Motion of joint and link, and what the observer knows about its own error.
+    """Outputs about the motion of joint and link, and the observer's estimate of its own error.
 
-    A predictor corrects the tip by them and widens its interval (`models.tip`).
+    A predictor uses them to correct the tip and to widen its interval (`models.tip`).
     """
     found: dict[str, tuple[Variable, Expr]] = {}
 
@@ -185,7 +185,7 @@ def _update_estimates(
     measured: Sequence[Expr],
     sensitivity: _Sensitivity,
 ) -> None:
-    """Update payload and friction deviations at the end of a step, one joint after the other."""
+    """Update payload and friction deviations at the end of a step, joint by joint."""
     deviations = [scope.state(Variable(f"friction_deviation_{j}", "1")) for j in scope.joints]
     prior = [scope.p("payload_spread_kg")] + [scope.p("friction_spread")] * len(deviations)
     count = len(prior)

@@ -1,13 +1,13 @@
-"""Low-pass of measured outputs: filter states behind the outputs of a composed plant.
+"""Low-pass of measured outputs: filter states after the outputs of a composed plant.
 
 A first-order stage of time θ delays a slow signal by θ. A stage of time zero would be infinitely
-fast: its state follows with D = √(θ² + D_0²), and the output takes the fraction θ/D of it::
+fast. So its state follows with D = √(θ² + D_0²), and the output contains the fraction θ/D of it::
 
     ż = (y − z) / D,   y_lagged = y + θ/D (z − y)
 
-The mean delay is θ exactly, at zero the signal passes untouched, and all is smooth in θ; for θ well
+The mean delay is θ exactly, at zero the signal is unchanged, and all is smooth in θ. For θ well
 above D_0 it is the first-order low-pass 1 / (1 + θ s) [Oppenheim & Willsky 1997]. It acts on the
-current within the step; that is sampled behind it (`models.plant.composition.sample_phase`).
+current within the step; the current is sampled after it (`models.plant.composition.sample_phase`).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ SHORTEST_LAG_S: Final = 2e-3
 LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_",
     "torque_{j}_", "force_{j}_",
 )  # fmt: skip
-"""Beginnings of the names of the outputs that a joint's lag may act on; the first one counts that
+"""Start of the names of outputs that a joint's lag may act on; it acts on the first of them that
 the plant's document declares."""
 
 
 def lag_outputs(
     scope: Scope, outputs: dict[str, tuple[Variable, Expr]]
 ) -> dict[str, tuple[Variable, Expr]]:
-    """Outputs with the low-pass of every joint on the signal that it belongs to."""
+    """Outputs with the low-pass of every joint applied to its signal."""
     result = dict(outputs)
     for j, lag in scope.sensor_lag.items():
         name = lagged_output(outputs, j, scope.columns)
@@ -55,8 +55,8 @@ def lagged_output(
 ) -> str:
     """Name of the output that a joint's lag acts on (`LAGGED`).
 
-    `columns`: columns that the plant declares. An output that is none of them is not measured, such
-    as the current of a log without it: the lag then acts on the first one that is.
+    `columns` are those that the plant declares. An output that is not declared is not measured,
+    like the current in a log without it; the lag then acts on the first declared output.
     """
     measured = [name for name in outputs if name in columns] or list(outputs)
     beginnings = [pattern.format(j=joint) for pattern in LAGGED]
@@ -75,5 +75,5 @@ def _delay_s(time_s: Expr) -> Expr:
 
 
 def _passed_fraction(time_s: Expr) -> Expr:
-    """Fraction θ/D of an output that passes a filter of time θ."""
+    """Fraction θ/D of an output that passes through a filter of time θ."""
     return time_s / _delay_s(time_s)

@@ -1,4 +1,4 @@
-"""Composition of a plant's parts by their names into a step model."""
+"""Composition of drive, load and effects, by name, into a step model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ COMPOSERS: Final = {
 }  # fmt: skip
 
 
-@lru_cache(maxsize=64)  # an observer of two joints takes three seconds to compose
+@lru_cache(maxsize=64)  # composing an observer of two joints takes three seconds
 def compose_plant(
     load: str, drive: str, effects: tuple[type[Effect], ...],
     parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
@@ -39,7 +39,7 @@ def compose_plant(
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; values are arguments, so plants share a model.
 
-    `link`: markers, direction of gravity and largest payload; left out, those of the study's link.
+    `link` sets markers, direction of gravity and largest payload; by default the study's.
     """
     scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
     known, observer = dict(parameters), kind != "twin"
@@ -56,7 +56,7 @@ def scope_of(
     columns: tuple[str, ...] = (),
     link: LinkDescription | None = None,
 ) -> Scope:
-    """Empty scope of a drive and a load."""
+    """Scope of a drive and a load, before anything is declared."""
     own = link or STUDY_LINK
     return Scope(
         tuple(range(1, dof + 1)), dict(LOADS[load].suffix), columns,
@@ -68,7 +68,7 @@ def scope_of(
 def declared_parameters(
     scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
 ) -> list[Parameter]:
-    """Parameters of all parts, in order."""
+    """Parameters of drive, load, effects and observer, in that order."""
     return [
         *DRIVES[drive]().parameters(scope),
         *LOADS[load]().parameters(scope),

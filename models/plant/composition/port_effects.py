@@ -1,4 +1,4 @@
-"""Application of the effects, port by port, and of the load's torques between them."""
+"""Application of the effects port by port, with the load's torques in between."""
 
 from __future__ import annotations
 
@@ -11,10 +11,7 @@ from models.shared.catalogue import Port
 
 
 def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]) -> None:
-    """Apply the effects of each port, port by port.
-
-    `effects`: all effects of the plant, in the order of `models.plant.effects.order`.
-    """
+    """Apply the effects port by port; they are in the order of `models.plant.effects.order`."""
     for port in ports:
         for effect in effects:
             if effect.port == port:
@@ -24,7 +21,7 @@ def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]
 def apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
     """Set every torque except the drive's: on the bends, on the joints and through the gears.
 
-    `scope`: with the motion of the joints and the bends set.
+    The motion of joints and bends must be set.
     """
     apply_effects(scope, ("stiffness", "mass"), effects)
     load.apply_elastic_torques(scope)

@@ -1,11 +1,11 @@
-"""Restart of a model that is driven by measurement, where its past cannot be that of the sample.
+"""Restart of a model that is driven by measurement, at samples that cannot continue its past.
 
-A sample that no motion of a servo leads to (a start far from zero whose first angle comes with the
-first step, an encoder that jumps) would be taken as a motion: a jump of 4 rad bends the link beyond
-every limit, and all later steps fail. In place of this motion the joints and the load rest at the
-sample. What was learnt before the jump, such as the payload, is kept.
+Some samples follow from no motion of a servo: a start far from zero whose first angle comes with
+the first step, or an encoder that jumps. Taken as a motion, a jump of 4 rad bends the link beyond
+every limit, and all later steps fail. Instead, joints and load restart at rest at the sample.
+Estimates from before the jump, such as the payload, are kept.
 
-A state that no link can have begins anew at the end of the step, the estimates too.
+At a state that no link can have, everything restarts at the end of the step, the estimates too.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import StepModel
 
 JUMP_RAD_S: Final = 10.0
-"""Rate above which a change of a measured angle is no motion: 13 times the peak rate of the study's
+"""Rate above which a measured angle jumps: 13 times the peak rate of the study's
 motion, 30° at 4.352 s. [assumed]"""
 
 LARGEST_BEND_RAD: Final = math.pi
-"""Bend of a hinge at which a link lies on itself."""
+"""Bend of a hinge at which the link lies on itself."""
 
 LARGEST_STATE: Final = 1e100
 """Sum of the magnitudes of all states above which the next step may overflow."""
@@ -37,8 +37,8 @@ def restart_where_impossible(
 ) -> StepModel:
     """Add the restarts to a model.
 
-    `resting`: state at rest at the sample, in the order of the model's states.
-    `jump`: whether the sample is no continuation of the past; see `is_jump`.
+    `resting` is the state at rest at the sample, in the order of the model's states. `jump` says
+    whether the sample cannot continue the past (`is_jump`).
     """
     x, u, p = (
         ca.vertcat(*(s.symbol for s in scope.states.values())),
@@ -55,7 +55,7 @@ def restart_where_impossible(
     x, u, p = (ca.MX.sym(label, model.begin.size_in(k)) for k, label in enumerate("xup"))
     arguments = (x, u, p, ca.MX.sym("h"))
     labels = ["x", "u", "p", "h"]
-    # Only the branch that is taken is calculated: a restart costs nothing where there is none.
+    # Only the chosen branch is computed, so a step without a restart costs nothing.
     before = ca.if_else(jumps(*arguments), rest(x, u, p), x, True)
     after = model.finish(*arguments)
     kept = ca.if_else(possible(after), after, model.initial(u, p), True)
@@ -70,8 +70,8 @@ def restart_where_impossible(
 def is_jump(scope: Scope) -> Expr:
     """Whether any measured angle has changed faster than `JUMP_RAD_S` since the last sample.
 
-    In steps shorter than the control period an angle may change as in one: a host that takes small
-    steps holds the samples of the robot, which come once a period.
+    In steps shorter than the control period, an angle may change as much as in a control period: a
+    host with small steps holds the robot's samples, which arrive once per period.
     """
     angle = scope.suffix["angle"]
     ramps = [scope.states[f"ramp_{j}_{angle}"] for j in scope.joints]
@@ -80,7 +80,7 @@ def is_jump(scope: Scope) -> Expr:
 
 
 def _all(conditions: Sequence[Expr]) -> Expr:
-    """1 where all conditions hold, else 0; a comparison with NaN does not hold."""
+    """1 if all conditions hold, else 0; a comparison with NaN does not hold."""
     result: Expr = 1
     for condition in conditions:
         result = ca.logic_and(result, condition)

@@ -1,10 +1,10 @@
-"""Current sampled at a phase of the step: its smooth part between two ends of steps.
+"""Current sampled at a phase of the step, interpolated between the ends of two steps.
 
-The drive gives the saw-tooth of a goal that jumps (`models.plant.components.drives.goal_shape`);
-of that a low-pass keeps the part in phase at the frequency of the steps. The rest of the current
-moves little within a step, so a line between the currents at both ends is taken. A servo holds the
-current within its limit at every moment, so the sample is clipped to what the sensor shows at the
-limit. The motion does not depend on the sample.
+The drive computes the saw-tooth of a goal that jumps
+(`models.plant.components.drives.goal_shape`). A low-pass keeps its part in phase at the frequency
+of the steps. The rest of the current changes little within a step, so it is interpolated between
+the ends of the step. A servo limits the current at every moment, so the sample is clipped to the
+sensor's reading at the limit. The motion does not depend on the sample.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Outputs = dict[str, tuple[Variable, Expr]]
 def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
     """Outputs with every measured current as it is sampled.
 
-    `outputs`: by name; currents at the end of the step, behind the low-pass where they have one.
+    The currents in `outputs` are those at the end of the step, after the low-pass if any.
     """
     result = dict(outputs)
     for j in scope.current:
@@ -46,9 +46,7 @@ def sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
 
 
 def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
-    """Current at `current_phase` of the step; the one given where the drive has no such
-    parameter.
-    """
+    """Current at `current_phase` of the step; unchanged if the drive has no such parameter."""
     name = f"current_phase_{joint}"
     if name not in scope.parameters:
         return current
@@ -60,12 +58,12 @@ def current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
 
 
 def _within_limit(scope: Scope, joint: int, measured: Expr) -> Expr:
-    """Measured current, at most what the sensor shows at the limit of the current."""
+    """Measured current, limited to the sensor's reading at the current limit."""
     limit = current_limit(scope, joint)
     low, high = (measured_current(scope, joint, bound) for bound in (-limit, limit))
     return ca.fmin(ca.fmax(measured, low), high)
 
 
 def _kept_fraction(scope: Scope, time_s: Expr) -> Expr:
-    """Part in phase of what a first-order low-pass keeps at the frequency of the steps."""
+    """In-phase gain of a first-order low-pass at the frequency of the steps."""
     return 1 / (1 + (2 * math.pi * time_s / declare_step_length(scope)) ** 2)

@@ -1,4 +1,4 @@
-"""Step functions of a composed plant, and the variables that its models have in common."""
+"""Step functions of a composed plant, and the variables that its models share."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ MAX_SUBSTEP_S: Final = 1e-3
 
 SMALLEST_STATE: Final = 1e-30
 """Magnitude below which a state is set to zero at the end of a step. A state that decays at rest
-would become a subnormal number, which slows the processor (docs/sources.md, "FMI"). Assumed: no
-state has a meaning below it in SI units, and products of ten such states are still normal numbers
-(2.2e-308 and above)."""
+would become a subnormal number, which slows the processor (docs/sources.md, "FMI"). No state has a
+meaning below it in SI units, and products of ten such states are still normal numbers (2.2e-308 and
+above) [assumed]."""
 
 COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
 """Name of a joint's measured coordinate, by the suffix of its unit."""
@@ -49,10 +49,7 @@ def build_step_model(
     max_substep_s: float = MAX_SUBSTEP_S,
     inputs_at_end: bool = False,
 ) -> StepModel:
-    """Functions of a `StepModel` from a composed scope.
-
-    `scope`: composed: every state has its initial value and its rate or updates.
-    """
+    """Build the functions of a `StepModel` from a scope whose states have all values and rates."""
     x = ca.vertcat(*(s.symbol for s in scope.states.values()))
     u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
     p = ca.vertcat(*(symbol for _, symbol in scope.parameters.values()))

@@ -1,4 +1,4 @@
-"""Twin: the plant in closed loop, goals in, everything measured out. Its joints are states."""
+"""Twin: the plant in closed loop, from goals to all measured signals; its joints are states."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def compose_twin(
 
 
 def reported_angle(scope: Scope, joint: int) -> Expr:
-    """Measured coordinate of a joint behind its low-pass, to second order in its time."""
+    """Measured coordinate of a joint after its low-pass, to second order in its time."""
     measured = scope.measured_angle(joint)
     if joint not in scope.sensor_lag:
         return measured

@@ -1,7 +1,7 @@
 """Effects: physical effects that a plant can have beyond its nominal drive and load.
 
 An effect is one small class in a file of this package: its name in the catalogue, its parameters
-(the first one is its strength: at zero the plant is exactly the one without it), the states that it
+(the first is its strength: at zero the plant is exactly the one without it), the states that it
 adds, and the quantities of the scope that it changes at its port. A class is registered when it
 derives from `Effect`; docs/plant/add-an-effect.md has an example.
 """
@@ -32,7 +32,7 @@ EFFECTS: Final[dict[str, type[Effect]]] = {}
 Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
     "position gain", "smooth friction", "straight guide",
 ]  # fmt: skip
-"""Features that an effect may need and that not every drive and load has."""
+"""Features of drive or load that an effect may need."""
 
 
 class Effect:
@@ -41,26 +41,26 @@ class Effect:
     Attributes
     ----------
     name : str
-        In a plant document.
+        Name in the catalogue and in a plant document.
     port : str
-        Place where it acts; from the catalogue unless the class gives it.
+        Place where it acts; from the catalogue unless the class sets it.
     per_joint : tuple of Parameter
-        Names are patterns ({j}, {angle}, {torque}); one of each for every joint.
+        Parameters of each joint; their names are patterns with {j}, {angle}, {torque}.
     shared : tuple of Parameter
-        One for all joints.
+        Parameters that all joints share.
     parameter_needs : mapping of str to str
-        Feature that the drive must have for a name in `per_joint`; none where it is not in here.
+        Feature that the drive must have, by name of a parameter in `per_joint`.
     needs : tuple of str
         Features that the drive or the load must have.
     of_each_joint : bool
-        Whether each joint has a strength of its own, as an offset of its mounting; servos of one
-        make are alike in all else, and planes of bending differ.
+        Whether each joint has its own strength, like the offset of a mounting. All other effects
+        are alike in servos of one make; planes of bending differ.
     search_start : mapping of str to float
-        Values of further parameters from which a search for the strength begins.
+        Start values of the other parameters in a search for the strength.
     fitted_last : tuple of str
-        Names in `per_joint` that `identify` keeps, and that a search fits after the others where
-        the noise floor is learned: freed at once, with a strength that is far off, they lead into
-        a valley of their own.
+        Names in `per_joint` that `identify` does not fit. A search that knows the noise floor fits
+        them after the others: fitted at once, with a strength far from the optimum, they lead to
+        a local minimum.
     """
 
     name: ClassVar[str]
@@ -80,7 +80,7 @@ class Effect:
         EFFECTS[cls.name] = cls
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters for the joints of `scope`, the strength first."""
+        """Return the parameters for the joints of `scope`, the strength first."""
         named = [
             _for_joint_kind(q, scope.name(q.name, j), scope)
             for q in self.per_joint
@@ -91,49 +91,49 @@ class Effect:
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
-        """Names of the strength: one for every joint of `scope`, or one for all."""
+        """Return the names of the strength: one per joint of `scope`, or one for all."""
         if cls.per_joint:
             return tuple(scope.name(cls.per_joint[0].name, j) for j in scope.joints)
         return (scope.name(cls.shared[0].name),)
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """First strength to try, for an effect with a dead zone; zero for all others.
+        """Return the first strength to try for an effect with a dead zone; zero for all others.
 
         Parameters
         ----------
         known : mapping of str to float
-            Values of the plant's parameters.
+            Values of the plant's parameters by name.
         trials : sequence of Trial
-            Measured trials.
+            Measured trials of the plant.
 
         Returns
         -------
         float
-            Zero where there is no dead zone, or the trials do not determine it.
+            Strength; zero if there is no dead zone or the trials do not determine it.
         """
         return 0.0
 
     def apply(self, scope: Scope) -> None:
-        """Change the quantities of the port.
+        """Change the quantities of the scope at the effect's port.
 
         Parameters
         ----------
         scope : Scope
-            Of the composition.
+            Symbols of the composition.
         """
         raise NotImplementedError
 
 
 PULLEY_M: Final = 0.1
-"""Pulley radius that converts parameters of a rotary joint to those of a linear one."""
+"""Pulley radius that converts parameters of a rotary joint to a linear one."""
 
 
 def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
     """Parameter for a rotary or a linear joint.
 
     Effects are written for a rotary joint. On a straight guide a torque becomes a force and an
-    angle a displacement, as by a belt on a pulley: value and bounds are scaled accordingly.
+    angle a displacement, as for a belt on a pulley; value and bounds are scaled accordingly.
     """
     if scope.suffix["angle"] == "rad":
         return msgspec.structs.replace(q, name=name)

@@ -13,7 +13,7 @@ from models.plant.step_model import Variable
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 
 EASE_RAD: Final = 2e-3
-"""Bend within which softening sets in smoothly."""
+"""Bend over which softening sets in, so that it is smooth at zero."""
 
 FASTEST_SLIP_PER_S: Final = 300.0
 """Largest bend rate of the hysteresis, in yield bends per second."""
@@ -26,8 +26,8 @@ BRANCHES: Final = (1 / 16, 1.0, 24.0)
 class Prebend(Effect):
     """The unloaded link is bent: the span's torque vanishes at ψ_0, τ(ψ − ψ_0).
 
-    The link is bent evenly, by β from root to tip, so its tip is off by β L/2; the span hinge at
-    x L puts it there with ψ_0 = β / (2 (1 − x)).
+    The link bends evenly by β from root to tip, so its tip is off by β L/2. The span hinge at x L
+    puts the tip there with ψ_0 = β / (2 (1 − x)).
     """
 
     name = "prebend"
@@ -52,9 +52,9 @@ class Prebend(Effect):
 
 
 class DirectionalStiffness(Effect):
-    """Stiffer towards one side: K (1 + d s), s = tanh(φ/φ_s) the smooth side of the bend.
+    """Stiffer towards one side: K (1 + d s), s = tanh(φ/φ_s), the smooth sign of the bend.
 
-    φ_s = 10 mrad keeps the torque smooth where the bend changes side.
+    φ_s = 10 mrad keeps the torque smooth where the bend changes sign.
     """
 
     name = "directional_stiffness"
@@ -73,7 +73,7 @@ class DirectionalStiffness(Effect):
 
 
 class StiffnessSoftening(Effect):
-    """The secant stiffness falls with the bend, K / (1 + a ‖φ‖), a such that s is lost at 0.1 rad.
+    """The secant stiffness falls with the bend, K / (1 + a ‖φ‖); a fraction s is lost at 0.1 rad.
 
     a = s / ((1 − s) 0.1 rad). The torque still grows with the bend, so the link cannot snap.
     """
@@ -86,7 +86,6 @@ class StiffnessSoftening(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Divide each hinge's stiffness."""
         loss = scope.p("softening_share")
         for hinge, j in scope.stiffness:
             size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
@@ -104,17 +103,16 @@ class StiffnessHardening(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Multiply each hinge's stiffness."""
         gain = scope.p("hardening_share")
         for hinge, j in scope.stiffness:
             scope.stiffness[hinge, j] *= 1 + gain * _square(scope, hinge) / REFERENCE_BEND_RAD**2
 
 
 class PressureLeak(Effect):
-    """Stiffness falls with the pressure, K (1 − s)^(t / 10 s), from the start of the run.
+    """Stiffness falls with a leak, K (1 − s)^(t / 10 s), from the start of the run.
 
-    Outflow through a small hole is proportional to the pressure left [orifice, laminar], and the
-    stiffness to the pressure (docs/sources.md, "The link").
+    Outflow through a small hole is proportional to the remaining pressure [orifice, laminar], and
+    stiffness is proportional to pressure (docs/sources.md, "The link").
     """
 
     name = "pressure_leak"
@@ -125,7 +123,7 @@ class PressureLeak(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness by the pressure left."""
+        """Scale each hinge's stiffness by the remaining pressure."""
         left = scope.state(Variable("pressure_left", "1"), 1.0)
         scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
         for key in scope.stiffness:
@@ -133,13 +131,13 @@ class PressureLeak(Effect):
 
 
 class Hysteresis(Effect):
-    """Bouc–Wen in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
+    """Bouc–Wen hysteresis in the root patch, κ K u_y z, biaxial after Park, Wen and Ang (1986).
 
     ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
 
     It is added to the elastic torque K φ.
-    Threads do not slip faster than in a few milliseconds: r is held below `FASTEST_SLIP_PER_S`,
-    which the study's motions stay far from, so that no bend rate makes the equation stiff.
+    Threads need a few milliseconds to slip, so r is limited below `FASTEST_SLIP_PER_S`. Then no
+    bend rate makes the equation stiff; the study's motions stay far below the limit.
     """
 
     name = "hysteresis"
@@ -157,7 +155,6 @@ class Hysteresis(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the hysteretic torque."""
         yield_rad = scope.p("hysteresis_yield_rad")
         z = {
             j: scope.state(Variable(f"hysteresis_{j}", "1", minimum=-1.0, maximum=1.0))
@@ -179,9 +176,9 @@ class Creep(Effect):
 
     τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
-    (docs/sources.md, "The link"), added to the elastic torque K φ. Polymers relax over decades of
-    time; one branch fits one period of motion and no other. A branch much slower than the trials
-    acts as stiffness there, so K and g are known less well apart than together.
+    The torque is added to the elastic torque K φ (docs/sources.md, "The link"). Polymers relax over
+    decades of time; a single branch fits one period of motion only. A branch much slower than the
+    trials acts as stiffness, so K and g are determined better together than separately.
     """
 
     name = "creep"
@@ -199,7 +196,6 @@ class Creep(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the relaxing torque."""
         for (hinge, j), bend in scope.bend.items():
             fraction = scope.p("creep_share_{j}", j) / len(BRANCHES)
             for b, ratio in enumerate(BRANCHES, 1):
@@ -212,10 +208,10 @@ class Creep(Effect):
 class CrossAxisCoupling(Effect):
     """Coupling of the planes: τ_1 ← τ_1 + κ τ_2, τ_2 ← τ_2 + κ τ_1.
 
-    Asymmetric bending of a section whose principal axes are turned [Timoshenko]. A link that one
-    joint moves vibrates across its plane too, in its first mode: with the levers ℓ_h of the hinges
-    about the tip, the compliance C = Σ ℓ_h² / K_h and the mass m at the tip, a quarter of the
-    link's included [Rayleigh], the tip's deflection y follows
+    Asymmetric bending of a section with turned principal axes [Timoshenko]. A link that one joint
+    moves also vibrates across its plane, in its first mode. With the levers ℓ_h of the hinges about
+    the tip, the compliance C = Σ ℓ_h² / K_h and the mass m at the tip, including a quarter of the
+    link's [Rayleigh], the tip's deflection y follows
 
         m ÿ = (κ Σ ℓ_h τ_h / K_h − y) / C − 2 ζ √(m / C) ẏ + m g y / L
     """
@@ -244,7 +240,7 @@ class CrossAxisCoupling(Effect):
 
 
 def _bend_across(scope: Scope) -> None:
-    """Deflection of a link across the plane of its only joint, and the bends that it makes."""
+    """Deflection of a link across the plane of its only joint, and the bends of its hinges."""
     (j,) = scope.joints
     length_m, gravity = scope.p("link_length_m"), scope.p("gravity_m_s2")
     lever_m = {"root": length_m, "span": (1 - scope.p("span_position")) * length_m}
@@ -269,5 +265,5 @@ def _bend_across(scope: Scope) -> None:
 
 
 def _square(scope: Scope, hinge: str) -> Expr:
-    """Square of a hinge's bend over its planes."""
+    """Square of a hinge's total bend over the planes."""
     return sum(scope.bend[hinge, j] ** 2 for j in scope.joints)

@@ -16,10 +16,10 @@ from models.plant.scope import Scope
 from models.plant.step_model import Variable
 
 SHORTEST_S: Final = 5e-3
-"""Shortest delay whose states an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
+"""Shortest delay that an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
 
 HELD: Final = 9
-"""Rows over which a current is averaged before it is taken for a limit, against noise."""
+"""Rows over which a current is averaged against noise to estimate its limit."""
 
 
 class DeadTime(Effect):
@@ -27,14 +27,16 @@ class DeadTime(Effect):
 
     e^−x ≈ (1 − 2x/5 + x²/20) / (1 + 3x/5 + 3x²/20 + x³/60),  x = s D  [Baker & Graves-Morris 1996]
 
-    Its relative error is 1.4e-4 (ωD)⁶, 1e-4 for 80 ms at 2 Hz; three first-order lags are off by
-    (ωD)²/6. Being strictly proper it passes no step at once. States of a delay of zero would be
-    infinitely fast: the states delay by D = √(θ² + D_0²) and their output counts by θ/D, so that
-    the mean delay is θ exactly, at zero the goal passes untouched, and all is smooth in θ.
+    The relative error is 1.4e-4 (ωD)⁶, 1e-4 for 80 ms at 2 Hz; three first-order lags have
+    (ωD)²/6. The approximant is strictly proper: a step does not pass at once. States of a delay of
+    zero would be infinitely fast. So the states delay by D = √(θ² + D_0²) and their output is
+    weighted by θ/D: the mean delay is θ exactly, at zero the goal is unchanged, and all is smooth
+    in θ.
 
-    It smooths steps. A goal with a shape within the step is therefore delayed without its
-    staircase, whose saw-tooth in the current the drive adds (`DelayedStaircase`). A second
-    parameter shifts the phase at which the current meets it; a drive without a staircase has none.
+    The approximant smooths steps. A goal with a shape within the step is therefore delayed without
+    its staircase, and the drive adds the staircase's saw-tooth to the current (`DelayedStaircase`).
+    A second parameter shifts the phase at which the current samples it; a drive without a staircase
+    does not have it.
     """
 
     name = "dead_time"
@@ -76,11 +78,11 @@ class DeadTime(Effect):
 
 
 class PositionGainChange(Effect):
-    """Position loop whose gain is not the one that was identified, k_p (1 + c).
+    """Position loop with another gain than the identified one, k_p (1 + c).
 
-    A register of the servo that somebody wrote, or another servo of the same make. A lower gain
-    lets the joint lag behind its goal, by ġ / k_p, much as a delay does, but it rounds the turns
-    of the goal off and leaves the joint softer.
+    The cause is a changed register of the servo, or another servo of the same make. A lower gain
+    makes the joint lag its goal by ġ / k_p, much like a delay, but also rounds off the goal's turns
+    and leaves the joint softer.
     """
 
     name = "position_gain_change"
@@ -93,7 +95,6 @@ class PositionGainChange(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale the gain."""
         for j in scope.joints:
             scope.position_gain_scale[j] *= 1 + scope.p("position_gain_change_{j}", j)
 
@@ -101,7 +102,7 @@ class PositionGainChange(Effect):
 class CurrentSaturation(Effect):
     """Current limit below the rated one: |i| ≤ i_max − Δ.
 
-    A dead-zone effect: as long as the current stays below the limit, neither the output nor its
+    The effect has a dead zone: while the current stays below the limit, neither the output nor its
     derivatives change.
     """
 
@@ -115,7 +116,7 @@ class CurrentSaturation(Effect):
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Rated limit less the largest current that was held; 0 where no current was measured."""
+        """Rated limit minus the largest sustained current; 0 if no current was measured."""
         held = np.ones(HELD) / HELD
         measured = [
             t for t in trials
@@ -128,7 +129,6 @@ class CurrentSaturation(Effect):
         return known["current_limit_1_a"] - largest_a
 
     def apply(self, scope: Scope) -> None:
-        """Lower the limit."""
         for j in scope.joints:
             scope.current_limit_reduction[j] += scope.p("current_saturation_{j}_a", j)
 
@@ -136,7 +136,7 @@ class CurrentSaturation(Effect):
 class TorqueConstantDrift(Effect):
     """Torque per ampere below the rated one, τ = (1 − d) k_t i: warm magnets lose flux.
 
-    d is constant over the trials: what has drifted since the plant was identified.
+    d is constant over the trials: it is the drift since the plant was identified.
     """
 
     name = "torque_constant_drift"
@@ -147,6 +147,5 @@ class TorqueConstantDrift(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale the drive's torque."""
         for j in scope.joints:
             scope.torque_scale[j] *= 1 - scope.p("torque_constant_drift_{j}", j)

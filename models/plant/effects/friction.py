@@ -13,25 +13,25 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 FASTEST_SLIDE_S: Final = 2e-3
-"""Shortest time in which sliding breaks or bends contacts; two integration steps."""
+"""Shortest time in which sliding bends or breaks the contacts: two integration steps."""
 
 PEAK_EXPONENT: Final = 1.55
 PEAK_EXPONENT_FALL: Final = 0.1
-"""Exponent that joins the limits of `StribeckFriction`'s peak, and its fall with the tail κ: within
-2.1 % up to κ = 1, found by a scan."""
+"""Exponent that joins the limits of `StribeckFriction`'s peak, and its decrease with the tail κ:
+within 2.1 % up to κ = 1, by a scan."""
 
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
-    """Smooth sign of a joint's rate, for dry friction; the drive's own where it has one."""
+    """Smooth sign of a joint's rate, for dry friction; from the drive if it has one."""
     if joint in scope.friction_direction:
         return scope.friction_direction[joint]
     return ca.tanh(scope.rate[joint] / scope.p("friction_speed_{j}_{angle}_s", joint))
 
 
 def gear_load(scope: Scope, joint: int) -> Expr:
-    """Torque on the gear's teeth: |τ_load − τ_drive|, or |τ_load| of a large stiff gear.
+    """Torque on the gear's teeth: |τ_load − τ_drive|, or |τ_load| for a large stiff gear.
 
-    A drive that lifts a load adds its own torque on the teeth (BAM, equation of the gearbox).
+    A drive that lifts a load adds its torque on the teeth (BAM, equation of the gearbox).
     """
     return ca.fabs(scope.transmitted_torque[joint] - scope.gear_drive_torque.get(joint, 0))
 
@@ -47,7 +47,6 @@ class CoulombFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction of constant size."""
         for j in scope.joints:
             scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * friction_direction(
                 scope, j
@@ -65,7 +64,6 @@ class ViscousFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction in proportion to the rate."""
         for j in scope.joints:
             scope.friction[j] += (
                 scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
@@ -76,8 +74,8 @@ class DirectionalFriction(Effect):
     """Viscous friction that differs by direction of travel, (B + a) q̇ for q̇ > 0, else (B − a) q̇.
 
     Friction coefficients by direction are those of Armstrong-Hélouvry et al. (1994), section 2; a
-    nut or a guide that is loaded from one side has them. Of rotary joints no recording shows it, so
-    it is an effect of straight guides only.
+    nut or a guide that is loaded from one side has them. No recording of a rotary joint shows it,
+    so the effect is for straight guides only.
     """
 
     name = "directional_friction"
@@ -105,11 +103,11 @@ class StribeckFriction(Effect):
     Friction fades like exp(−r²) (Bo and Pavelescu 1982; κ → 0) or more slowly, like 1/(1 + 1.7 r²)
     (Hess and Soom 1990; κ = 1); at v_s it has faded to 37 % with any tail κ.
     After a reversal the contacts bend before they slide (Dahl 1968): b reaches sign(q̇) within the
-    distance δ, at rates at which the friction already fades. A drive with presliding of its own has
-    its b in place of this. μ_s, the part per transmitted torque τ (BAM, model M4), is zero unless a
+    distance δ, at rates at which the friction already fades. A drive with presliding uses its b
+    instead of this one. μ_s, the part per transmitted torque τ (BAM, model M4), is zero unless a
     plant document frees it; in a gear that slides slowly under load it is the larger part. A smooth
-    sign rises over rates too: the torque is scaled by what that takes away, so that F_s is the
-    largest extra torque where δ is short.
+    sign also rises over rates. The torque is scaled by that loss, so that F_s is the largest extra
+    torque where δ is short.
     """
 
     name = "stribeck_friction"
@@ -146,7 +144,7 @@ class StribeckFriction(Effect):
 
 
 def _built_up(scope: Scope, joint: int) -> Expr:
-    """Direction b of sliding in which the contacts have built up; see `StribeckFriction`."""
+    """State b of the contacts, between −1 and 1; see `StribeckFriction`."""
     direction = friction_direction(scope, joint)
     distance = scope.name("stribeck_distance_{j}_{angle}", joint)
     if distance not in scope.parameters:
@@ -159,7 +157,7 @@ def _built_up(scope: Scope, joint: int) -> Expr:
 
 
 def _peak(scope: Scope, joint: int) -> Expr:
-    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 with a sign of the drive's own.
+    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive has its own sign.
 
     Interpolated by powers between its limits: 1 for v_s ≫ v_0, and for v_s ≪ v_0 the largest value
     of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ).
@@ -180,11 +178,11 @@ class Stiction(Effect):
 
         F = F_b (1 − x²) sign(q̇),   ẋ = (q̇ − |q̇| x) / (δ + |q̇| T_0) − x / T
 
-    x is the bristle of Dahl (1968): from rest (x = 0) or after a reversal it passes zero, where the
-    contacts hold most, and sliding by a few δ breaks them. That friction exceeds its sliding level
-    over a distance and not at a speed is the model of Bliman and Sorine (1995); that it returns
-    with the dwell time T is the rising static friction of Armstrong-Hélouvry et al. (1994).
-    Stribeck friction acts before a standstill as it does after it; this acts after it only.
+    x is the bristle of Dahl (1968). From rest (x = 0) or after a reversal it passes zero, where the
+    contacts hold most; sliding by a few δ breaks them. Bliman and Sorine (1995) describe friction
+    that exceeds its sliding level over a distance and not at a speed. The rising static friction of
+    Armstrong-Hélouvry et al. (1994) returns with the dwell time T. Stribeck friction acts before a
+    standstill as well as after it; stiction acts after it only.
     """
 
     name = "stiction"
@@ -201,7 +199,7 @@ class Stiction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that is largest where sliding begins."""
+        """Add a friction that is largest at the start of sliding."""
         for j in scope.joints:
             rate = scope.rate[j]
             slid = scope.state(Variable(f"slid_{j}", "1", minimum=-1.0, maximum=1.0))
@@ -225,7 +223,6 @@ class LoadDependentFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction in proportion to the load."""
         for j in scope.joints:
             coefficient = scope.p("load_dependent_friction_{j}", j)
             scope.friction[j] += coefficient * gear_load(scope, j) * friction_direction(scope, j)

@@ -13,7 +13,7 @@ from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 
 RIGID_GEAR_TIME_S: Final = 2e-3
-"""Time constant of a gear without backlash or compliance; two integration steps."""
+"""Time constant of a gear without backlash or compliance: two integration steps."""
 
 PLATE_INERTIA = Parameter(
     name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.02, high=1.0,
@@ -41,14 +41,14 @@ MOUNT_TIME = Parameter(
 
 
 def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Expr) -> None:
-    """Add a lag of the load behind the drive: `lost`, by the dynamics of a plate on the gear.
+    """Add a lag of the load behind the drive: `lost`, with the dynamics of a plate on the gear.
 
     With a gear of compliance c and damping d, and the plate's inertia J::
 
         (T² + c J) ẅ + (2 T + c d) ẇ + w = w_lost
 
-    ẅ depends on states only, so the load moves on an accelerated base without approximation and
-    its reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
+    ẅ depends on states only, so the load moves on an accelerated base without approximation and its
+    reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
     """
     angle = scope.suffix["angle"]
     windup = scope.state(
@@ -66,9 +66,7 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
 
 def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
-    """Add a lean of the link's markers in its mount: (T² / 4) ẅ + T ẇ + w = w_l. It moves no
-    mass.
-    """
+    """Add a lean w of the link's markers in the mount, (T²/4) ẅ + T ẇ + w = w_l; no mass moves."""
     lean = scope.state(
         Variable(f"mount_lean_{joint}_rad", "rad", nominal=1e-3), scope.initial_value(leaning)
     )
@@ -82,11 +80,10 @@ def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
 
 
 def open_play(scope: Scope, joint: int, half: Expr, rounding: Expr) -> None:
-    """Let the gear of a load touch only beyond its play.
+    """Let the gear of a load touch only beyond its play, half of which is h.
 
     The twist φ becomes ½ (√((φ−h)²+ε²) + φ − h) − ½ (√((φ+h)²+ε²) − φ − h), which is φ for h = 0.
-
-    `half`, `rounding`: h, half of the play, and ε, in the unit of the joint.
+    `rounding` is ε, in the unit of the joint.
     """
     twist, rate = scope.bend["gear", joint], scope.bend_rate["gear", joint]
     beyond, before = twist - half, twist + half
@@ -101,7 +98,7 @@ def open_play(scope: Scope, joint: int, half: Expr, rounding: Expr) -> None:
 class JointElasticity(Effect):
     """Gear wind-up c per torque (flexible joint [Spong 1987]): w = −c τ_load.
 
-    In series with the root's stiffness K: the first mode falls as if K were K / (1 + c K).
+    It acts in series with the root's stiffness K: the first mode falls as if K were K / (1 + c K).
     """
 
     name = "joint_elasticity"
@@ -124,14 +121,14 @@ class JointElasticity(Effect):
 
 
 class Backlash(Effect):
-    """Backlash b: the load rests at one side of it, by the sign of its torque [Nordin 2002].
+    """Backlash b: the load rests at one side of it, given by the sign of its torque [Nordin 2002].
 
     w = −(b/2) tanh(τ_load / τ_b). The torque τ_b that closes the backlash makes the dead zone
-    smooth: fits start at a wide one and reduce it. The encoder on the drive's side does not
-    measure the backlash. A load with a gear of its own (twist φ, torque −k_g φ − d_g φ̇) touches
-    only beyond the play: φ is replaced by its part beyond ±b/2, rounded over τ_b / k_g, and φ̇ by
-    the rate of that part. Play in the mount of a link hardly moves its mass: of the play,
-    `backlash_mount_fraction` moves the markers alone.
+    smooth: fits start with a wide one and reduce it. The encoder on the drive's side does not
+    measure the backlash. A load with its own gear (twist φ, torque −k_g φ − d_g φ̇) touches only
+    beyond the play: φ is replaced by its part beyond ±b/2, rounded over τ_b / k_g, and φ̇ by the
+    rate of that part. Play in the mount of a link hardly moves mass: the fraction
+    `backlash_mount_fraction` of the play moves the markers only.
     """
 
     name = "backlash"
@@ -150,12 +147,12 @@ class Backlash(Effect):
     search_start = MappingProxyType({MOUNT_FRACTION.name: 0.5})
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters for the joints of `scope`; only a link has a mount."""
+        """Return the parameters for the joints of `scope`; only a link has a mount."""
         own = super().parameters(scope)
         return own if "tip" in scope.features else own[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
-        """Move the load to the side to which its torque presses it."""
+        """Move the load to the side that its torque presses against."""
         mount = scope.p(MOUNT_FRACTION.name) if "tip" in scope.features else 0
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2

@@ -22,7 +22,6 @@ class UnmodelledPayload(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add it to the payload."""
         scope.payload_kg += scope.p("unmodelled_payload_kg")
 
 
@@ -41,12 +40,11 @@ class PayloadOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Shift the payload."""
         scope.payload_offset_m += scope.p("payload_offset_share") * scope.p("link_length_m")
 
 
 class LoadOffset(Effect):
-    """Constant torque (or force) on the joint, of a cable or a spring."""
+    """Constant torque (or force) on the joint, as from a cable or a spring."""
 
     name = "load_offset"
     of_each_joint = True
@@ -57,7 +55,6 @@ class LoadOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the torque."""
         for j in scope.joints:
             scope.joint_torque[j] += scope.p("load_offset_{j}_{torque}", j)
 
@@ -65,10 +62,10 @@ class LoadOffset(Effect):
 class AerodynamicDrag(Effect):
     """Quadratic air drag, c |ω| ω on the joint, with ω = q̇ + Σ s_h φ̇_h.
 
-    The drag on a link grows with the square of the distance from the joint, so that a hinge at
-    the fraction ρ of its reach is bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The
-    same weights in ω make its power −c |ω|³, which is never positive (½ρC_d b ω² L⁴/4;
-    docs/sources.md, "The link").
+    The drag on a link grows with the square of the distance from the joint. A hinge at the fraction
+    ρ of the reach is therefore bent by s = 1 − 4ρ/3 + ρ⁴/3 of the torque on the joint. The same
+    weights in ω make the power −c |ω|³, which is never positive (½ρC_d b ω² L⁴/4; docs/sources.md,
+    "The link").
     """
 
     name = "aerodynamic_drag"

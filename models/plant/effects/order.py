@@ -2,8 +2,8 @@
 
 The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
 `ORDER`, regardless of the order of their files, classes or entries in a plant document. The
-parameters of a composed model have the same order. An effect that is not listed
-acts after the listed ones of its port; several such effects act in the order of their names.
+parameters of a composed model have the same order. An effect that is not listed acts after the
+listed ones of its port; several such effects act in the order of their names.
 """
 
 from __future__ import annotations
@@ -72,5 +72,5 @@ _PLACE: Final = {name: place for place, name in enumerate(ORDER)}
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Names of effects in the order in which they act within a port."""
+    """Sort names of effects in the order in which they act within a port."""
     return sorted(names, key=lambda name: (_PLACE.get(name, len(ORDER)), name))

@@ -1,8 +1,8 @@
-"""Periodic effects over the turn of a joint: error of its encoder, torque of its motor.
+"""Effects that are periodic in a joint's angle: error of its encoder, torque of its motor.
 
-Both are a sine and a cosine of a known number of periods. The amplitude of the sine is the
-strength. The two amplitudes are regular at zero, where an amplitude and a phase would not be; the
-size is √(sine² + cosine²).
+Both are a sine and a cosine with a known number of periods per turn. The amplitude of the sine is
+the strength. Two amplitudes are regular at zero, unlike an amplitude and a phase; the size is
+√(sine² + cosine²).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from models.plant.scope import Expr, Scope, substitute
 
 
 def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
-    """Sum a sin(n q) + b cos(n q), with the parameters of an effect."""
+    """Sum a sin(n q) + b cos(n q), with the parameters of the effect `prefix`."""
     suffix = "{angle}" if prefix == EncoderRipple.name else "{torque}"
     turn = scope.p(prefix + "_order_{j}", joint) * angle
     sine = scope.p(prefix + "_{j}_" + suffix, joint)
@@ -35,13 +35,13 @@ RATE_FRACTION: Final = Parameter(
 
 
 class EncoderRipple(Effect):
-    """Periodic error of the encoder, q + a sin(n q) + b cos(n q), which the servo controls.
+    """Periodic error of the encoder, q + a sin(n q) + b cos(n q), seen by the servo's loop.
 
-    An eccentric or oval scale and unequal signals of its tracks cause it (docs/sources.md, "The
-    servo"). A servo whose velocity loop has a sensor at the motor measures the rate without the
-    error; one with a single encoder has the error's rate in it. The fraction of it is fitted. The
-    number of periods is not: a search finds none of it where that of the plant file is not the
-    encoder's.
+    Its causes are an eccentric or oval scale and unequal signals of the scale's tracks
+    (docs/sources.md, "The servo"). A servo with a sensor at the motor measures the rate without the
+    error; in a servo with a single encoder the rate contains the error's derivative. The fraction
+    of the derivative is fitted. The number of periods is not: a search finds no ripple if the
+    plant file has another number than the encoder.
     """
 
     name = "encoder_ripple"
@@ -58,7 +58,7 @@ class EncoderRipple(Effect):
     shared = (RATE_FRACTION,)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters for the joints of `scope`; only a cascade has a velocity loop."""
+        """Return the parameters for the joints of `scope`; only a cascade has a velocity loop."""
         own = super().parameters(scope)
         return own if "goal shape" in scope.features else own[: -len(self.shared)]
 
@@ -80,10 +80,10 @@ def _rate_error(scope: Scope, joint: int, angle: Expr) -> Expr:
 class Cogging(Effect):
     """Torque of the motor or its gear on the drive's side, τ = −a sin(n q) − b cos(n q).
 
-    It pulls the joint towards n evenly spaced angles and takes no energy over a period. Slots and
-    magnets of a motor, or the teeth of a gear, cause it [Hanselman 2003]. It acts on the rotor, so
-    the gear does not transmit it. The number of periods is not fitted: a search finds none of it
-    where that of the plant file is not the servo's. The amplitude is √(a² + b²).
+    It pulls the joint towards n evenly spaced angles and dissipates no energy. Its causes are slots
+    and magnets of a motor, or the teeth of a gear [Hanselman 2003]. It acts on the rotor, so the
+    gear does not transmit it. The number of periods is not fitted: a search finds no cogging if the
+    plant file has another number than the servo. The amplitude is √(a² + b²).
     """
 
     name = "cogging"

@@ -13,7 +13,7 @@ from models.plant.sensor_low_pass import SensorLowPass
 class EncoderOffset(Effect):
     """Encoder offset: the servo measures and controls q + δ.
 
-    Angles in trials and logs are the measured ones, q + δ; the link stands at q.
+    Angles in trials and logs are the measured ones, q + δ; the true angle of the link is q.
     """
 
     name = "encoder_offset"
@@ -25,7 +25,6 @@ class EncoderOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add it to the measured value."""
         for j in scope.joints:
             scope.encoder_error[j] += scope.p("encoder_offset_{j}_{angle}", j)
 
@@ -43,7 +42,6 @@ class CurrentBias(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add it to the measured value."""
         for j in scope.joints:
             scope.current_bias[j] += scope.p("current_bias_{j}_a", j)
 
@@ -60,7 +58,6 @@ class CurrentScale(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale the measured current."""
         for j in scope.joints:
             scope.current_scale[j] += scope.p("current_scale_{j}", j)
 
@@ -68,8 +65,8 @@ class CurrentScale(Effect):
 class MarkerFrameTilt(Effect):
     """Tilt of the motion capture's frame about y, R_y(α) r; distances, hence DI, do not change.
 
-    A frame that was set up anew is turned about the other axes too, R_y(α) R_x(ρ) R_z(υ) r. With
-    two joints the tilt is about y and x, their axes. A turn about another axis belongs to the
+    A frame that was set up again is also turned about the other axes, R_y(α) R_x(ρ) R_z(υ) r. With
+    two joints the tilt is about their axes, y and x. A turn about another axis belongs to the
     session: a diagnosis refits it within its prior.
     """
 
@@ -89,11 +86,10 @@ class MarkerFrameTilt(Effect):
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
-        """Names of the turns about the joints' axes."""
+        """Return the names of the turns about the joints' axes."""
         return ("marker_frame_tilt_rad", "marker_frame_roll_rad")[: len(scope.joints)]
 
     def apply(self, scope: Scope) -> None:
-        """Turn the frame."""
         scope.frame_turn_rad = tuple(
             turn + scope.p(f"marker_frame_{name}_rad")
             for turn, name in zip(scope.frame_turn_rad, ("roll", "tilt", "yaw"), strict=True)
@@ -103,8 +99,8 @@ class MarkerFrameTilt(Effect):
 class MarkerScale(Effect):
     """Relative error of the motion capture's scale, (1 + s) r about the origin of its frame.
 
-    Markers and tip in the trials have the error. The Deformation Index compares lengths with those
-    at rest, which have the same error, so it does not change.
+    Markers and tip in the trials contain the error. The Deformation Index compares lengths with
+    those at rest, which contain the same error, so it does not change.
     """
 
     name = "marker_scale"
@@ -115,12 +111,11 @@ class MarkerScale(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale the frame."""
         scope.frame_scale += scope.p("marker_scale")
 
 
 class SyncOffset(Effect):
-    """Lag δ of the motion capture behind the servo's clock: at time t it shows the state at t − δ.
+    """Lag δ of the motion capture behind the servo's clock: at time t it shows the pose of t − δ.
 
     q(t − δ) ≈ q − δ q̇ + δ²/2 q̈ of joints and bends, also for a clock ahead of the servo's (δ < 0).
     The remainder is (ωδ)³/6: 2e-5 of the study's motion at 40 ms, 5 % of a vibration at 2.5 Hz.
@@ -135,23 +130,21 @@ class SyncOffset(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Delay the motion capture."""
         scope.frame_delay_s += scope.p("sync_offset_s")
 
 
 class SensorLag(Effect):
     """Low-pass of measured signals; the strength is that of the current, 1 / (1 + θ s).
 
-    Where no current is modelled or declared as measured the strength is that of a measured
-    deflection, and where there is none that of the joint's coordinate
-    (`models.plant.composition.output_lag`). A fraction of θ may lie in a second stage.
-    A low-pass also takes the saw-tooth away that a held goal makes in the current. A trial without
-    it does not tell the saw-tooth from viscous friction, since all samples have one phase; so the
-    plant may hold too much of one for too little of the other, and a fit corrects its friction in
-    the current together with the lag, in each joint by itself.
-    Lags of the coordinate and of the motion capture are zero unless a document frees or gives them:
-    −T of their rate and T² of their acceleration, which leaves (ωT)³. The drive's own loops are not
-    delayed, nor is anything in the driven link and the observer.
+    If no current is modelled or measured, the strength is that of a measured deflection, or else of
+    the joint's coordinate (`models.plant.composition.output_lag`). A fraction of θ may be in a
+    second stage. A low-pass also removes the saw-tooth that a held goal causes in the current. In
+    trials without the low-pass, the saw-tooth and viscous friction cannot be separated, because all
+    samples have one phase: the plant may have too much of one and too little of the other. So a fit
+    corrects the friction in the current together with the lag, in each joint separately.
+    Lags of the coordinate and of the motion capture are zero unless a document frees or sets them.
+    They subtract T times the rate and add T² times the acceleration, with a remainder of (ωT)³. The
+    drive's loops are not delayed, and neither are the driven link and the observer.
     """
 
     name = "sensor_lag"

@@ -1,17 +1,17 @@
-"""Standard errors that hold where the error of the model is correlated: jackknife over groups.
+"""Standard errors that allow for correlated model error: jackknife over groups of rows.
 
-The curvature of the cost takes residuals for independent noise. The error of a reduced model is
-alike in rows of one payload, or of one part of the motion, whatever their number. The fit is
+The curvature of the cost treats residuals as independent noise. But the error of a reduced model is
+alike in rows of one payload, or of one part of the motion, however many they are. The fit is
 therefore repeated, linearised, with one group of rows left out at a time::
 
     d_g = (H − H_g)⁻¹ s_g,   H = J'J with priors,  H_g = J_g'J_g,  s_g = J_g'r_g
     V = (G − 1)/G Σ (d_g − mean d)²
 
 (delete-a-group jackknife [Efron & Tibshirani 1993]; with few groups the sandwich estimate is too
-small [Cameron & Miller 2015]). G groups give G − 1 degrees of freedom: the error is widened so
-that two of it are a 95 % interval of Student's t. Rows are grouped by payload, or by trial where
-there are fewer than three payloads, and by part of the motion; the larger variance counts, beside
-that of the curvature.
+small [Cameron & Miller 2015]). G groups give G − 1 degrees of freedom: the error is widened so that
+twice the error is a 95 % interval of Student's t. Rows are grouped by payload (by trial if there
+are fewer than three payloads) and by part of the motion. The larger variance is added to that of
+the curvature.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ __all__ = ["Group", "cluster_errors", "grouped_rows", "jackknife_variance", "mot
 Array = NDArray[np.float64]
 
 LEAST_GROUPS: Final = 3
-"""Groups below which their scatter says too little [assumed]."""
+"""Fewest groups whose scatter is used [assumed]."""
 
 TWO_SIDED: Final = 0.975
 
@@ -45,7 +45,7 @@ class Group(NamedTuple):
 def motion_parts(trial: Trial) -> NDArray[np.int_]:
     """Part of the motion that each row belongs to: signs of angle and rate of the first joint.
 
-    Returns shape (n,), 0 to 3; zeros where no angle or position of the first joint was measured.
+    Returns shape (n,), 0 to 3; zeros if no angle or position of the first joint was measured.
     """
     for name in ("angle_1_rad", "position_1_m"):
         if name in trial.columns and len(trial) > 1:
@@ -55,11 +55,11 @@ def motion_parts(trial: Trial) -> NDArray[np.int_]:
 
 
 Rows = tuple[Trial, NDArray[np.bool_], Array, Array]
-"""Trial, its rows that were measured, and their residuals (n,) and Jacobian (n, k)."""
+"""Trial, mask of its measured rows, and their residuals (n,) and Jacobian (n, k)."""
 
 
 def grouped_rows(rows: Sequence[Rows]) -> tuple[dict[Hashable, Group], dict[Hashable, Group]]:
-    """Group the rows by payload, or by trial where payloads are few, and by part of the motion."""
+    """Group the rows by payload (by trial if payloads are few), and by part of the motion."""
     few = len({trial.meta.payload_kg for trial, *_ in rows}) < LEAST_GROUPS
     by_load: dict[Hashable, Group] = {}
     by_part: dict[Hashable, Group] = {}
@@ -84,10 +84,10 @@ def _add_rows(
 def jackknife_variance(
     groups: Sequence[Group], information: Array, low: Array, high: Array
 ) -> Array:
-    """Variance of each parameter by leaving one group out at a time; zero for too few groups.
+    """Variance of each parameter, leaving one group out at a time; zero for too few groups.
 
-    Shapes: `information` (k, k), `low`, `high` (k,).
-    `low`, `high`: largest change of each parameter down and up: a refit stays within the bounds.
+    `information` has shape (k, k). `low` and `high` (k,) are the largest changes of each parameter
+    down and up, because a refit stays within the bounds.
     """
     count = len(groups)
     if count < LEAST_GROUPS:
@@ -104,10 +104,10 @@ def jackknife_variance(
 def cluster_errors(
     groupings: Sequence[Mapping[Hashable, Group]], information: Array, low: Array, high: Array
 ) -> Array:
-    """Standard errors: curvature and the grouping with the larger variance together.
+    """Standard errors from the curvature and the grouping with the larger variance together.
 
-    `information`, `low`, `high`: as for `jackknife_variance`. A parameter without room on one side
-    is at a bound: it is left out, and has the error of the curvature alone.
+    Arguments as for `jackknife_variance`. A parameter at a bound (no room on one side) is left out
+    of the jackknife and has the error of the curvature alone.
     """
     curvature = np.diag(np.linalg.pinv(information, hermitian=True))
     free = np.flatnonzero((low < 0) & (high > 0))

@@ -1,4 +1,4 @@
-"""Doubts about an identification: bounds, payloads, no gain over a rigid link, weight."""
+"""Warnings about an identification: bounds, payloads, no gain over a rigid link, gravity."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from models.trials.trial import TrialSet
 __all__ = ["check_weight", "doubts", "evaluation_doubts"]
 
 LARGE_FRACTION: Final = 0.1
-"""Error of the tip, as a fraction of its deflection, beyond which a payload is named [assumed; 10
+"""Error of the tip, as a fraction of its deflection, above which a payload is reported [assumed; 10
 of 133 plants of drawn rigs exceed it]."""
 
 LARGE_M: Final = 5e-3
-"""Error of the tip below which a large fraction is that of a small deflection [assumed]."""
+"""Error of the tip below which a large fraction is attributed to a small deflection [assumed]."""
 
 MOST_DEFLECTION: Final = 0.3
-"""Root mean square error of a rigid link, over its length, that no bend explains: the rig's link at
-2 kg has 0.067 (its root carries about 13 N·m) and 0.24 where its wall wrinkles, at 46 N·m
+"""Root mean square error of a rigid link, relative to its length, that no bend explains. The rig's
+link has 0.067 at 2 kg (its root carries about 13 N·m) and 0.24 where its wall wrinkles, at 46 N·m
 (docs/sources.md, "The link"); an arc of 35 degrees has 0.3."""
 
 ALIKE_M_S2: Final = 0.3
-"""Largest difference of two gravities that are taken for one: 2° or 3 % [assumed]."""
+"""Largest difference between two gravity vectors that count as equal: 2° or 3 % [assumed]."""
 
 
 def doubts(found: Identification) -> list[str]:
-    """What a user has to look at, one sentence each."""
+    """Warnings for the user, one sentence each."""
     said = []
     for q in found.fitted:
         reached = bound_reached(q)
         limit = q.low if reached == "lower" else q.high
-        # Nothing of it, or the whole of a fraction, is an answer; an edge of a range is none.
+        # Zero, or all of a fraction, is a valid result; any other bound is not.
         if reached and limit != 0.0 and not (q.unit == "1" and limit == 1.0):
             said.append(
                 f"{q.name} is at its {reached} bound, {limit:g} {q.unit}: the trials do not "
@@ -50,7 +50,7 @@ def doubts(found: Identification) -> list[str]:
 
 
 def evaluation_doubts(found: Evaluation, plant: Plant) -> list[str]:
-    """What a user has to look at where a plant is compared with other trials, one sentence each."""
+    """Warnings about a comparison of a plant with trials, one sentence each."""
     return [
         text
         for dof, error in found.dof.items()
@@ -59,7 +59,7 @@ def evaluation_doubts(found: Evaluation, plant: Plant) -> list[str]:
 
 
 def _beyond_any_bend(dof: str, error: DofEvaluation, plant: Plant) -> list[str]:
-    """A tip farther from that of a rigid link than the link can bend."""
+    """Warn of a tip farther from a rigid link's than any bend explains."""
     if plant.load != "link" or error.rigid_tip_rms_m is None:
         return []
     part = error.rigid_tip_rms_m / plant.parameters["link_length_m"].value
@@ -73,7 +73,7 @@ def _beyond_any_bend(dof: str, error: DofEvaluation, plant: Plant) -> list[str]:
 
 
 def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
-    """A plant that misses the tip by as much as a rigid link."""
+    """Warn of a plant whose tip error is not below that of a rigid link."""
     plant_m, rigid_m = error.tip_rms_m, error.rigid_tip_rms_m
     if plant_m is None or rigid_m is None or plant_m < rigid_m:
         return []
@@ -85,7 +85,7 @@ def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
 
 
 def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
-    """Payload with the largest error of the tip, where that is a large part of the deflection."""
+    """Warn of the payload with the largest tip error, if it is a large part of the deflection."""
     errors = [
         (tip.tip_rms_m, tip.rigid_tip_rms_m, load)
         for load, tip in error.payloads.items()
@@ -103,7 +103,7 @@ def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
 
 
 def check_weight(plant: Plant, trials: TrialSet) -> None:
-    """Refuse trials of a link that is mounted otherwise than the plant, or carries too much."""
+    """Refuse trials of a link with another gravity than the plant's, or with too much payload."""
     if plant.load != "link":
         return
     if plant.link is not None:
@@ -120,7 +120,7 @@ def check_weight(plant: Plant, trials: TrialSet) -> None:
 
 
 def _check_payloads(link: LinkDescription, trials: TrialSet) -> None:
-    """Refuse payloads beyond the link's: the observer would never estimate so much."""
+    """Refuse payloads beyond the link's limit: the observer's estimate is limited to it."""
     for trial in trials:
         if trial.meta.payload_kg > link.most_payload_kg:
             raise InputError(

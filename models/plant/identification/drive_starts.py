@@ -1,11 +1,14 @@
-"""Further starts of the drive's fit, where its cost has separate valleys.
+"""Further starts of the drive's fit, whose cost has several local minima.
 
-A servo may have options, which a plant lacks until the data speak for them (`OPTIONS`). A limit of
-its acceleration: above the motion's own acceleration it changes nothing, so no step leads from
-"none" to a limit. Feed-forward of the rate and an integral of the position error, and a set-point
-weight of the velocity loop: free in every fit they would pass for its gains. A servo that holds its
-goals and one that interpolates them: by the phase at which the current is sampled the one passes
-for the other. The servos of one robot most often do the same.
+A servo may have options (`OPTIONS`), which a plant lacks until the data support them:
+
+- A limit of the goal's acceleration. Above the motion's own acceleration it has no effect, so no
+  step of a fit leads from "none" to a limit.
+- Feed-forward of the rate with an integral of the position error, and a set-point weight of the
+  velocity loop. If they were free in every fit, they would be confused with the loop's gains.
+
+A servo that holds its goals and one that interpolates them are confused too, by the phase at which
+the current is sampled. The servos of one robot usually do the same.
 """
 
 from __future__ import annotations
@@ -23,11 +26,11 @@ from models.plant.plant import Plant
 
 @dataclass(frozen=True)
 class DriveOption:
-    """What a servo may have or lack."""
+    """Option that a servo may or may not have."""
 
-    # Beginnings of its parameters' names, with the value that stands for "none"
+    # Value that means "none", by the start of a parameter's name
     none: dict[str, float]
-    starts: tuple[tuple[float, ...], ...]  # Values to start from, one for each parameter
+    starts: tuple[tuple[float, ...], ...]  # Values from which fits start, one for each parameter
 
 
 OPTIONS: Final = (
@@ -35,23 +38,21 @@ OPTIONS: Final = (
     DriveOption({"velocity_feedforward_": 0.0, "position_integral_": 0.0}, ((0.3, 2.0),)),
     DriveOption({"setpoint_weight_": 1.0}, ((0.8,),)),
 )
-"""Of a servo with a cascade. At the study's 0.75 rad/s the limits make a goal 12 and 38 ms late;
-the others are those of a moderate setting [assumed]."""
+"""Options of a servo with a cascade. At the study's 0.75 rad/s the limits delay a goal by 12 and
+38 ms; the others are moderate settings [assumed]."""
 
 OPTION_FALL: Final = 0.1
-"""Least fall of the drive's cost for which an option is kept [assumed]."""
+"""Smallest relative decrease of the drive's cost for which an option is accepted [assumed]."""
 
 SHAPE: Final = ("goal_interpolation_{j}", "current_phase_{j}", "goal_delay_{j}_s")
 """Parameters of a goal's shape within the step."""
 
 SHAPES_DIFFER: Final = 0.3
-"""Difference of two joints' interpolation beyond which each is tried for both [assumed]."""
+"""Difference between two joints' interpolation above which each is tried for both [assumed]."""
 
 
 def starts_with_option(plant: Plant) -> list[Plant]:
-    """Plants with one option more, its parameters free; none for one that the plant has or
-    knows.
-    """
+    """Plants with one more option, its parameters free, for each that the plant does not have."""
     result = []
     for option in OPTIONS:
         own = [(n, q) for n, q in plant.parameters.items() if n.startswith(tuple(option.none))]
@@ -73,15 +74,13 @@ def starts_with_option(plant: Plant) -> list[Plant]:
 
 
 def with_options_of(plant: Plant, other: Plant) -> Plant:
-    """Plant with the options of another one: priors around what was found."""
+    """Plant with the options of another one; their fitted values are the priors."""
     begins = tuple(begin for option in OPTIONS for begin in option.none)
     return _with_parameters(plant, (q for n, q in other.parameters.items() if n.startswith(begins)))
 
 
 def starts_with_alike_servos(plant: Plant) -> list[Plant]:
-    """Plants in which each joint's goals have the shape of the other's; none where both are
-    alike.
-    """
+    """Plants in which both joints' goals have one joint's shape; none if the shapes are alike."""
     interpolation = [plant.parameters.get(SHAPE[0].format(j=j)) for j in (1, 2)]
     values = [q.value for q in interpolation if q is not None and q.role != "fixed"]
     if len(values) < 2 or abs(values[0] - values[1]) <= SHAPES_DIFFER:

@@ -1,4 +1,4 @@
-"""Evaluation of a plant on trials: the twin, driven by their goals, compared with measurement."""
+"""Evaluation of a plant on trials: the twin, driven by their goals, compared with measurements."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
 
 
 class Comparison(NamedTuple):
-    """Trial and its simulation.
+    """Measured trial beside its simulation.
 
     Attributes
     ----------
     trial : Trial
-        As measured.
+        Measured trial.
     simulated, measured : dict of str to ndarray, shape (n,)
-        Every signal that both have.
+        Samples by name of every signal that both have, in SI units.
     """
 
     trial: Trial
@@ -45,11 +45,11 @@ class Comparison(NamedTuple):
     measured: dict[str, Array]
 
     def error(self, signal: str) -> Array:
-        """Simulated minus measured; NaN where nothing was measured."""
+        """Return simulated minus measured, shape (n,); NaN where nothing was measured."""
         return self.simulated[signal] - self.measured[signal]
 
     def columns(self) -> dict[str, Array]:
-        """Time and both courses of every signal, as `measured_NAME` and `simulated_NAME`."""
+        """Return time and all signals by name: `time_s`, `measured_NAME`, `simulated_NAME`."""
         both = {"measured": self.measured, "simulated": self.simulated}
         return {"time_s": self.trial.time_s} | {
             f"{which}_{s}": both[which][s] for s in self.simulated for which in both
@@ -62,15 +62,15 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
     Parameters
     ----------
     plant : Plant
-        To simulate.
+        Plant to simulate.
     trials : iterable of Trial
-        Measured.
+        Measured trials.
 
     Raises
     ------
     InputError
-        If a trial lacks an input of the plant, nothing that the plant simulates was measured in it,
-        or the simulation does not stay finite on it.
+        If a trial lacks an input of the plant or has no signal that the plant simulates, or if the
+        simulation does not stay finite.
     """
     compiled: dict[int, CompiledModel] = {}
     result = []
@@ -97,7 +97,7 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
 
 
 def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, SignalError]:
-    """Errors of each signal over all rows of all trials that it was measured in."""
+    """Errors of each signal over all measured rows of all trials."""
     units: dict[str, str] = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
         units |= {v.name: v.unit for v in plant.step_model(dof, "twin").outputs}
@@ -112,7 +112,7 @@ def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, 
 
 
 def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
-    """Root mean square distance of the simulated from the measured end effector."""
+    """Return the root mean square error of the end effector in m; None if it was not measured."""
     squares = [
         np.sum([c.error(axis) ** 2 for axis in TIP], axis=0)
         for c in comparisons
@@ -122,7 +122,7 @@ def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
 
 
 def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
-    """The same for a link that does not bend, at the measured angles, for comparison."""
+    """Root mean square error of the end effector of a rigid link at the measured angles, in m."""
     squares = []
     for trial in (c.trial for c in comparisons if {"angle_1_rad", *TIP} <= c.simulated.keys()):
         rigid = rigid_tip_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_length_m)
@@ -131,25 +131,25 @@ def rigid_tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
 
 
 def _root_mean(squares: Sequence[Array]) -> float | None:
-    """Root of the mean over all rows that were measured; None where none was."""
+    """Root of the mean over all measured rows; None if there are none."""
     seen = np.concatenate([part[np.isfinite(part)] for part in squares] or [np.empty(0)])
     return float(np.sqrt(np.mean(seen))) if len(seen) else None
 
 
 def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
-    """Errors of a plant on trials: what `evaluate --json` prints.
+    """Return the errors of a plant on trials, as `evaluate --json` prints them.
 
     Parameters
     ----------
     plant : Plant
-        To simulate.
+        Plant to simulate.
     trials : iterable of Trial
-        Measured, of one or two joints.
+        Measured trials of one or two joints.
 
     Returns
     -------
     Evaluation
-        Over all trials, by number of joints, and by payload.
+        Errors over all trials, by number of joints and by payload.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Picture of a plant beside measurement: one column a trial, one row a signal."""
+"""Picture of simulated and measured signals: one column per trial, one row per signal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from models.trials.trial import Trial
 
 
 def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
-    """Draw least and largest payload of each number of joints; returns the path (SVG)."""
+    """Draw the smallest and largest payload of each number of joints as SVG; return the path."""
     from matplotlib import pyplot
 
     from models.shared.svg_drawing import FILE_STYLE  # loads matplotlib

@@ -1,18 +1,18 @@
-"""Identification of a plant: nuisance parameters, effects and calibration of the markers.
+"""Identification of a plant: nuisance parameters, effects and marker calibration.
 
-The trials to fit to are those that `TrialSet.split` gives; all others are held out.
+The trials to fit are those that `TrialSet.split` selects; all others are held out.
 
-1. Scan the stiffness: the cost at some multiples of it. The fit then starts near the right first
-   mode and does not converge to a wrong cycle of the vibration.
+1. Scan the stiffness: compute the cost at some multiples of it. Then the fit starts near the right
+   first mode and does not converge to a wrong cycle of the vibration.
 2. Fit the link, driven by the measured angles, to end effector, Deformation Index and current.
-   Without a servo loop a wrong gain cannot hide a wrong stiffness.
-3. Fit the drive and its friction: the twin, driven by the goals, to angle and current. In the first
-   round also with what a servo may have beside its cascade; where the goals of two joints differ in
-   shape, also with either shape for both (`models.plant.identification.drive_starts`).
-4. Repeat both on all trials, weighted by the errors of the first round. The first round uses the
-   trials with the fewest joints only, which take the least time.
+   Without a servo loop, a wrong gain cannot hide a wrong stiffness.
+3. Fit the drive and its friction: the twin, driven by the goals, to angle and current. The first
+   round also tries options that a servo may have beside its cascade; if the goals of two joints
+   differ in shape, it tries either for both (`models.plant.identification.drive_starts`).
+4. Repeat both on all trials, weighted by the errors of the first round. The first round uses only
+   the trials with the fewest joints, which are fastest.
 
-A plane that no trial moved takes the values of the other: the link's section is square and the
+A plane that no trial moves takes the values of the other: the link's section is square and the
 servos are of one type.
 """
 
@@ -46,16 +46,16 @@ from models.trials.trial import Trial, TrialSet
 __all__ = ["Identification", "identify"]
 
 STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Multiples of the first stiffness in the scan."""
+"""Factors on the initial stiffness in the scan."""
 
 DRIVEN_SUBSTEP_S: Final = 2.2e-3
-"""Longest internal step of the driven link, an eighth of a period: no dry friction."""
+"""Longest internal step of the driven link, an eighth of a period, as it has no dry friction."""
 
 DRAWS: Final = 32
 """Number of starts drawn for the fit of a rigid load."""
 
 FITTED_STARTS: Final = 2
-"""Number of the best starts to fit from, beside the plant itself."""
+"""Number of the best starts to fit from, in addition to the plant itself."""
 
 LINK_SIGNALS: Final = ("tip", "di", "current")
 DRIVE_SIGNALS: Final = ("angle", "position", "current")
@@ -71,11 +71,11 @@ class Identification:
     Attributes
     ----------
     plant : Plant
-        Identified, with provenance.
+        Identified plant, with provenance.
     fitted : tuple of Parameter
         Fitted parameters with standard errors.
     held_out : Evaluation
-        Errors on the held-out trials, or on the fitted ones where none are held out.
+        Errors on the held-out trials, or on the fitted ones if none are held out.
     """
 
     plant: Plant
@@ -91,14 +91,14 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
     plant : Plant
         Start of the fit; its values and bounds are the priors.
     trials : TrialSet
-        1DOF, 2DOF or both.
+        Trials of one joint, two joints or both.
     report : callable
-        Called with one phrase after each run of all trials.
+        Called with one phrase of progress after each run of all trials.
 
     Raises
     ------
     InputError
-        If there are no trials, or they have more joints than the plant or lack one of its inputs.
+        If there are no trials, or one has more joints than the plant or lacks one of its inputs.
     """
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
@@ -144,7 +144,7 @@ def identify(plant: Plant, trials: TrialSet, report: Report = lambda text: None)
 def _best_of_several(objective: Objective, report: Report) -> Solution:
     """Best of the fits from the plant itself and from draws of the prior.
 
-    A joint that sticks makes the cost discontinuous: its rest position jumps as a parameter moves.
+    A sticking joint makes the cost discontinuous: its rest position jumps as a parameter changes.
     """
     rng = np.random.default_rng(0)
     normal = rng.standard_normal((DRAWS, len(objective.free)))
@@ -167,7 +167,7 @@ def _fit_link_and_drive(
     plant: Plant, prior: Plant, trials: Sequence[Trial], rms: dict[str, float] | None,
     report: Report,
 ) -> tuple[Plant, dict[str, float]]:  # fmt: skip
-    """Fit the link, then the drive; the errors of an earlier round are the scales."""
+    """Fit the link, then the drive; the residuals of an earlier round are the weights."""
     planes = max(t.meta.dof for t in trials)
     link, drive = free_parameters(plant, planes)
     angles = {n: v for n, v in (rms or {}).items() if n.startswith("angle_")}
@@ -198,7 +198,7 @@ def _fit_link_and_drive(
 
 
 def _payload_extremes(trials: Sequence[Trial]) -> list[Trial]:
-    """Least, middle and largest payload of each number of joints: enough for the drive."""
+    """Smallest, middle and largest payload of each number of joints: enough for the drive."""
     chosen: list[Trial] = []
     for dof in sorted({t.meta.dof for t in trials}):
         own = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
@@ -211,7 +211,7 @@ def _base_name(name: str) -> str:
 
 
 def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names to fit in the link's stage and in the drive's; friction is in both."""
+    """Parameters to fit in the link's stage and in the drive's; friction is in both."""
     scope = scope_of(plant.drive, plant.load, planes)
 
     def wanted(part: Any) -> list[str]:
@@ -261,7 +261,7 @@ def _fit_stage(
     scale: dict[str, float] | None,
     report: Report,
 ) -> Solution:
-    """Fit the free parameters of one model to some signals."""
+    """Fit the free parameters of one model to the chosen signals."""
     substep_s = DRIVEN_SUBSTEP_S if kind == "driven" else None
     what = f"{'link' if kind == 'driven' else 'drive'}, {len(trials)} trials"
     return fit_objective(
@@ -272,7 +272,7 @@ def _fit_stage(
 
 
 def _with_second_plane(plant: Plant, trials: Sequence[Trial]) -> Plant:
-    """Plant with the first plane's values in the second, prebend excepted, if no trial moves it."""
+    """Plant with the first plane's values in the second (except prebend), if no trial moves it."""
     if LOADS[plant.load].max_dof == 1 or any(t.meta.dof == 2 for t in trials):
         return plant
     parameters = dict(plant.parameters)

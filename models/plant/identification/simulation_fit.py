@@ -1,10 +1,10 @@
 """Least-squares fit through the simulation: residuals over trials with exact derivatives.
 
-A residual is (simulated − measured) / scale, divided by √C where C samples carry the information
-of one: residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
-effect"). Each free parameter also has a prior, its value before the fit with `prior_deviation` or a
-quarter of its bounds as standard deviation, so that parameters which the data do not determine
-keep their values.
+A residual is (simulated − measured) / scale, divided by √C where C samples carry the information of
+one, because residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
+effect"). Each free parameter also has a prior: its value before the fit, with `prior_deviation` or
+a quarter of its bounds as standard deviation. Parameters that the data do not determine keep their
+values.
 """
 
 from __future__ import annotations
@@ -31,33 +31,33 @@ from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
 
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
-"""Scale of a residual before a first fit, by the unit of the signal."""
+"""Scale of a residual in a first fit, by the unit of the signal."""
 
 LEAST_SCALE: Final = {"rad": 0.1}
-"""Least fraction of `SCALE`, where it is not a half: an encoder resolves 0.01 mrad
-(docs/sources.md, "Control tables"); 0.2 mrad tell the lag of the goal from the position gain."""
+"""Smallest fraction of `SCALE`, if not one half. An encoder resolves 0.01 mrad (docs/sources.md,
+"Control tables"); 0.2 mrad separate the lag of the goal from the position gain."""
 
 CORRELATED_SAMPLES: Final = 12
-"""Samples that carry the information of one, before anything is known
-(docs/sources.md, "Naming a missing effect")."""
+"""Samples that carry the information of one in a first fit (docs/sources.md, "Naming a missing
+effect")."""
 
 EFFORT_FRACTION: Final = 0.03
-"""Scale of the residual of a torque or a force, whose size the unit does not tell, per its RMS."""
+"""Scale of the residual of a torque or a force, relative to its RMS, as its size is unknown."""
 
 STANDSTILL_RAD_S: Final = 0.1
-"""Joint rate below which dry friction can take any value, so that the current has a low weight."""
+"""Joint rate below which dry friction can take any value, so the current has a low weight."""
 
 STANDSTILL_M_S: Final = STANDSTILL_RAD_S * PULLEY_M
 """The same on a straight guide."""
 
 LARGEST_DERIVATIVE: Final = 1e60
-"""Larger ones are those of a simulation that runs away; their squares would overflow [assumed]."""
+"""Largest derivative of a stable simulation; squares of larger ones would overflow [assumed]."""
 
 WORKERS: Final = 2
 
 
 def measured_signals(trial: Trial) -> dict[str, Array]:
-    """Columns of a trial, and its Deformation Index where it has markers."""
+    """Columns of a trial, and its Deformation Index if it has markers."""
     signals = dict(trial.columns)
     if "m01_x_m" in signals and trial.meta.rest_samples:
         signals["di"] = _balanced_index(trial)
@@ -67,8 +67,8 @@ def measured_signals(trial: Trial) -> dict[str, Array]:
 def _balanced_index(trial: Trial) -> Array:
     """Deformation Index in which each segment of an edge has the same weight.
 
-    The segments at the base strain most and need one marker, the others two, so a mean over the
-    visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
+    The segments at the base strain most and need one marker, the others need two. So a mean over
+    the visible lengths would rise with occlusion. Without occlusion this is `deformation_index`.
     """
     lengths = marker_lengths_m(trial)
     if np.isfinite(lengths).all():
@@ -82,10 +82,7 @@ def _balanced_index(trial: Trial) -> Array:
 
 
 def usual_error(unit: str, measured: Sequence[Array]) -> float:
-    """Error of a signal to expect before a first fit, in its unit.
-
-    Shapes: `measured` (n,).
-    """
+    """Expected error of a signal before a first fit, in its unit; `measured` holds arrays (n,)."""
     if unit in SCALE:
         return SCALE[unit]
     rms = float(np.sqrt(np.nanmean(np.concatenate(measured) ** 2))) if measured else 0.0
@@ -95,7 +92,7 @@ def usual_error(unit: str, measured: Sequence[Array]) -> float:
 def row_weights(trial: Trial, signal: str) -> Array:
     """Square root of the weight of each row of a signal.
 
-    A current is weighted by its joint's rate, or not at all where that was not measured.
+    A current is weighted by its joint's rate if that was measured; all else has the weight one.
     """
     if not signal.startswith("current_"):
         return np.ones(len(trial))
@@ -112,17 +109,17 @@ def row_weights(trial: Trial, signal: str) -> Array:
 class Solution:
     """Result of a fit."""
 
-    plant: Plant  # With the fitted values and their standard errors
-    free: tuple[str, ...]  # Parameters that were fitted
+    plant: Plant  # Plant with the fitted values and their standard errors
+    free: tuple[str, ...]  # Names of the fitted parameters
     cost: float  # Half the sum of squares, prior included
-    rms: dict[str, float]  # Residual of each signal, in its unit
+    rms: dict[str, float]  # Root mean square residual of each signal, in its unit
 
 
 class Objective:
     """Residuals of a plant over trials, as a function of some parameters.
 
-    `plant`: values of the other parameters and priors of the free ones.
-    `prior`: plant whose values are the centres of the priors; `plant` by default.
+    `plant` sets the other parameters and the priors of the free ones; the values of `prior` are the
+    centres of the priors (by default, those of `plant`).
     """
 
     def __init__(
@@ -169,12 +166,12 @@ class Objective:
                 + [np.diag(1 / self.prior_deviation)]
             )
             if not (np.abs(jacobian) < LARGEST_DERIVATIVE).all():
-                residual = np.full_like(residual, np.inf)  # runs away: no step may end here
+                residual = np.full_like(residual, np.inf)  # unstable: the fit must not step here
             self._last = (key, residual, jacobian)
         return self._last[1], self._last[2]
 
     def rms(self, values: Array) -> dict[str, float]:
-        """Weighted root mean square of each signal's residual, in its unit."""
+        """Weighted root mean square residual of each signal, in its unit."""
         squares: dict[str, list[Array]] = {}
         for k in range(len(self.trials)):
             for signal, (residual, _) in self._trial(k, values).items():
@@ -186,7 +183,7 @@ class Objective:
         }
 
     def runaway_trials(self, values: Array) -> list[str]:
-        """Files of the trials whose simulation, or its derivatives, do not stay finite."""
+        """Files of the trials on which the simulation or its derivatives do not stay finite."""
         return [
             str(trial.path) for k, trial in enumerate(self.trials)
             if not all(
@@ -213,8 +210,8 @@ class Objective:
     def scale(self, signal: str) -> float:
         """Scale of a signal's residual, at least `LEAST_SCALE` of its `SCALE`.
 
-        With less a signal that hardly moves (the end effector across a single joint's plane)
-        would outweigh all others.
+        With a smaller scale, a signal that hardly moves (the end effector across a single joint's
+        plane) would outweigh all others.
         """
         outputs = (v for compiled in self._models.values() for v in compiled.model.outputs)
         unit = next(v.unit for v in outputs if v.name == signal)

@@ -1,8 +1,8 @@
-"""Doubt about the torque constant: whether the declared payloads speak for another one.
+"""Check of the torque constant: whether the declared payloads fit another value better.
 
-The plant takes the torque per ampere from the servo's data sheet. With a wrong one masses, inertia
-and friction are wrong by the same factor, while the payloads are known: the current of two payloads
-does not differ by what they weigh.
+The plant takes the torque per ampere from the servo's data sheet. If it is wrong, masses, inertia
+and friction are wrong by the same factor. But the payloads are known, so the difference in current
+between two payloads does not match their weight.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from models.plant.plant import Plant
 from models.trials.trial import Trial
 
 DIFFERENT_FRACTION: Final = 0.1
-"""Difference of the constant, as a fraction, from which it is told [assumed: one servo's constant
-lies within some per cent of its model's; on rigs with the right one it came within 2 %]."""
+"""Relative difference of the constant above which the user is warned [assumed: one servo's constant
+is within some per cent of its model's; on rigs with the right value the fit was within 2 %]."""
 
 SURE_DEVIATIONS: Final = 5.0
-"""The same in standard deviations [assumed: errors of the equations count for more than noise]."""
+"""The same in standard deviations [assumed: model errors are larger than noise]."""
 
 LEAST_INVERSE: Final = 0.1
-"""Share of the expected growth of the current with the payload below which no constant explains
-it [assumed: a servo of ten times the torque per ampere is another servo]."""
+"""Ratio of measured to expected growth of the current with the payload below which no constant
+explains it [assumed: a servo with ten times the torque per ampere is another servo]."""
 
 
 def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
-    """One sentence for each joint whose torque constant is another one, by one step of a fit."""
+    """Warnings, one per joint whose torque constant seems wrong, by one step of a fit."""
     planes = max(t.meta.dof for t in trials)
     declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
     known = plant.parameters

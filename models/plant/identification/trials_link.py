@@ -1,4 +1,4 @@
-"""Link of trials, compared with each other and with that of a plant."""
+"""Check that trials are of one link, and of the plant's."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from models.trials.verdict.trial_check import refuse_mixed_links
 __all__ = ["SAME_SIZE_FRACTION", "refuse_other_links"]
 
 SAME_SIZE_FRACTION: Final = 0.01
-"""Part of the length by which sizes of one link may differ: a tape tells no more [assumed]."""
+"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
 
 
 def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
     """Refuse trials of several links, and trials of another link than the plant's.
 
-    `plant`: to fit, train or compare with; one that is no link has nothing to compare.
+    A plant that is no link has nothing to compare.
     """
     if plant.load != "link":
         return

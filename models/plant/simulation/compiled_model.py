@@ -53,9 +53,9 @@ class CompiledModel:
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
     ) -> Array:
-        """Outputs at the start and after each step.
+        """Outputs at the start and after each step, shape (n + 1, len(outputs)).
 
-        Returns shape (n + 1, len(outputs)), row k is the output at k * step_s.
+        Row k is the output at k * step_s.
         """
         u = np.ascontiguousarray(u, dtype=np.float64)
         p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
@@ -72,9 +72,7 @@ class CompiledModel:
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
-    """Parameter vector: the plant's values, replaced by the trial's geometry, conditions and
-    start.
-    """
+    """Parameter vector: the plant's values, with the trial's geometry, conditions and start."""
     dimensions = ("base_offset_m", "link_length_m", "link_width_m")
     own = {n: getattr(trial.meta, n) for n in dimensions if trial.meta.link_length_m}
     own |= trial.meta.conditions
@@ -93,11 +91,9 @@ def trial_parameters(model: StepModel, trial: Trial) -> Array:
 
 
 def model_inputs(model: StepModel, trial: Trial) -> Array:
-    """Inputs of a model from a trial's columns; the payload is the declared one.
+    """Inputs of a model from a trial's columns, shape (n, len(inputs)).
 
-    A drive is enabled where no column says otherwise.
-
-    Returns shape (n, len(inputs)).
+    The payload is the declared one. A drive is enabled unless a column says otherwise.
     """
     columns = dict(trial.columns)
     for j in range(1, trial.meta.dof + 1):
@@ -115,8 +111,8 @@ def model_inputs(model: StepModel, trial: Trial) -> Array:
 def trial_inputs(model: StepModel, trial: Trial) -> tuple[Array, Array]:
     """Inputs at the start (len(inputs),) and of each step between two rows (n - 1, len(inputs)).
 
-    A twin is driven by the goal that was sent after a row until the next; a model driven by
-    measurement takes the sample at the end of each step.
+    A twin is driven by the goal that was sent after a row, until the next one. A model driven by
+    measurements uses the sample at the end of each step.
     """
     u = model_inputs(model, trial)
     return u[0], u[1:] if model.inputs_at_end else u[:-1]

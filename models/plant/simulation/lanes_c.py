@@ -1,8 +1,8 @@
 """CasADi's C code of a function, adapted to run for several trials in lockstep.
 
 The code of a function without branches is a list of assignments to numbers. It becomes the same
-list of assignments to vectors of `lanes.h`, with one lane for each trial. Whatever this module does
-not know the C compiler refuses: a vector takes neither a number nor a truth value.
+list of assignments to vectors of `lanes.h`, with one lane per trial. The C compiler rejects code
+that this module does not convert: a vector accepts neither a number nor a truth value.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _ADAPTED: Final = [
         (r"=(?:casadi_)?([b-z]\w*|a[a-z]\w*)\((a\d+(?:,a\d+)?)\);", r"=lanes_\1(\2, lanes);"),
     )
 ]
-"""Form of a statement, and what it becomes; sums, products and quotients stay as they are."""
+"""Patterns of statements and their vector form; sums, products and quotients do not change."""
 
 
 _REGISTER: Final = re.compile(r"a\d+")
@@ -50,7 +50,7 @@ _CALL: Final = re.compile(r"lanes_(sin|cos|tan|tanh|exp|log|erf)\((a\d+), lanes\
 
 
 def in_lanes(code: str) -> str:
-    """C code of functions `void name(const Real **arg, Real **res, int lanes)`."""
+    """Convert C code to functions `void name(const Real **arg, Real **res, int lanes)`."""
     parts = ['#include "lanes.h"\n']
     for found in _FUNCTION.finditer(code):
         body = "\n" + found["body"]
@@ -62,15 +62,15 @@ def in_lanes(code: str) -> str:
 
 
 def _with_fewer_calls(body: str) -> str:
-    """Body without calls of the C library that change nothing.
+    """Body without unnecessary calls of the C library.
 
-    A function that is only multiplied by some number is called where that number is not zero: most
-    effects are absent. Sine and cosine of one number are one call. No bit changes but the sign of a
-    zero, and in a run that has run away.
+    A function whose value is only multiplied by another number is called only if that number is not
+    zero, since most effects are absent. Sine and cosine of one number become one call. Results keep
+    every bit, except for the sign of a zero and in a simulation that has become unstable.
     """
     lines = body.split("\n")
     statements = [_ASSIGNMENT.fullmatch(line) for line in lines]
-    written: dict[str, int] = {}  # the statement that wrote each register last
+    written: dict[str, int] = {}  # the last statement that wrote each register
     reads: list[dict[str, int]] = []
     uses: dict[int, list[int]] = defaultdict(list)
     for k, found in enumerate(statements):
@@ -99,7 +99,7 @@ def _with_fewer_calls(body: str) -> str:
 
 
 def _take_both(lines: list[str], pair: Mapping[str, int]) -> None:
-    """Make one call of the sine and the cosine of one number, which two statements take."""
+    """Replace the sine and the cosine of one number, in two statements, by one call."""
     first = min(pair.values())
     argument = _REGISTER.findall(lines[first])[1]
     call = f"lanes_sincos({argument}, &sin{first}, &cos{first}, lanes)"

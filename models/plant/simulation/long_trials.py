@@ -1,10 +1,10 @@
-"""Limit on the rows of long trials that are fitted, so that a fit takes minutes and little memory.
+"""Limit on the rows of long trials in a fit, so that it takes minutes and little memory.
 
-A fit simulates its trials some hundred times. A simulation costs rows times sub-steps times states:
-its state updates. A trial that needs too many is cut to its first rows, and the longest of too many
-trials are. The first rows begin at rest, so that the state at the start is known. Whatever is
-simulated once (`evaluate`, the errors before and after a diagnosis) uses whole trials: there the
-rest of a cut one is held out.
+A fit simulates its trials some hundred times. The cost of a simulation, its state updates, is rows
+times sub-steps times states. A trial above the limit is cut to its first rows, and so are the
+longest of several trials that are above it together. The first rows begin at rest, so the state at
+the start is known. Whatever is simulated once (`evaluate`, the errors before and after a diagnosis)
+uses whole trials; there the rest of a cut trial is held out.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from models.trials.trial import Trial
 __all__ = ["shortened"]
 
 MOST_OF_TRIAL: Final = 3e6
-"""State updates in one simulation of a trial: 20 800 rows of the link with every effect and one
-joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the exact
-derivatives of the former, of which a diagnosis takes about twenty."""
+"""Most state updates in one simulation of a trial: 20 800 rows of the link with every effect and
+one joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the
+exact derivatives of the former; a diagnosis needs about twenty of them."""
 
 MOST_OF_ALL: Final = 10e6
-"""State updates in one simulation of all trials; `make demo` needs a hundredth [assumed]."""
+"""Most state updates in one simulation of all trials; `make demo` needs 1 % of it [assumed]."""
 
 LEAST_ROWS: Final = 200
-"""Rows that every trial keeps [assumed]."""
+"""Fewest rows that a cut trial keeps [assumed]."""
 
 REST_FRACTION: Final = 0.25
-"""Fraction of a cut trial that may be at rest before the motion [assumed]."""
+"""Largest fraction of a cut trial at rest before the motion [assumed]."""
 
 
 def shortened(trials: Sequence[Trial], model: StepModel, substep_s: float) -> tuple[Trial, ...]:
-    """Trials cut to what a model with internal steps of at most `substep_s` simulates in time."""
+    """Cut trials to the limits, for a model with internal steps of at most `substep_s`."""
     cost = np.array(
         [len(model.states) * max(1, math.ceil(t.step_s / substep_s - 1e-9)) for t in trials]
     )
@@ -52,7 +52,7 @@ def shortened(trials: Sequence[Trial], model: StepModel, substep_s: float) -> tu
 
 
 def _level(sizes: NDArray[np.float64], most: float) -> float:
-    """Level w with sum(min(size, w)) = most; infinite where all sizes together are below."""
+    """Level w with sum(min(size, w)) = most; infinite if the sum of all sizes is below."""
     left = most
     for place, size in enumerate(np.sort(sizes)):
         level = left / (len(sizes) - place)
@@ -63,7 +63,7 @@ def _level(sizes: NDArray[np.float64], most: float) -> float:
 
 
 def _first_rows(trial: Trial, rows: int) -> Trial:
-    """First rows of a trial; of a long rest before the motion only the end."""
+    """First rows of a trial, with only the end of a long rest before the motion."""
     if rows >= len(trial):
         return trial
     rest = trial.meta.rest_samples

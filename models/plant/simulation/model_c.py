@@ -16,9 +16,9 @@ FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 def write_model_c(
     model: StepModel, directory: Path, further: Mapping[str, ca.Function] | None = None
 ) -> Path:
-    """Write `model.c` and `model.h` with model_initial, model_begin, …; returns the C file.
+    """Write `model.c` and `model.h` with model_initial, model_begin, …; return the C file.
 
-    Arguments and results are dense vectors, also where CasADi finds them sparse.
+    Arguments and results are dense vectors, even if CasADi finds them sparse.
     """
     generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
     functions = {name: getattr(model, name) for name in FUNCTIONS} | dict(further or {})

@@ -1,4 +1,4 @@
-"""Run of a plant from arrays of inputs to arrays of signals."""
+"""Simulation of a plant from arrays of inputs to arrays of signals."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def simulate_plant(
     Parameters
     ----------
     plant : Plant
-        To simulate.
+        Plant to simulate.
     inputs : mapping of str to array_like, shape (n,) or ()
-        Inputs of the twin by name; one number is constant. Row k acts from `k * step_s` on. Left
-        out, `payload_kg` is 0 and `enabled_j` is 1.
+        Inputs of the twin by name, in SI units; a single number is constant. Row k acts from
+        `k * step_s` on. By default `payload_kg` is 0 and `enabled_j` is 1.
     step_s : float
-        Time between two rows.
+        Time between two rows in s.
     dof : int
-        Joints, 1 or 2.
+        Number of joints, 1 or 2.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def simulate_plant(
 
 
 def _rows(wanted: Sequence[str], inputs: Mapping[str, ArrayLike], dof: int) -> dict[str, Array]:
-    """Inputs in the order of the model, of one length."""
+    """Inputs in the order of the model, all of one length."""
     usual = {"payload_kg": 0.0} | {f"enabled_{j}": 1.0 for j in range(1, dof + 1)}
     inputs = {name: value for name, value in usual.items() if name in wanted} | dict(inputs)
     for name in sorted({*wanted} ^ inputs.keys()):

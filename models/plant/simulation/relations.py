@@ -1,19 +1,19 @@
-"""Continuous part of a step model for Model Exchange, and the derivatives of its relations.
+"""Continuous part of a step model for Model Exchange, and derivatives of its relations.
 
 The relations are functions of state, inputs and parameters (x, u, p)::
 
     rate        derivatives of the continuous states
     indicators  event indicators: they change their sign where the rate has a kink
     response    outputs, rate and indicators, one below the other
-    sample      states after the discrete updates at the begin of a step of SAMPLE_S; where all of
-                the model is sampled, after the whole step
+    sample      states after the discrete updates at the begin of a step of SAMPLE_S; after the
+                whole step if all of the model is sampled
     initial     states at the start, of (u, p) only
 
-The last three have a derivative along a direction, NAME_forward, with the argument (dx, du, dp)
-behind, and an adjoint one, NAME_reverse, with a weight for each row behind, which gives
-(gx, gu, gp). There is no adjoint of `initial`. CasADi derives them from the expression graph, by
-the forward and the reverse mode [Andersson et al. 2019]. They are most of an FMU's code; a response
-as a whole takes less than its parts, which share the kinematics.
+The last three have a forward derivative NAME_forward along a direction, the additional argument
+(dx, du, dp). They also have an adjoint derivative NAME_reverse, whose additional argument is a
+weight for each row and whose result is (gx, gu, gp); `initial` has none. CasADi derives them from
+the expression graph by the forward and the reverse mode [Andersson et al. 2019]. They are most of
+an FMU's code. A whole response takes less than its parts, because they share the kinematics.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from models.plant.step_model import StepModel
 __all__ = ["Derivatives", "Relations", "relations_of"]
 
 Derivatives = Literal["none", "forward", "both"]
-"""Derivatives that are written: none, along a direction, and adjoint ones too."""
+"""Derivatives to write: none, forward ones, or forward and adjoint ones."""
 
 SAMPLE_S: Final = PERIOD_S
 """Time between two samples in Model Exchange, the control period of the robot."""
 
 KINKS: Final = (ca.OP_FMIN, ca.OP_FMAX)
-"""Operations at which a rate has a kink: saturation and end stops. |x| is left out: it has its kink
-where things rest, so that an indicator would change its sign without end."""
+"""Operations at which a rate has a kink: saturation and end stops. |x| is left out: its kink is
+where things rest, so an indicator would change its sign endlessly."""
 
 LARGEST_SCALAR: Final = 8000
-"""Most operations of a relation that is derived in scalars; the response of a twin with 2 joints
-takes 4000. Predictors with large matrices are derived as matrices."""
+"""Most operations of a relation that is derived in scalars; the response of a twin with two joints
+needs 4000. Predictors with large matrices are derived as matrices."""
 
 
 @dataclass(frozen=True)
 class Relations:
-    """Relations of a model, see the module's text."""
+    """Relations of a model, see the module's docstring."""
 
-    # Places of the continuous states among the states. None where all of the model is sampled: a
-    # model without a rate, or one whose inputs are measured at the end of a step.
+    # Indices of the continuous states. Empty if all of the model is sampled: a model without a
+    # rate, or one whose inputs are measured at the end of a step.
     continuous: tuple[int, ...]
-    functions: dict[str, ca.Function]  # By name, without those of the model itself
+    functions: dict[str, ca.Function]  # Functions by name, without those of the model itself
     indicators: int  # Number of event indicators
-    derivatives: Derivatives
+    derivatives: Derivatives  # Which derivatives the functions include
 
     @property
     def sampled(self) -> bool:
@@ -89,7 +89,7 @@ def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relatio
             functions[f"{name}_forward"] = _forward(function)
             if derivatives == "both" and name != "initial":
                 functions[f"{name}_reverse"] = _reverse(function)
-    if model.rate is not None and continuous:  # in C the function that the flow calls
+    if model.rate is not None and continuous:  # in C, the function that the flow calls
         rows = model.rate(x, u, p)[list(continuous)]
         functions["rate"] = ca.Function("rate", [x, u, p], [rows])
     return Relations(continuous, functions, kinks.numel(), derivatives)
@@ -112,7 +112,7 @@ def _sample(model: StepModel) -> ca.Function:
 
 
 def _scalar(function: ca.Function) -> ca.Function:
-    """The function in scalar operations, common ones taken once, where these are few."""
+    """Function in scalar operations without duplicates; unchanged if there are too many."""
     expanded = function.expand()
     if expanded.n_instructions() > LARGEST_SCALAR:
         return function
@@ -126,7 +126,7 @@ def _symbols(model: StepModel) -> list[Any]:
 
 
 def _kinks(function: ca.Function, arguments: list[Any]) -> Iterable[Any]:
-    """Difference of both arguments of each operation of `KINKS`, by running the instructions."""
+    """Difference of the two arguments of each operation of `KINKS`, by running the instructions."""
     work: dict[int, Any] = {}
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
@@ -144,7 +144,7 @@ def _kinks(function: ca.Function, arguments: list[Any]) -> Iterable[Any]:
 
 
 def _forward(function: ca.Function) -> ca.Function:
-    """(…, direction) -> derivative along the direction."""
+    """Function (…, direction) -> derivative along the direction."""
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
     direction = kind.sym("direction", sum(a.numel() for a in arguments))
@@ -159,7 +159,7 @@ def _forward(function: ca.Function) -> ca.Function:
 
 
 def _reverse(function: ca.Function) -> ca.Function:
-    """(…, weights) -> gradient of the weighted sum by all arguments."""
+    """Function (…, weights) -> gradient of the weighted sum with respect to all arguments."""
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
     weight = kind.sym("weight", function.size1_out(0))

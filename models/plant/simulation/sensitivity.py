@@ -32,12 +32,12 @@ class SensitiveModel:
     """A `StepModel` compiled to run whole trials with the exact derivatives of the run.
 
     The slope S = dx/dp follows the variational equation Ṡ = f_x S + f_p, integrated by the same
-    Runge–Kutta steps, so it is the derivative of the discrete run, not an approximation of one of
-    the continuous run. The outputs are those of `CompiledModel`, bit by bit.
+    Runge–Kutta steps. So it is the exact derivative of the discrete run, not an approximation of
+    the continuous one. The outputs are those of `CompiledModel`, bit by bit.
 
-    `max_substep_s`: other longest sub-step, for a model that is not stiff.
-    `lanes`: trials that can run in lockstep: 1, 2, 4 or 8. Four take the time of two, but for the
-    functions of the C library.
+    `max_substep_s` is another longest sub-step, for a model that is not stiff. `lanes` trials (1,
+    2, 4 or 8) can run in lockstep; four take the time of two, except for functions of the C
+    library.
     """
 
     def __init__(
@@ -62,13 +62,11 @@ class SensitiveModel:
         first: Array | None = None,
         wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Array]:
-        """Outputs and their derivatives at the start and after each step.
+        """Outputs (n + 1, len(outputs)), and derivatives (n + 1, len(outputs), len(wrt)).
 
-        Shapes: `first` (len(inputs),), `wanted` (len(wrt),).
-        `first`: inputs at the start; by default those of the first step.
-        `wanted`: parameters whose derivatives are computed; the others are zero. By default all.
-        Returns `y` (n + 1, len(outputs)): row k is the output at k * step_s; `slope` (n + 1,
-        len(outputs), len(wrt)).
+        Row k is at k * step_s. `first` (len(inputs),) are the inputs at the start, by default those
+        of the first step. `wanted` (len(wrt),) selects the parameters whose derivatives are
+        computed; the others are zero.
         """
         p = np.asarray(self.model.parameter_values() if p is None else p)
         first = np.asarray(u[0] if first is None else first)
@@ -83,12 +81,11 @@ class SensitiveModel:
         first: Array,
         wanted: NDArray[np.bool_] | None = None,
     ) -> tuple[Array, Array]:
-        """Runs of several trials in lockstep; each has the bits of a run of its own.
+        """Simulate several trials in lockstep, at most as many as lanes; results are bit-identical.
 
         Shapes: `u` (m, n, len(inputs)), `p` (m, len(parameters)), `first` (m, len(inputs)),
         `wanted` (len(wrt),).
-        `u`: inputs of each trial; at most as many trials as there are lanes.
-        Returns `y` (m, n + 1, len(outputs)); `slope` (m, n + 1, len(outputs), len(wrt)).
+        Returns outputs (m, n + 1, len(outputs)) and derivatives (m, n + 1, len(outputs), len(wrt)).
         """
         if not 1 <= len(u) <= self.lanes:
             raise ValueError(f"{len(u)} trials in {self.lanes} lanes")
@@ -108,26 +105,23 @@ class SensitiveModel:
 def run_sensitive_trial(
     sensitive: SensitiveModel, trial: Trial, p: Array | None = None
 ) -> tuple[Array, Array]:
-    """Outputs of a model at every row of a trial, and their derivatives.
-
-    Returns `y` (n, len(outputs)); `slope` (n, len(outputs), len(wrt)).
-    """
+    """Outputs at every row of a trial (n, len(outputs)), and derivatives (…, len(wrt))."""
     first, u = trial_inputs(sensitive.model, trial)
     p = trial_parameters(sensitive.model, trial) if p is None else p
     return sensitive.simulate(u, trial.step_s, p, first)
 
 
 _SYMBOLIC_WORK: Final = threading.Lock()
-"""CasADi marks the nodes of expressions while it sorts them, shared constants too: two threads that
-work with its functions at once may corrupt its memory. The compiler needs no lock."""
+"""CasADi marks the nodes of expressions while it sorts them, shared constants too. Two threads that
+use its functions at once may corrupt its memory. The compiler needs no lock."""
 
 
 @dataclass(frozen=True)
 class _Compiled:
-    """Derivatives of a model, compiled."""
+    """Compiled derivatives of a model."""
 
     library: ctypes.CDLL  # `run_sensitive.c` with the code of the model
-    initial: Any  # Of the start, as `write_sensitivity_c` builds it
+    initial: Any  # Function of the start, from `write_sensitivity_c`
 
     def start(self, u: Array, p: Array) -> tuple[Array, Array]:
         """State at rest of each trial, and its slope."""
@@ -139,11 +133,11 @@ class _Compiled:
 
 
 _COMPILED: Final[dict[bytes, _Compiled]] = {}
-"""Compiled derivatives by content of the model: to differentiate an observer takes seconds."""
+"""Compiled derivatives by hash of the model, because differentiating an observer takes seconds."""
 
 
 def _compiled(model: StepModel, index: Sequence[int], lanes: int) -> _Compiled:
-    """Compiled derivatives of a model by the parameters of these indices."""
+    """Compiled derivatives of a model with respect to the parameters at these indices."""
     flags = (*_vector_flags(), f"-DN_LANES={lanes}")
     digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
     with _SYMBOLIC_WORK:
@@ -166,7 +160,7 @@ def _compiled(model: StepModel, index: Sequence[int], lanes: int) -> _Compiled:
 
 
 def _vector_flags() -> tuple[str, ...]:
-    """Options of the compiler for this processor's vectors; they change no bit of the results."""
+    """Options of the compiler for this processor's vectors; results stay bit-identical."""
     if not _CPU_INFO.is_file():
         return ()
     known = _CPU_INFO.read_text(encoding="utf-8", errors="replace")

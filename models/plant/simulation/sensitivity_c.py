@@ -1,12 +1,12 @@
-"""C code of the derivatives of a `StepModel`: values, entries of sparse Jacobians, their places.
+"""C code of the derivatives of a `StepModel`: values, entries of sparse Jacobians and places.
 
 A function of the model becomes a C function with three results: the value, and the entries of its
-derivatives by the states and by the chosen parameters, row after row. Constant tables in `tables.h`
-tell the place of each entry; `run_sensitive.c` reads them. The functions run several trials in
-lockstep (`models.plant.simulation.lanes_c`). What depends on the parameters and the length of a
-step alone is calculated once in a run: a function of its own gives these constants. The start is
-evaluated once in a run too, and its function is long: CasADi's interpreter takes less time for it
-than a compiler.
+derivatives with respect to the states and to the chosen parameters, row by row. Constant tables in
+`tables.h` hold the place of each entry; `run_sensitive.c` reads them. The functions run several
+trials in lockstep (`models.plant.simulation.lanes_c`). Terms that depend only on the parameters and
+the length of a step are computed once per run, by a separate function. The start is also evaluated
+once per run, and its function is long: CasADi's interpreter evaluates it in less time than a
+compiler needs.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ BLOCK: Final = 16
 FUNCTIONS: Final = ("begin", "rate", "finish", "output")
 
 _FILE: Final = {"begin": "step", "rate": "step", "finish": "step", "output": "output"}
-"""Files of these functions: two that take the compiler as long as each other."""
+"""File of each function; both files take about the same time to compile."""
 
 
 def write_sensitivity_c(
     model: StepModel, index: Sequence[int], directory: Path
 ) -> tuple[list[Path], Any]:
-    """Write `tables.h` and the C code of the derivatives; build the function of the start.
+    """Write `tables.h` and the C code of the derivatives; return the files and the start function.
 
-    Returns `start`: of inputs and parameters: the state at rest, and its slope in the N_ROWS rows
-    and N_COLUMNS columns of `tables.h`.
+    The start function maps inputs and parameters to the state at rest and its slope, in the N_ROWS
+    rows and N_COLUMNS columns of `tables.h`.
     """
     initial = _Derivatives(model.initial, index)
     derived = {what: _Derivatives(getattr(model, what), index) for what in FUNCTIONS}
@@ -76,7 +76,7 @@ def write_sensitivity_c(
 def _code(
     derived: Mapping[str, _Derivatives], results: Mapping[str, Sequence[Any]], parameters: int
 ) -> tuple[dict[str, str], int]:
-    """Text of each file, and how many constants the functions share."""
+    """Text of each file, and the number of constants that the functions share."""
     constants = _Constants(parameters)
     parts = {w: constants.take_out(results[w], *_constant_in(w, derived)) for w in FUNCTIONS}
     symbols = ca.vertcat(*constants.symbols)
@@ -94,12 +94,12 @@ def _code(
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a source with the same bytes on every system: the key of the cache is a hash of it."""
+    """Write a source with the same bytes on every system, because the cache's key is its hash."""
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
 class _Constants:
-    """What functions of a model calculate from the parameters and the length of a step alone."""
+    """Terms of a model's functions that depend only on the parameters and the length of a step."""
 
     def __init__(self, parameters: int) -> None:
         self._p, self._step_s = ca.SX.sym("p", parameters), ca.SX.sym("step_s")
@@ -107,9 +107,9 @@ class _Constants:
         self._values: list[Any] = []
 
     def take_out(self, results: Sequence[Any], p: Any, lengths: Sequence[Any]) -> list[Any]:
-        """Results of a function in which symbols stand for what is constant.
+        """Replace the constant terms of a function's results by symbols.
 
-        `lengths`: arguments of the function that hold the length of a step.
+        `lengths` are the arguments of the function that hold the length of a step.
         """
         ends = np.cumsum([0, *(part.numel() for part in results)]).tolist()
         whole, known = ca.vertcat(*results), [p, *lengths]
@@ -119,7 +119,7 @@ class _Constants:
         return [*ca.vertsplit(left, ends)]
 
     def function(self, name: str) -> Any:
-        """Function from the parameters and the length of a step to what was taken out."""
+        """Function from the parameters and the length of a step to the replaced terms."""
         results = ca.cse([ca.vertcat(*self._values)])
         return ca.Function(name, [self._p, self._step_s], results)
 
@@ -127,8 +127,8 @@ class _Constants:
 def _constant_in(what: str, derived: Mapping[str, _Derivatives]) -> tuple[Any, list[Any]]:
     """Parameters of a function, and its arguments that hold the length of a step.
 
-    `begin` may keep that length in a state, which the rates find there; `output` is evaluated
-    before the first step too, when the state does not hold it yet.
+    `begin` may store that length in a state, from which the rates read it. `output` is also
+    evaluated before the first step, when the state does not hold it yet.
     """
     x, _, p, *step_s = derived[what].arguments
     if what == "rate":
@@ -154,8 +154,8 @@ class _Derivatives:
     def rows(self, what: str, states: Sequence[int]) -> list[int]:
         """Rows of the derivatives to compute.
 
-        Left out are the rates that are always zero, and in `begin` and `finish` the states that
-        they do not change.
+        Rates that are always zero are left out, and in `begin` and `finish` the states that they do
+        not change.
         """
         if what == "output":
             return list(range(self.value.size1()))
@@ -169,7 +169,7 @@ class _Derivatives:
 def _reached(
     initial: _Derivatives, derived: Mapping[str, _Derivatives]
 ) -> tuple[list[int], list[int]]:
-    """States whose derivatives can differ from zero at some time, and parameters that move any."""
+    """States whose derivatives can become nonzero, and parameters that affect any state."""
     found = np.array(_pattern(initial.by_p))
     step = np.eye(len(found), dtype=bool)
     for what in ("begin", "rate", "finish"):
@@ -185,7 +185,7 @@ def _pattern(matrix: Any) -> NDArray[np.bool_]:
 
 
 def _tables(label: str, place: Sequence[int], by_x: Any, by_p: Any) -> list[str]:
-    """Jacobian of `run_sensitive.c`; the patterns are those of the transposes."""
+    """Tables of a Jacobian for `run_sensitive.c`; the patterns are those of the transposes."""
     tables = {
         "ROW": place, "X_START": by_x.colind(), "X_PLACE": by_x.row(),
         "P_START": by_p.colind(), "P_PLACE": by_p.row(),

@@ -11,22 +11,22 @@ from models.trials.trial import Trial
 __all__ = ["start_of_motion"]
 
 LONGEST_START_S: Final = 0.05
-"""Longest time in which the start is measured; a quarter of a period at 5 Hz."""
+"""Longest window at the start: a quarter of a period at 5 Hz."""
 
 LEAST_ROWS: Final = 5
 """Rows of the shortest window."""
 
 CONFIDENCE_SD: Final = 2.0
-"""Half-width of the interval of a rate, standard deviations [Katkovnik 1999: 1.5 to 3]."""
+"""Half-width of a rate's confidence interval in standard deviations [Katkovnik 1999: 1.5 to 3]."""
 
 
 def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
     """Value and rate of a column at the first row, by a parabola through its first rows.
 
-    A long window averages noise, a short one follows a jerk. The longest window is taken whose
-    rate agrees with that of every shorter one: intersection of confidence intervals
-    [Goldenshluger & Nemirovski 1997; Katkovnik 1999]. The noise is that of the third differences,
-    which a smooth motion hardly has.
+    A long window averages noise, a short one follows a jerk. The longest window is used whose rate
+    agrees with that of every shorter one: intersection of confidence intervals [Goldenshluger &
+    Nemirovski 1997; Katkovnik 1999]. The noise is estimated from the third differences, which a
+    smooth motion hardly has.
     """
     longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
     time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]

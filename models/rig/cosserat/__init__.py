@@ -1,1 +1,1 @@
-"""Rig on a Cosserat rod: section law, rod, base joints and their coupling to the servos."""
+"""Rig on a Cosserat rod: section law, rod, base joints, and the coupling to the servos."""

@@ -1,7 +1,7 @@
-"""Base joints of the rod: yoke and plate on one or two driven joints, with the reaction of the rod.
+"""Base joints of the rod: yoke and plate on one or two driven joints, with the rod's reaction.
 
 Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal inertia
-about all axes; the plate's mass and the rod's first node sit at one point above the axes, so that
+about all axes; the plate's mass and the rod's first node are at one point above the axes, so that
 
     M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
 
@@ -20,10 +20,7 @@ from models.shared.kinematics import Array
 
 
 class BaseJoints:
-    """Angles and rates of the joints, which move the stub of the rod.
-
-    Shapes: `gravity_m_s2` (3,).
-    """
+    """Angles and rates of the joints, which move the stub of the rod."""
 
     def __init__(
         self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, gravity_m_s2: Array
@@ -40,7 +37,7 @@ class BaseJoints:
         self.angle_rad, self.rate_rad_s = [0.0, 0.0], [0.0, 0.0]
 
     def move(self, step_s: float) -> None:
-        """Move the joints with their rates for a time."""
+        """Advance the joint angles with their rates by a time."""
         self.angle_rad[0] += step_s * self.rate_rad_s[0]
         self.angle_rad[1] += step_s * self.rate_rad_s[1]
 
@@ -55,11 +52,11 @@ class BaseJoints:
 
     @property
     def plate_rad_s(self) -> Array:
-        """Rate of the plate about its own axes x and y, shape (2, 1)."""
+        """Rate of the plate about its axes x and y, shape (2, 1)."""
         return np.array([[-self.rate_rad_s[1]], [self.rate_rad_s[0] * self._turn[2]]])
 
     def place_stub_velocity(self) -> None:
-        """Set the velocity of the rod's first nodes, which its drag and stretch rate read."""
+        """Set the velocity of the rod's first nodes, which drag and stretch rate depend on."""
         (c1, s1, c2, s2), (w1, w2), height = self._turn, self.rate_rad_s, self._height_m
         along, up = height * w1 * c2, -height * w2 * s2
         self._rod.velocity_collection[:, :2] = np.array(
@@ -67,7 +64,7 @@ class BaseJoints:
         )
 
     def accelerate(self, torque_nm: list[float], step_s: float) -> None:
-        """Change the rates by servo torques, weight and the rod's reaction for a time."""
+        """Advance the rates by a time, with servo torques, weight and the rod's reaction."""
         rod, height, point = self._rod, self._height_m, self._point
         w1, w2 = self.rate_rad_s
         c1, s1, c2, s2 = self._turn

@@ -19,22 +19,17 @@ from models.shared.kinematics import Array
 __all__ = ["CosseratRig"]
 
 SECTIONS: Final = 8
-"""Sections of the span; halving their length moves the first mode by less than 1 %."""
+"""Sections of the span; halving their length shifts the first mode by less than 1 %."""
 
 HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
-"""Choices of a structure that are those of the MuJoCo link; the rod has forms of its own."""
+"""Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
 
 
 class CosseratRig:
-    """`models.rig.rig.Rig` on PyElastica.
+    """`models.rig.rig.Rig` on PyElastica; `models.rig.rig.build_rig` describes the arguments.
 
-    The rod, the joints and the servos advance by the position Verlet method in substeps that the
-    stiffest section admits; the section law, the drag and the leak are renewed in every step.
-
-    Shapes: `gravity` (3,).
-    `parameters`: with hidden effects and the variation of the trial included.
-    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
-    `gravity`: direction of gravity in the world frame; its length does not matter.
+    Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
+    the stiffest section. Section law, drag and leak are updated once per step.
     """
 
     def __init__(
@@ -71,7 +66,7 @@ class CosseratRig:
 
     @property
     def time_s(self) -> float:
-        """Time since the start."""
+        """Time since the start in s."""
         return self._steps * self.step_s
 
     @property
@@ -82,14 +77,14 @@ class CosseratRig:
         return self._play.shown_m(self.link.markers_m, self._shown_rad)
 
     def look(self) -> LinkState:
-        """Whether the link is whole, has folded, or its simulation has become unstable."""
+        """Whether the link is intact, has folded, or its simulation has become unstable."""
         bend_rad = float(np.max(np.abs(self.link.bend_rad)))
         state = state_of_link(bend_rad, self._last_bend_rad)
         self._last_bend_rad = bend_rad
         return state
 
     def start_leak(self) -> None:
-        """Start the leak of pressure; there is none before the recorded run."""
+        """Start the pressure leak, at the start of the recorded run."""
         self._leak_from_s = self.time_s
 
     def send(self, goal_rad: Array) -> None:

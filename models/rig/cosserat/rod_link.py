@@ -2,9 +2,9 @@
 
 The rod lies along +z. Its first element is a stub inside the plate, which the base joints move; the
 root patch is the joint between the stub and the link. The elements of the link are as long as a
-section, the first and the last one half as long, so that sections lie in the middle of equal parts.
-PyElastica computes internal forces and moments from strains; whatever is not elastic enters
-as rest strains and tangent stiffness, renewed in every step of the rig.
+section, the first and the last one half as long, so sections are in the middle of equal parts.
+PyElastica computes internal forces and moments from strains. All that is not elastic enters as rest
+strains and tangent stiffness, updated in every step of the rig.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ ROOT_TWIST_NM_RAD: Final = 200.0
 """Torsional stiffness of the root patch [assumed]; the MuJoCo link does not twist."""
 
 SMOOTHING_S: Final = 2e-4
-"""Kelvin-Voigt time of bending that calms the fastest rotations of elements, which the law, renewed
-once in a step, would feed [numerical]; it damps the first mode by less than 0.2 %."""
+"""Kelvin-Voigt time of bending that damps the fastest rotations of elements, which the law, updated
+once per step, would excite [numerical]; it damps the first mode by less than 0.2 %."""
 
 COURANT: Final = 1.8
-"""Fastest rate of the rod times its time step; the position Verlet method is stable below 2."""
+"""Highest rate of the rod times its time step; the position Verlet method is stable below 2."""
 
 
 MOST_SPLITS: Final = 20
-"""Beyond it the link is about to fold or its state is no longer finite."""
+"""Most splits of a substep; above, the link is about to fold or its state is not finite."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,7 @@ class TipLoad:
 
 
 class RodLink:
-    """Link on a plate whose pose and velocity are prescribed.
-
-    Shapes: `gravity_m_s2` (3,).
-    """
+    """Link on a plate whose pose and velocity are prescribed."""
 
     def __init__(
         self, parameters: RigParameters, load: TipLoad, gravity_m_s2: Array, sections: int
@@ -57,7 +54,7 @@ class RodLink:
         length, piece = p["link.length_m"], p["link.length_m"] / sections
         self._sections, self._half_m = sections, 0.5 * p["link.width_m"]
         self._layout = p.layout
-        # A row's element, and its place in it from 0 to 1; elements join in the middle of pieces.
+        # Element of each row, and the place in it from 0 to 1; elements join in mid-piece.
         places = [h / length * sections + 0.5 for h in p.layout.rows_m]
         self._row_places = [(min(int(at), sections), at - min(int(at), sections)) for at in places]
         self.law = SectionLaw(p, p["world.step_s"], sections)
@@ -73,7 +70,7 @@ class RodLink:
         self._set_mass(p, lengths, load)
         self._set_stiffness(p, lengths)
         self._weight_n = gravity_m_s2[:, None] * self.rod.mass
-        self._weight_n[:, :2] = 0.0  # on the plate
+        self._weight_n[:, :2] = 0.0  # these nodes are on the plate
         self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
         self.splits = 1
         self._keep_pose()
@@ -95,8 +92,8 @@ class RodLink:
         inertia[:, :, -1] += np.eye(3) * (
             tip_kg * width**2 / 12.0 + load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0
         )
-        # The payload is fixed to the last element at an offset. Eliminating the acceleration of
-        # the node leaves its reduced mass in the element's inertia.
+        # The payload is fixed to the last element at an offset. Eliminating the acceleration of the
+        # node leaves the payload's reduced mass in the element's inertia.
         offset = np.array([load.offset_x_m, load.offset_y_m, 0.0])
         self._payload_share = load.mass_kg / rod.mass[-1]
         reduced_kg = load.mass_kg * (1.0 - self._payload_share)
@@ -108,7 +105,7 @@ class RodLink:
         inverse[:, :, 1:] = np.linalg.inv(np.moveaxis(inertia[:, :, 1:], 2, 0)).transpose(1, 2, 0)
 
     def _set_stiffness(self, p: RigParameters, lengths: Array) -> None:
-        """Shear, stretch and twist, linear with a Zener branch; the number of substeps."""
+        """Set shear, stretch and twist, linear with a Zener branch; set the number of substeps."""
         rod, law, width = self.rod, self.law, p["link.width_m"]
         factor, step_s = stiffness_factor(p), p["world.step_s"]
         # Et of the walls from E I = Et 2/3 h^3, Gt from the wall's shear 5/6 2 h Gt; four walls
@@ -142,7 +139,7 @@ class RodLink:
         self.substeps = max(int(np.ceil(step_s * fastest_rad_s / COURANT)), 1)
 
     def _set_smoothing(self, step_s: float) -> None:
-        """Implicit step of viscous moments between neighbouring elements, about both axes."""
+        """Set the implicit step of viscous moments between adjacent elements, about both axes."""
         damping = step_s * SMOOTHING_S * self.law.stiffness_nm_rad
         matrix = np.diag(damping + np.append(damping[1:], 0.0))
         matrix -= np.diag(damping[1:], 1) + np.diag(damping[1:], -1)
@@ -168,7 +165,7 @@ class RodLink:
             element = piece + 1
             if row == last:
                 centre = position[:, -1]
-            elif piece == 0:  # the first element is half as long: it begins at the plate
+            elif piece == 0:  # the first element is half as long, from the plate on
                 along = 2.0 * (fraction - 0.5)
                 centre = (1 - along) * position[:, 1] + along * position[:, 2]
             else:
@@ -180,10 +177,9 @@ class RodLink:
         self._pose = self.rod.position_collection.copy(), self.rod.director_collection.copy()
 
     def begin_step(self, plate_rad_s: Array, leaking_s: float) -> None:
-        """Renew the law, the drag and the markers at the start of a step of the rig.
+        """Update the law, the drag and the markers at the start of a step of the rig.
 
-        Shapes: `plate_rad_s` (2, 1).
-        `plate_rad_s`: rate of the plate about its own axes x and y.
+        `plate_rad_s` (2, 1) is the rate of the plate about its axes x and y.
         """
         rod = self.rod
         self._keep_pose()
@@ -213,7 +209,7 @@ class RodLink:
         rod.external_forces[:] = self._weight_n - self._drag * speed * velocity
 
     def move(self, step_s: float) -> None:
-        """Move nodes and elements with their velocities for a time."""
+        """Advance nodes and elements with their velocities by a time."""
         rod = self.rod
         overload_operator_kinematic_numba(
             step_s, rod.position_collection, rod.director_collection,
@@ -221,7 +217,7 @@ class RodLink:
         )  # fmt: skip
 
     def accelerate(self, step_s: float) -> None:
-        """Compute forces and moments and change the velocities by them for a time."""
+        """Compute forces and moments and advance the velocities by a time."""
         rod = self.rod
         rod.compute_internal_forces_and_torques(0.0)
         if self._eccentric:
@@ -234,9 +230,9 @@ class RodLink:
     def _accelerate_eccentric(self) -> None:
         """Accelerations with a payload beside the axis, fixed to the last element.
 
-        With node force F, offset r, payload m of the node's whole mass M, in the element's frame:
-        the moment gains -(m / M) r x F and the node the acceleration
-        -(m / M) (alpha x r + omega x (omega x r)), weight left out of F.
+        With node force F, offset r, and payload m out of the node's mass M, in the element's frame:
+        the moment gains -(m / M) r x F, and the node the acceleration
+        -(m / M) (alpha x r + omega x (omega x r)). F does not include weight.
         """
         rod, share = self.rod, self._payload_share
         x, y = self._offset_m

@@ -1,8 +1,8 @@
 """Section law of the rod: wrinkling, Zener damping, logarithmic creep and Jenkins friction.
 
-It has the numbers of `rig.toml` in common with the MuJoCo link's law, not its equations. Row 0 is
-the root patch, the other rows are sections of the span. Every part is a moment m against a measure
-of bend u, with tau = (du/dphi)^T m, so that no part can create energy:
+It shares the numbers of `rig.toml` with the MuJoCo link's law, not its equations. Row 0 is the root
+patch, the other rows are sections of the span. Every part is a moment m against a measure of bend
+u, with tau = (du/dphi)^T m, so no part can create energy:
 
 * an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
   hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
@@ -28,25 +28,25 @@ from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
 WALL_FRACTION: Final = 0.3
-"""Part of the bending stiffness that does not depend on pressure [assumed]."""
+"""Fraction of the bending stiffness that does not depend on pressure [assumed]."""
 
 WRINKLE_FRACTION: Final = 0.5
-"""Moment at which the wall wrinkles over the limit moment: a tube's; a box by theory has 2/3
-(docs/sources.md, "The link") [assumed]."""
+"""Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
+2/3 for a box (docs/sources.md, "The link") [assumed]."""
 
 ZENER_FRACTION: Final = 0.5
-"""Stiffness of the damping branch over the elastic one [assumed]."""
+"""Stiffness of the damping branch, relative to the elastic one [assumed]."""
 
 CREEP_BRANCHES: Final = 6
 CREEP_REACH: Final = 3.0
-"""Factor by which the creep reaches below the first and above the last relaxation time."""
+"""Factor by which creep extends below the first and above the last relaxation time."""
 
 SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
-"""Yield bends of the sliders over the yield bend; their mean is one."""
+"""Yield bends of the sliders, relative to the yield bend; their mean is one."""
 
 
 def stiffness_factor(parameters: RigParameters) -> float:
-    """Stiffness of wall and pressure at the rig's pressure, over that at the reference."""
+    """Stiffness of wall and pressure at the rig's pressure, relative to that at the reference."""
     p = parameters
     pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
     return WALL_FRACTION + (1.0 - WALL_FRACTION) * pressure
@@ -117,7 +117,7 @@ class SectionLaw:
         self._branch_nm = np.zeros((len(times_s), len(self.stiffness_nm_rad), 2))
 
     def _measure(self, angle_rad: Array) -> tuple[Array, Array]:
-        """Measure of bend u and the diagonal of its derivative before mixing, (n, 2) each."""
+        """Measure of bend u and the diagonal of its derivative before coupling, (n, 2) each."""
         phi = angle_rad - self._rest_rad
         if not self._skew:
             return self._mixed(phi), np.ones_like(phi)
@@ -128,15 +128,11 @@ class SectionLaw:
         return self._mixed(skewed), 1.0 + self._skew * np.tanh(scaled)
 
     def _mixed(self, planes: Array) -> Array:
-        """Both planes coupled; rows of shape (n, 2)."""
+        """Couple both planes; shape (n, 2)."""
         return planes @ self._mix if self._coupled else planes
 
     def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
-        """Elastic moment and its derivative.
-
-        Shapes: `size_rad` (sections + 1,).
-        Returns `moment_nm`, `tangent_nm_rad` (sections + 1,).
-        """
+        """Elastic moment and its derivative, each of shape (sections + 1,), as `size_rad`."""
         stiffness = self.stiffness_nm_rad
         room = self._limit_nm - self._wrinkle_nm
         beyond = np.maximum(size_rad - self._wrinkle_rad, 0.0)
@@ -153,12 +149,11 @@ class SectionLaw:
         return moment, tangent
 
     def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
-        """Advance the memory to these bends; compute moments and their tangent.
+        """Advance the memory to these bends; return moments and their tangent stiffness.
 
-        Shapes: `angle_rad` (sections + 1, 2).
-        `angle_rad`: bend of each section towards +x and +y, one step after the last call's.
-        Returns `moment_nm` (sections + 1, 2); `tangent_nm_rad` (sections + 1, 2, 2): stiffness
-        against bends until the next call.
+        `angle_rad` (sections + 1, 2) are the bends towards +x and +y, one step after the last call.
+        Moments have the shape (sections + 1, 2), the tangent stiffness (sections + 1, 2, 2); it is
+        valid for bends until the next call.
         """
         u, slope = self._measure(angle_rad)
         du = u - self._bend

@@ -1,8 +1,8 @@
 """Spectrum of the link's relaxation: three branches, or a power law of time.
 
-A power law is that of a fractional element, whose spectrum of relaxation times falls as
-tau^-alpha per decade (Mainardi, *Fractional Calculus and Waves in Linear Viscoelasticity*, 2010
-[recalled]), here by one branch per half decade. Both spectra sum up to the relaxing fraction.
+A power law is that of a fractional element, whose spectrum of relaxation times falls as tau^-alpha
+per decade (Mainardi, *Fractional Calculus and Waves in Linear Viscoelasticity*, 2010 [recalled]);
+it has one branch per half decade here. Both spectra sum up to the relaxing fraction.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from models.shared.kinematics import Array
 
 
 class RelaxationSpectrum(NamedTuple):
-    """Maxwell branches: time in s and fraction of the stiffness of each, shape (n,)."""
+    """Maxwell branches: times in s and fractions of the stiffness, shape (n,) each."""
 
     times_s: Array
     fractions: Array
 
 
 def relaxation_spectrum(parameters: RigParameters) -> RelaxationSpectrum:
-    """Spectrum that the structure names."""
+    """Build the spectrum that the structure names."""
     p = parameters
     relaxing = p["memory.relaxing_share"]
     if p.structure.creep == "branches":

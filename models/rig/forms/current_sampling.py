@@ -1,7 +1,7 @@
 """Current that the servo's register holds when the robot reads it.
 
-At the tick, at a phase of the period before it, or as the mean over that period: servos read their
-current in a cycle of their own, and filter it.
+It is sampled at the tick, at a phase of the period before, or averaged over that period: servos
+read and filter their current in a cycle of their own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from models.rig.rig_parameters import RigParameters
 
 
 class CurrentRegister:
-    """Samples of the last control period."""
+    """Samples of the current over the last control period."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         sampling = parameters.structure.current_sampling
@@ -22,7 +22,7 @@ class CurrentRegister:
         self._mean = sampling == "mean"
         self._window: deque[float] = deque([0.0], maxlen=round(kept[sampling]) + 1)
         self.hold = self._window.append
-        """Takes the current in A after each step."""
+        """Call it with the current in A after each step."""
 
     @property
     def value_a(self) -> float:

@@ -5,8 +5,8 @@ Both have the same level g (`models.rig.rig_servo`) and viscous term B:
 * LuGre (Canudas de Wit et al., 1995 [recalled]), dz/dt = w - sigma_0 |w| z / g,
   F = sigma_0 z + sigma_1 dz/dt + B w, with z implicit, so that |sigma_0 z| never exceeds g;
 * smooth, F = g w / sqrt(w^2 + w_0^2) + B w (shape [assumed]): it has no presliding, and a load
-  below g moves it slowly. The factor of w is taken at the start of the step and w at its end, so
-  that friction never drives the rotor.
+  below g moves it slowly. The factor of w is that at the start of the step and w that at its end,
+  so friction never drives the rotor.
 """
 
 from __future__ import annotations
@@ -18,18 +18,15 @@ from models.rig.rig_parameters import RigParameters
 
 
 class FrictionForm(Protocol):
-    """Friction of one servo with its memory."""
+    """Friction of one servo, with its state."""
 
     def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        """Advance by one step.
-
-        Returns torque against the motion in N·m.
-        """
+        """Advance by one step; return the torque against the motion in N·m."""
         ...
 
 
 class LugreFriction:
-    """LuGre bristle."""
+    """LuGre bristle; equation in the module's docstring."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         self._step_s = step_s
@@ -39,7 +36,6 @@ class LugreFriction:
         self._bristle_rad = 0.0
 
     def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        """See `FrictionForm`."""
         before = self._bristle_rad
         shed = self._step_s * abs(rate_rad_s) * self._bristle / max(level_nm, 1e-9)
         self._bristle_rad = (before + self._step_s * rate_rad_s) / (1.0 + shed)
@@ -52,7 +48,7 @@ class LugreFriction:
 
 
 class SmoothFriction:
-    """Smooth function of the rate; parameters as `LugreFriction`."""
+    """Smooth function of the rate; equation in the module's docstring."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         self._step_per_inertia = step_s / parameters["servo.inertia_kg_m2"]
@@ -60,7 +56,6 @@ class SmoothFriction:
         self._rate_0 = parameters["servo.smooth_rate_rad_s"]
 
     def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        """See `FrictionForm`."""
         factor = level_nm / math.hypot(rate_rad_s, self._rate_0) + self._viscous
         free = rate_rad_s + self._step_per_inertia * drive_nm
         return factor * free / (1.0 + self._step_per_inertia * factor)

@@ -2,15 +2,15 @@
 
 Each section has a yield bend u_y and a torque T = kappa K u_y. A small bend du from rest gives the
 torque T du / u_y = kappa K du in every form, so a strength is the same fraction of the stiffness.
-A form stores energy in a spring and loses it in a slider, so that no path draws energy from it:
+A form stores energy in a spring and dissipates it in a slider, so no path can draw energy from it:
 
 * Bouc-Wen, dz = du / u_y - (|z.du| + z.du) z / (2 u_y) (after Park, Wen and Ang, 1986 [recalled]);
 * Dahl, dz = du / u_y - |du| z / u_y (Dahl, 1968; exponent 1, in two planes);
 * Maxwell slip, springs of equal stiffness with sliders of different yields in parallel (Iwan,
-  *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is drawn back radially.
+  *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is returned radially.
 
-z is integrated implicitly. A form is a step of CasADi expressions
-(`models.rig.hinged.bending_law`): both planes of n sections have the shape (2, n).
+z is integrated implicitly. A form is one step in CasADi expressions
+(`models.rig.hinged.bending_law`); both planes of n sections have the shape (2, n).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from models.shared.kinematics import Array
 
 
 def both_planes(row: Any) -> Any:
-    """One number per section as a matrix of shape (2, n)."""
+    """Repeat one number per section to the shape (2, n)."""
     row = ca.DM(row).T if isinstance(row, np.ndarray) else row
     return ca.repmat(row, 2, 1)
 
@@ -39,18 +39,15 @@ def _length(planes: Any) -> Any:
 class HysteresisForm(Protocol):
     """Friction of n sections."""
 
-    springs: int  # Parts of its memory, each of shape (2, n); zero at ease
+    springs: int  # Number of state arrays, each of shape (2, n); zero when relaxed
 
     def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """Memory, and torque in N·m, after a further bend `du` in rad of shape (2, n)."""
+        """State, and torque in N·m, after a further bend `du` in rad of shape (2, n)."""
         ...
 
 
 class BoucWen:
-    """Bouc-Wen friction.
-
-    Shapes: `yield_rad`, `friction_nm` (n,).
-    """
+    """Bouc-Wen friction; arguments have shape (n,)."""
 
     springs = 1
 
@@ -58,7 +55,6 @@ class BoucWen:
         self._yield_rad, self._friction_nm = yield_rad, friction_nm
 
     def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """See `HysteresisForm`."""
         (z,) = memory
         along = z[0, :] * du[0, :] + z[1, :] * du[1, :]
         shed = 1.0 + (ca.fabs(along) + along) * ca.DM(0.5 / self._yield_rad).T
@@ -67,7 +63,7 @@ class BoucWen:
 
 
 class Dahl:
-    """Dahl friction; parameters as `BoucWen`."""
+    """Dahl friction; arguments have shape (n,)."""
 
     springs = 1
 
@@ -75,7 +71,6 @@ class Dahl:
         self._yield_rad, self._friction_nm = yield_rad, friction_nm
 
     def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """See `HysteresisForm`."""
         (z,) = memory
         shed = 1.0 + _length(du) * ca.DM(1.0 / self._yield_rad).T
         z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
@@ -83,10 +78,7 @@ class Dahl:
 
 
 class MaxwellSlip:
-    """Springs with sliders in parallel.
-
-    Shapes: `yield_rad`, `friction_nm` (n,), `yields` (m,).
-    """
+    """Parallel springs with sliders; arguments have shape (n,), and `yields` (m,) is relative."""
 
     def __init__(self, yield_rad: Array, friction_nm: Array, yields: Array) -> None:
         self.springs = len(yields)
@@ -94,7 +86,6 @@ class MaxwellSlip:
         self._stiffness = friction_nm / yield_rad / len(yields)
 
     def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """See `HysteresisForm`."""
         after = []
         for stretch, slip_rad in zip(memory, self._slips_rad, strict=True):
             stretched, slip = stretch + du, ca.DM(slip_rad).T
@@ -105,10 +96,7 @@ class MaxwellSlip:
 def hysteresis_form(
     parameters: RigParameters, yield_rad: Array, stiffness_nm_rad: Array
 ) -> HysteresisForm:
-    """Build the form that the structure names, at ease.
-
-    Shapes: `yield_rad` (n,), `stiffness_nm_rad` (n,).
-    """
+    """Build the form that the structure names, relaxed; arguments have shape (n,)."""
     p = parameters
     friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad
     match p.structure.hysteresis:

@@ -1,7 +1,7 @@
-"""Play in the link's mount, which only the markers show.
+"""Play in the link's mount, which moves only the markers.
 
-The link leans by half of the play to the side to which its torque pushes; within a small torque,
-and over a short time, it passes from one side to the other.
+The link leans by half of the play to the side that its torque pushes to. It moves from one side to
+the other within a small range of torque and a short time.
 """
 
 from __future__ import annotations
@@ -16,10 +16,7 @@ from models.shared.kinematics import Array
 
 
 class MarkerPlay:
-    """Lean of the link in its mount, at rest in the middle.
-
-    `parameters`: of the rig; without play in the markers nothing leans.
-    """
+    """Lean of the link in its mount, at first in the middle; zero if the play is in the gear."""
 
     def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
         p, in_markers = parameters, parameters.structure.play == "markers"
@@ -31,19 +28,13 @@ class MarkerPlay:
         self.lean_rad = np.zeros(dof)
 
     def advance(self, torque_nm: Sequence[float]) -> None:
-        """Advance by one step.
-
-        `torque_nm`: that the drives pass to the joints; the link pushes against it.
-        """
+        """Advance by one step; `torque_nm` acts from the drives on the joints."""
         for k, (torque, half_rad) in enumerate(zip(torque_nm, self._half_rad, strict=True)):
             side_rad = -half_rad * math.tanh(torque / self._torque_nm)
             self.lean_rad[k] += self._gain * (side_rad - self.lean_rad[k])
 
     def shown_m(self, markers_m: Array, joint_rad: Sequence[float]) -> Array:
-        """Markers on the leaning link.
-
-        Shapes: `markers_m` (markers, 3).
-        """
+        """Markers on the leaning link, shape (markers, 3)."""
         cos, sin = math.cos(joint_rad[0]), math.sin(joint_rad[0])
         # Rotation vector; the second axis, -x, is carried by the first joint.
         x, y, z = 0.0, self.lean_rad[0], 0.0

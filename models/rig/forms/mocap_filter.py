@@ -1,9 +1,9 @@
-"""Filter of the motion capture's software over its frames: none, causal, or without phase.
+"""Filter of the motion capture's software over its frames: none, causal, or zero-phase.
 
-Butterworth filters of second order (Butterworth, *Wireless Engineer* 7, 1930 [recalled]): once
-forward as a live stream has it, or forward and backward as software applies it to a recording
-(Winter, *Biomechanics and Motor Control of Human Movement* [recalled]), where the response at the
-cut-off is a half.
+Butterworth filters of second order (Butterworth, *Wireless Engineer* 7, 1930 [recalled]): forward
+once, as in a live stream, or forward and backward, as software filters a recording (Winter,
+*Biomechanics and Motor Control of Human Movement* [recalled]), with a response of one half at the
+cut-off.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from models.shared.kinematics import Array
 
 
 def filtered_frames(parameters: RigParameters, frames_m: Array) -> Array:
-    """Frames as the software gives them.
+    """Frames after the software's filter, shape (n, markers, 3), at the motion capture's rate.
 
-    Shapes: `frames_m` (n, markers, 3).
-    `frames_m`: frames at the motion capture's rate; the link is at rest before the first.
+    The link is at rest before the first frame.
     """
     p = parameters
     if p.structure.mocap_filter == "none":

@@ -4,19 +4,19 @@ All hinge pairs are computed at once. Every part is a torque against one measure
 
     u = S skew(phi - phi_0),     tau = -(du/dphi)^T m(u, history),
 
-so that for any `skew` (directional stiffness) and S (coupling of the planes) the power that the
-law absorbs is m . du/dt and no part can create energy. m sums up, per hinge pair:
+so for any `skew` (directional stiffness) and S (coupling of the planes) the law absorbs the power
+m . du/dt, and no part can create energy. m is the sum, per hinge pair, of
 
-* a radial elastic torque K f(x) / x u, x = K|u| / M_c, that levels off at the limit moment M_c:
-  f = tanh(x), or a wall that wrinkles from half of M_c on, f = x, then 1 - 1 / (4 x) (half of the
+* a radial elastic torque K f(x) / x u, x = K|u| / M_c, that saturates at the limit moment M_c:
+  f = tanh(x), or a wall that wrinkles above half of M_c, f = x, then 1 - 1 / (4 x) (half of the
   collapse moment is a tube's: Comer and Levy, *AIAA Journal* 1, 1963 [recalled]; that a box has
   half, not two thirds as in docs/sources.md, "The link", and the shape are [assumed]);
 * Maxwell branches, ds/dt = g K du/dt - s / tau (`models.rig.forms.creep_forms`);
 * friction (`models.rig.forms.hysteresis_forms`).
 
-One CasADi function advances all pairs: an integration step is some thousand operations on a few
-numbers each, which NumPy spends its time on calling. Both planes of n pairs are a matrix of shape
-(2, n); CasADi stores it by columns, as NumPy stores the shape (n, 2) by rows.
+One CasADi function advances all pairs: an integration step is about a thousand operations on a few
+numbers each, for which NumPy would need most of its time in calls. Both planes of n pairs are a
+matrix of shape (2, n); CasADi stores it by columns, as NumPy stores the shape (n, 2) by rows.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from models.shared.kinematics import Array
 
 
 class BendLaw:
-    """Torque of all n hinge pairs and its memory: the root's, then those of the span."""
+    """Torque of all n hinge pairs, the root's first, and the state of their memory."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
@@ -52,11 +52,9 @@ class BendLaw:
         self._connect(self._advance())
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
-        """Advance the memory to these angles and compute the torque on the hinges.
+        """Advance the memory to these angles and return the restoring torque in N·m, shape (n, 2).
 
-        Shapes: `angle_rad` (n, 2).
-        `angle_rad`: hinge angles towards +x and +y, one integration step after the last call's.
-        Returns shape (n, 2), restoring torque in N·m.
+        `angle_rad` (n, 2) are the hinge angles towards +x and +y, one step after the last call.
         """
         self._angle_rad[:] = angle_rad.ravel()
         if leaking_s:
@@ -66,7 +64,7 @@ class BendLaw:
         return self._torque_nm.copy()
 
     def _connect(self, advance: ca.Function) -> None:
-        """Bind the function to its arrays; the link is at ease at zero."""
+        """Bind the function to its arrays; the link is relaxed at zero."""
         self._angle_rad, self._kept = np.zeros(2 * self._pairs), np.ones(1)
         self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
         at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()
@@ -79,7 +77,7 @@ class BendLaw:
         )
 
     def _advance(self) -> ca.Function:
-        """Torque and memory after a step, of angles, memory before it and kept pressure."""
+        """Function (angles, memory, remaining pressure) -> (torque, memory after the step)."""
         p, n = self._p, self._pairs
         times_s, fractions = relaxation_spectrum(p)
         hysteresis = hysteresis_form(p, self._yield_rad, self.stiffness_nm_rad)
@@ -110,7 +108,7 @@ class BendLaw:
         )
 
     def _measure(self, angle_rad: Any) -> tuple[Any, Any]:
-        """Measure of bend u and the diagonal of its derivative before mixing, shape (2, n)."""
+        """Measure of bend u and the diagonal of its derivative before coupling, shape (2, n)."""
         p, hinges = self._p, self._pairs - 1
         rest_rad = np.zeros((2, self._pairs))
         rest_rad[0, 1:] = p["stiffness.prebend_rad"] / hinges
@@ -121,7 +119,7 @@ class BendLaw:
         return self._mixed(phi + skew * (root - rounding_rad)), 1.0 + skew * phi / root
 
     def _mixed(self, planes: Any) -> Any:
-        """Both planes coupled; shape (2, n)."""
+        """Couple both planes; shape (2, n)."""
         coupling = 0.5 * self._p["stiffness.coupling_share"]
         return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
 

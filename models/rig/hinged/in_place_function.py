@@ -1,6 +1,6 @@
-"""CasADi function that reads and writes NumPy arrays where they are.
+"""CasADi function that reads and writes NumPy arrays in place.
 
-A call takes some microseconds; passing arrays to the function as such takes ten times as long.
+A call takes some microseconds; passing the arrays as arguments takes ten times as long.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from models.shared.kinematics import Array
 class InPlaceFunction:
     """A function bound to the arrays of its arguments and results.
 
-    `arguments`, `results`: contiguous, of float64; a matrix of CasADi lies in them column by
-    column. They must be different arrays: results are written while arguments are still read.
+    Arrays are contiguous float64; a CasADi matrix is stored by columns. Results must not share
+    memory with arguments, because they are written while arguments are still read.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 """MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, markers.
 
-Hinge pairs: one at the root patch and one in the middle of each of the equal pieces of the span,
-eight by default; a shear pair (two slides) goes with every hinge pair of the span. MuJoCo carries
+There is one hinge pair at the root patch and one in the middle of each of the equal pieces of the
+span, eight by default. Every hinge pair of the span has a shear pair (two slides). MuJoCo computes
 inertia, gravity, the linear shear springs and the Kelvin-Voigt damping; the bending torque is that
 of `models.rig.hinged.bending_law`.
 """
@@ -34,23 +34,21 @@ class Load:
 
 @dataclass(frozen=True)
 class MujocoLink:
-    """Compiled model and the addresses of its parts."""
+    """Compiled model and the addresses of its joints and bodies."""
 
-    model: Any  # Hinges and slides only, so that positions and rates have the same addresses
-    joints: NDArray[np.intp]  # (dof,), addresses of the driven joints
-    # (n, 2), addresses of the link's hinges, root first; columns bend towards +x and +y
+    model: Any  # Only hinges and slides, so positions and rates have the same addresses
+    joints: NDArray[np.intp]  # Addresses of the driven joints, (dof,)
+    # Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y
     hinges: NDArray[np.intp]
-    bodies: NDArray[np.intp]  # (n,)
+    bodies: NDArray[np.intp]  # Ids of the link's pieces, (n,)
 
 
 def build_mujoco_link(
     parameters: RigParameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_nm_rad: Array
 ) -> MujocoLink:
-    """Build the model.
+    """Build the model; with one driven joint, the second is rigid.
 
-    Shapes: `gravity_m_s2` (3,), `stiffness_nm_rad` (n,).
-    `dof`: number of driven joints; with one, joint 2 is rigid.
-    `stiffness_nm_rad`: of the hinge pairs in N·m/rad; the damping is proportional to it.
+    `stiffness_nm_rad` (n,) is that of the hinge pairs; the damping is proportional to it.
     """
     p = parameters
     spec = mujoco.MjSpec()
@@ -87,7 +85,7 @@ def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load)
     shear = (p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2) / piece
     body, offset = plate, p["link.base_offset_m"]
     for k in range(hinges + 1):
-        # The root's piece and the last one are half as long: hinges sit in the middle of pieces.
+        # The root's piece and the last one are half as long: hinges are in the middle of pieces.
         long = piece if 0 < k < hinges else 0.5 * piece
         mass = density * long
         across = mass * (width**2 + long**2) / 12.0
@@ -104,7 +102,7 @@ def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load)
             joint = _joint(body, f"hinge{k}_{axis}", axis)
             joint.damping[0] = damping_s * stiffness_nm_rad[k]
         for row, height_m in enumerate(p.layout.rows_m):
-            # In pieces above the hinge; below the first hinge of the span the root's piece ends.
+            # In pieces above the hinge; the root's piece ends below the first hinge of the span.
             above = height_m / p["link.length_m"] * hinges - max(k - 0.5, 0.0)
             if 0.0 <= above < (1.0 if k else 0.5):
                 _add_markers(body, row, above * piece, p.layout)
@@ -133,6 +131,6 @@ def _joint(body: Any, name: str, axis: str) -> Any:
 
 
 def _add_markers(body: Any, row: int, z_m: float, layout: MarkerLayout) -> None:
-    """Markers of a row, in the order of the trial contract."""
+    """Markers of a row, in the order of a trial's columns."""
     for name, (x_m, y_m) in zip(layout.row(row), layout.corners_m, strict=True):
         body.add_site(name=name, pos=[x_m, y_m, z_m])

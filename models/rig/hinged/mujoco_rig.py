@@ -23,19 +23,13 @@ UNSTABLE_WARNINGS: Final = (
     mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )  # fmt: skip
-"""Warnings after which MuJoCo has reset the state."""
-if mujoco.get_mju_user_warning() is None:  # else each would be in a file of the working directory
+"""Warnings with which MuJoCo resets the state."""
+if mujoco.get_mju_user_warning() is None:  # else each goes to a file in the working directory
     mujoco.set_mju_user_warning(lambda message: None)
 
 
 class MujocoRig:
-    """`models.rig.rig.Rig` on MuJoCo.
-
-    Shapes: `gravity` (3,).
-    `parameters`: with hidden effects and the variation of the trial included.
-    `eccentricity_m`: offset of the payload's centre from the axis, towards +x and +y.
-    `gravity`: direction of gravity in the world frame; its length does not matter.
-    """
+    """`models.rig.rig.Rig` on MuJoCo; `models.rig.rig.build_rig` describes the arguments."""
 
     def __init__(
         self,
@@ -60,10 +54,10 @@ class MujocoRig:
         self.servos = [RigServo(p.of_joint(k + 1), self.step_s) for k in range(dof)]
         self._play = MarkerPlay(p, dof, self.step_s)
         self._dragged = p["world.drag_nm"] != 0.0
-        # MuJoCo's arrays stay in place: views of them spare a look-up and a copy in every step.
+        # MuJoCo's arrays stay in place: views of them save a look-up and a copy per step.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied_nm = self.data.qfrc_applied
-        pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # one after the other
+        pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # bodies are consecutive
         self._body_centres = self.data.xipos[pieces]
         self._centres = self._body_centres.copy()
         self._set_drag = InPlaceFunction(
@@ -77,15 +71,15 @@ class MujocoRig:
 
     @property
     def time_s(self) -> float:
-        """Time since the start."""
+        """Time since the start in s."""
         return self._steps * self.step_s
 
     @property
     def markers_m(self) -> Array:
         """True markers in the world frame, shape (markers, 3), at the start of the last step.
 
-        MuJoCo updates what is fixed to the bodies before it moves them. This may be a view that
-        the next step changes.
+        MuJoCo updates sites before it moves the bodies. The result may be a view that the next step
+        changes.
         """
         markers_m = np.asarray(self.data.site_xpos)
         if self._play.absent:
@@ -93,9 +87,9 @@ class MujocoRig:
         return self._play.shown_m(markers_m, self.data.qpos[self.link.joints])
 
     def look(self) -> LinkState:
-        """Whether the link is whole, has folded, or its simulation has become unstable.
+        """Whether the link is intact, has folded, or its simulation has become unstable.
 
-        MuJoCo counts states that are not finite and starts anew from zero after each.
+        MuJoCo counts states that are not finite and restarts from zero after each.
         """
         reset = any(self.data.warning[w].number for w in UNSTABLE_WARNINGS)
         bend_rad = np.nan if reset else float(np.max(np.abs(self.data.qpos[self.link.hinges])))
@@ -104,7 +98,7 @@ class MujocoRig:
         return state
 
     def start_leak(self) -> None:
-        """Start the leak of pressure; there is none before the recorded run."""
+        """Start the pressure leak, at the start of the recorded run."""
         self._leak_from_s = self.time_s
 
     def send(self, goal_rad: Array) -> None:
@@ -130,7 +124,7 @@ class MujocoRig:
         self._steps += 1
 
     def _drag(self, drag_nm: float) -> ca.Function:
-        """Force and torque on every piece, shape (6, n), of its centre now and a step before."""
+        """Function (centres of the pieces now, a step earlier) -> their wrenches, shape (6, n)."""
         coefficients = ca.DM(drag_nm * self._drag_coefficients()).T
         now_m, before_m = (ca.SX.sym(name, 3, coefficients.numel()) for name in ("now", "before"))
         velocity = (now_m - before_m) / self.step_s
@@ -140,7 +134,7 @@ class MujocoRig:
         return ca.Function("drag", [now_m, before_m], [wrench])
 
     def _drag_coefficients(self) -> Array:
-        """Force per speed squared of each piece, so that 1 rad/s about joint 1 gives 1 N·m."""
+        """Force per speed squared of each piece, such that 1 rad/s about joint 1 gives 1 N·m."""
         height = self.data.xipos[self.link.bodies, 2]
-        area = self.link.model.body_mass[self.link.bodies]  # uniform: as long as heavy
+        area = self.link.model.body_mass[self.link.bodies]  # uniform: as the mass
         return np.asarray(area / np.sum(area * height**3))

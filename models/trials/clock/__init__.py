@@ -1,1 +1,1 @@
-"""Offset between two clocks that saw the same motion, and the times of a trial's rows."""
+"""Offset between two clocks that recorded the same motion, and the times of a trial's rows."""

@@ -1,9 +1,9 @@
-"""Ratio of the bend below the first marker row to the bend that the first two rows show.
+"""Ratio of the bend below the first marker row to the bend between the first two rows.
 
-Servo and markers are compared by the direction of the first marker row. Between the joint and that
-row the link bends, and the bend follows the motion late (hysteresis, creep), so that the direction
-seems late as well. The turn from the first row to the second one shows a bend of the same
-material. Its multiple by the ratio computed here is taken from the first row's direction.
+Servo and markers are compared by the direction of the first marker row. The link bends between the
+joint and that row, and the bend lags the motion (hysteresis, creep), so the direction seems to lag
+as well. The turn from the first row to the second measures a bend of the same material. That bend,
+times the ratio computed here, is subtracted from the first row's direction.
 
 The ratio is that of a nominal link of this size (docs/sources.md, "The link";
 `models.shared.link_scale`) under a force F at its tip: a root patch of stiffness k, a span of
@@ -11,7 +11,7 @@ bending stiffness EI and shear stiffness kGA displace a point at height z above 
 
     w(z) = F (L / k + 1 / kGA) z + F (L z² / 2 - z³ / 6) / EI
 
-across the link (Timoshenko beam). Shear is elastic: it bends, but it does not lag.
+across the link (Timoshenko beam). Shear is elastic: it displaces the point, but it does not lag.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from models.shared.link_scale import LinkScale
 from models.trials.trial import TrialMeta
 
 RATIO_DEVIATION: Final = 0.5
-"""Standard deviation of the ratio between links [assumed]: 0.4 with a rigid root, 4 with a rigid
-span; the rig's links have 1.3 to 2.7."""
+"""Standard deviation of the ratio between links [assumed]. The ratio is 0.4 with a rigid root and 4
+with a rigid span; the rig's links have 1.3 to 2.7."""
 
 
 class BendRatio(NamedTuple):
-    """Bend below the first row over the bend between the first two rows."""
+    """Bend below the first row, relative to the bend between the first two rows."""
 
-    whole: float  # Of all bend, shear included
-    late: float
+    whole: float  # Ratio of all bend, shear included
+    late: float  # Ratio of the lagging bend, without shear
 
 
 def nominal_bend_ratio(meta: TrialMeta) -> BendRatio:
-    """Ratio of a link of this size; zero with a single row of markers."""
+    """Ratio for a nominal link of this size; zero with a single row of markers."""
     if meta.layout.rows < 2:
         return BendRatio(0.0, 0.0)
     size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}

@@ -5,9 +5,9 @@ bend lags. With the bend s between the first two rows,
 
     c(t) - κ s(t) = a + g q(t - offset),
 
-where κ follows from the recording, with the nominal link as prior (`bending_lag`), and a and g take
-up what is in phase with the motion: offsets of the encoder and of the frame. The noise of the
-markers, which would lower κ (errors in variables), is taken from second differences.
+where κ is estimated from the recording, with the nominal link as prior (`bending_lag`). a and g
+absorb what is in phase with the motion: offsets of the encoder and of the frame. The noise of the
+markers, which would lower κ (errors in variables), is estimated from second differences.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from models.trials.clock.offset_search import ClockSignal
 from models.trials.trial import Array
 
 GAIN_DEVIATION: Final = 0.01
-"""Standard deviation of g: the origin of the frame within 3 mm at a row 0.3 m away [assumed]."""
+"""Standard deviation of g: the frame's origin is known to 3 mm at a row 0.3 m away [assumed]."""
 LAG_DEVIATION: Final = 0.06
-"""Standard deviation of the correction, as a fraction of it: seen on the rig's structures default,
-test_a and test_b at 0 to 2 kg."""
+"""Standard deviation of the correction, relative to it, on the rig's structures default, test_a
+and test_b at 0 to 2 kg."""
 UNCORRECTED_DEVIATION_S: Final = 0.004
-"""The same where the bend is not measured: 1 to 9 ms on the rig at 0 to 2 kg."""
+"""The same without measured bend: the lag is 1 to 9 ms on the rig at 0 to 2 kg."""
 FLOOR_S: Final = 1e-4
-"""Standard deviation of what is left without bend: steps of the encoder, play of the gear."""
+"""Standard deviation of the remaining errors without bend: encoder steps, play of the gear."""
 RANGE_S: Final = 0.03
-"""Distance from the coarse offset that is searched."""
+"""Half width of the search around the coarse offset."""
 MODEL_ERROR_S: Final = 0.25
-"""Time over which an error of the model is alike: the period of the fastest motion, 4 Hz."""
+"""Correlation time of model errors: the period of the fastest motion, 4 Hz."""
 BLOCK_S: Final = 1.0
 """Time over which residuals count as dependent."""
 
 
 LEAST_SAMPLES: Final = 100
-"""Samples of a half of the motion from which an offset is fitted to it."""
+"""Fewest samples of half of the motion for an offset of its own."""
 
 
 class ClockDrift(NamedTuple):
@@ -49,21 +49,21 @@ class ClockDrift(NamedTuple):
 
     # Offset of the second half minus that of the first, or at the last edge minus at the first
     change_s: float
-    deviation_s: float
+    deviation_s: float  # Standard deviation of the change
     over_s: float  # Time between the middles of the halves, or between those edges
 
 
 class OffsetFit(NamedTuple):
-    """Offset, its error and its parts."""
+    """Fitted offset between two clocks, with error and residuals."""
 
-    offset_s: float  # To be added to the servo's times
+    offset_s: float  # Add it to the servo's times
     error_s: float  # Half width of the 95 % interval of the offset
-    lag_s: float  # What the bend would have added to the offset
-    correlation: float  # Of angle and direction at the offset
-    # (n, dof), direction without bend, minus angle, about its mean, at every compared sample; rad
+    lag_s: float  # Lag of the bend, removed from the offset
+    correlation: float  # Correlation of angle and direction at the offset
+    # Direction without bend minus angle, about its mean, at every compared sample; (n, dof), rad
     residual: Array
-    time_s: Array  # (n,), of these samples, on the motion capture's clock
-    drift: ClockDrift | None = None  # None where a half of the motion has too few samples
+    time_s: Array  # Times of these samples on the motion capture's clock, (n,)
+    drift: ClockDrift | None = None  # None if half of the motion has too few samples
 
 
 def fit_offset(
@@ -73,13 +73,12 @@ def fit_offset(
     ratio: BendRatio,
     start_s: float,
 ) -> OffsetFit:
-    """Fit the offset around a first one.
+    """Fit the offset near `start_s`.
 
-    Shapes: `bend` (n, dof).
-    `seen`: direction of the first row on the motion capture's clock.
-    `bend`: turn from the first row to the second one at the same samples; None where it was not
-    measured or the direction is that of the base, which does not bend.
-    `ratio`: of the nominal link; `BendRatio(0, 0)` with a direction that does not bend.
+    `seen` is the direction of the first row on the motion capture's clock. `bend` (n, dof) is the
+    turn from the first row to the second at the same samples; None if it was not measured, or if
+    the direction is that of the base, which does not bend. `ratio` is the nominal link's, and
+    `BendRatio(0, 0)` for the base.
     """
     near = _Comparison(angle, seen, bend, start_s)
     raw_s = offset_s = near.best(0.0)
@@ -108,7 +107,7 @@ def fit_offset(
 
 
 def _drift(near: _Comparison, offset_s: float, kappa: Array | float) -> ClockDrift | None:
-    """Drift with halves of the motion that tell as much of the offset."""
+    """Drift between two halves of the motion with equal information on the offset."""
     _, rate, kept, _ = near.at(offset_s, kappa)
     weight, time_s = np.sum(rate**2, axis=1), near.seen_s[kept]
     if len(time_s) < 2 * LEAST_SAMPLES or not weight.sum() > 0:
@@ -129,7 +128,7 @@ def _drift(near: _Comparison, offset_s: float, kappa: Array | float) -> ClockDri
 
 
 class _Comparison:
-    """Servo and link at offsets near a first one."""
+    """Comparison of servo and link at offsets near a first one."""
 
     def __init__(
         self, angle: ClockSignal, seen: ClockSignal, bend: Array | None, start_s: float
@@ -145,7 +144,7 @@ class _Comparison:
         self._bend = np.zeros_like(self._seen) if bend is None else bend[inside]
 
     def within(self, first_s: float, last_s: float) -> _Comparison:
-        """Comparison of the samples from one time to another."""
+        """Comparison restricted to the samples between two times."""
         part, inside = copy(self), (self.seen_s >= first_s) & (self.seen_s <= last_s)
         part.seen_s, part._seen, part._bend = (
             v[inside] for v in (self.seen_s, self._seen, self._bend)
@@ -153,7 +152,7 @@ class _Comparison:
         return part
 
     def best(self, kappa: Array | float) -> float:
-        """Offset with the least squares at a given ratio."""
+        """Offset with the least sum of squares, for given ratios."""
         found = minimize_scalar(
             lambda offset_s: float(np.sum(self.at(offset_s, kappa)[0] ** 2)),
             bounds=(self.start_s - RANGE_S, self.start_s + RANGE_S),
@@ -175,9 +174,9 @@ class _Comparison:
         return y - gain * q, rate, kept, float(shared.sum() / size) if size > 0 else 0.0
 
     def bend_ratio(self, offset_s: float, ratio: BendRatio) -> Array:
-        """Ratio of each joint, shape (dof,), by what the recording shows in phase.
+        """Ratio of each joint, shape (dof,), from the bend in phase with the motion.
 
-        The rate takes up what is not: an error of the offset, and the lag itself.
+        A term in the rate absorbs what is out of phase: an error of the offset, and the lag itself.
         """
         q = self._spline(self.seen_s - offset_s)
         kept = np.all(np.isfinite(self._seen + self._bend), axis=1)
@@ -185,7 +184,7 @@ class _Comparison:
         rates = self._spline(self.seen_s[kept] - offset_s, 1)
         noise_bend = _second_difference(bend, bend)
         noise_shared = _second_difference(below, bend)
-        # What the model leaves, a tenth of the bend, is alike for a quarter of a second.
+        # The model error, a tenth of the bend, is correlated over a quarter of a second.
         alike = max(MODEL_ERROR_S / float(np.median(np.diff(self.seen_s))), 1.0)
         variance = alike * np.maximum(np.var(below, axis=0) * 1e-2, 1e-8)
         ratios = []
@@ -208,7 +207,7 @@ def _second_difference(a: Array, b: Array) -> Array:
 
 
 def _standard_error_s(time_s: Array, residual: Array, rate: Array) -> float:
-    """Standard error of the offset, with residuals that depend on each other within a block."""
+    """Standard error of the offset, allowing for correlated residuals within a block."""
     block = ((time_s - time_s[0]) / BLOCK_S).astype(int)
     moment = np.bincount(block, np.sum(residual * rate, axis=1))
     information = np.sum(rate**2)

@@ -1,9 +1,9 @@
 """Search over all offsets at which two recordings of one motion agree, and over the signs.
 
-Coarse, on a grid: the correlation coefficient of the servo's angles and the link's directions at
-every offset at which the overlap holds half of the motion of one file. The same for the angles
-with a sign turned or the joints swapped, so that a wrong sign is found as such and not taken for a
-shift by half a period.
+On a coarse grid, the correlation coefficient of the servo's angles and the link's directions is
+computed at every offset at which the overlap contains half of the motion of one file. The same is
+done with signs reversed or joints swapped, so that a wrong sign is not mistaken for a shift by half
+a period.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from scipy.signal import correlate
 from models.trials.trial import Array
 
 COARSE_STEP_S: Final = 0.01
-"""Step of the search."""
+"""Step of the search in s."""
 
 LEAST_OVERLAP: Final = 0.5
-"""Fraction of the motion of one file that the overlap must hold."""
+"""Smallest fraction of the motion of one file in the overlap."""
 
 SEPARATION_S: Final = 0.25
-"""Nearest distance of two peaks: the period of the fastest motion, 4 Hz."""
+"""Smallest distance of two peaks: the period of the fastest motion, 4 Hz."""
 
 
 class ClockSignal(NamedTuple):
@@ -35,7 +35,7 @@ class ClockSignal(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """Way to read the servo's angles."""
+    """Order and signs in which the servo's angles are read."""
 
     # Which of the file's angles is compared with direction 1 and 2, counted from 0
     joints: tuple[int, ...]
@@ -43,12 +43,12 @@ class Reading(NamedTuple):
 
     @property
     def as_mapped(self) -> bool:
-        """Whether nothing is turned or swapped."""
+        """Whether no sign is reversed and no joints are swapped."""
         return self.joints == tuple(sorted(self.joints)) and min(self.signs) > 0
 
 
 class Peak(NamedTuple):
-    """Offset at which the two agree, with the correlation there."""
+    """Local maximum of the correlation over the offset."""
 
     offset_s: float
     correlation: float
@@ -56,10 +56,10 @@ class Peak(NamedTuple):
 
 
 def find_peaks(angle: ClockSignal, seen: ClockSignal) -> list[Peak]:
-    """Best offsets of the angles as they are mapped, then the best of each other reading.
+    """Best offsets of the angles as mapped, then the best one of each other reading.
 
-    Returns the two best of the mapped reading (one, if no other is apart from it), then one of each
-    other reading; empty where the files share too little.
+    There are two peaks of the mapped reading (one if no other is far enough) and one of each other
+    reading; none if the files have too little in common.
     """
     a, b = _even(angle), _even(seen)
     moments = _moments(a, b)
@@ -77,7 +77,7 @@ def find_peaks(angle: ClockSignal, seen: ClockSignal) -> list[Peak]:
 
 
 class _Moments(NamedTuple):
-    """Sums over the overlap at every lag: variances of each signal, covariances of all pairs."""
+    """Sums over the overlap at every lag: variances of both signals, covariances of all pairs."""
 
     variance_a: Array
     variance_b: Array
@@ -129,7 +129,7 @@ def _axes(values: Array) -> list[tuple[int, Array]]:
 
 
 def _best(score: Array, count: int) -> list[int]:
-    """Indices of the highest local maxima that lie apart."""
+    """Indices of the highest local maxima at least `SEPARATION_S` apart."""
     apart = round(SEPARATION_S / COARSE_STEP_S)
     inner = (score[1:-1] >= score[:-2]) & (score[1:-1] >= score[2:])
     at = np.flatnonzero(inner) + 1

@@ -1,7 +1,7 @@
 """Offset between two clocks from a hardware synchronisation signal that both files recorded.
 
-An edge lies between two samples, so each pair of edges gives an interval of the offset. All pairs
-hold for the one offset: their intervals overlap, and the more edges, the less is left.
+An edge is between two samples, so each pair of edges gives an interval of the offset. The offset is
+in the intervals of all pairs, so more edges leave a smaller interval.
 """
 
 from __future__ import annotations
@@ -18,39 +18,35 @@ LEAST_SWING_V: Final = 0.5
 JITTER_S: Final = 2e-4
 """Error of a time stamp [assumed]."""
 DRIFT: Final = 3e-5
-"""Difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
+"""Relative difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
 LEAST_PAIRS: Final = 4
-"""Pairs of edges from which a drift is fitted [assumed]."""
+"""Fewest pairs of edges for a fit of the drift [assumed]."""
 LEAST_SHARED: Final = 0.5
-"""Part of the edges of the file with fewer that must have a partner."""
+"""Smallest fraction of edges with a partner, in the file with fewer edges."""
 
 
 class EdgeOffset(NamedTuple):
-    """Offsets for which the edges of two files fit together."""
+    """Interval of offsets at which the edges of two files match."""
 
-    low_s: float  # To be added to the servo's times
+    low_s: float  # Lower and upper end of the interval; add the offset to the servo's times
     high_s: float
-    shared: int
-    # Change of the offset from the first pair to the last; None with fewer than `LEAST_PAIRS`
+    shared: int  # Number of matching pairs of edges
+    # Change of the offset from the first pair to the last; None for fewer than `LEAST_PAIRS`
     drift: ClockDrift | None = None
 
     @property
     def offset_s(self) -> float:
-        """Middle of the interval."""
+        """Middle of the interval in s."""
         return 0.5 * (self.low_s + self.high_s)
 
     @property
     def error_s(self) -> float:
-        """Half of its width."""
+        """Half of the interval's width in s."""
         return 0.5 * (self.high_s - self.low_s)
 
 
 def rising_edges_s(time_s: Array, level_v: Array) -> Array:
-    """Times of the samples before and after each rise through the middle of a signal's range.
-
-    Shapes: `time_s`, `level_v` (n,).
-    Returns shape (edges, 2).
-    """
+    """Times of the samples before and after each rise through mid-range, shape (edges, 2)."""
     seen = np.isfinite(level_v)
     time_s, level_v = time_s[seen], level_v[seen]
     if len(level_v) < 2 or np.ptp(level_v) < LEAST_SWING_V:
@@ -61,12 +57,10 @@ def rising_edges_s(time_s: Array, level_v: Array) -> Array:
 
 
 def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
-    """Offsets for which the edges of two files fit together, that with the most pairs first.
+    """Offsets at which the edges (edges, 2) of two files match, the one with the most pairs first.
 
-    Shapes: `servo_s`, `mocap_s` (edges, 2).
-    `servo_s`, `mocap_s`: edges in each file, from `rising_edges_s`. Either may lack edges at its
-    ends.
-    Returns more than one where the signal repeats itself; empty where nothing fits.
+    Either file may lack edges at its ends. There are several offsets if the signal is periodic, and
+    none if nothing matches.
     """
     least = max(LEAST_SHARED * min(len(servo_s), len(mocap_s)), 1)
     found = []
@@ -88,8 +82,8 @@ def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
 def _drift(servo_s: Array, mocap_s: Array) -> ClockDrift | None:
     """Change of the offset over pairs of edges, by a line through the middles of their intervals.
 
-    Each edge lies anywhere between its two samples: its variance is a twelfth of their distance's
-    square.
+    An edge is uniformly distributed between its two samples: its variance is a twelfth of the
+    square of their distance.
     """
     if len(servo_s) < LEAST_PAIRS:
         return None

@@ -1,8 +1,8 @@
-"""Times of a trial's rows: the servo's own samples wherever they have the trial's step.
+"""Times of a trial's rows: the servo's own samples if they have the trial's step.
 
-A goal belongs to the sample that it was sent after. Rows between two samples would have the angle
-of a moment and the goal of another, by up to half a step. Markers move smoothly and may be
-interpolated, goals may not.
+A goal belongs to the sample after which it was sent. A row between two samples would combine an
+angle and a goal from times up to half a step apart. Markers move smoothly and may be interpolated,
+goals may not.
 """
 
 from __future__ import annotations
@@ -16,44 +16,42 @@ from models.trials.trial import Array
 from models.trials.trial_files import STEP_TOLERANCE
 
 IN_PHASE: Final = 0.7
-"""Mean direction of the samples' phases, 0 for any phase and 1 for one, from which samples have the
-step [assumed]: it is 0.76 where they lie evenly within a fifth of a step around their phase."""
+"""Mean resultant length of the samples' phases (0 for uniform, 1 for equal phases) above which
+samples have the step [assumed]. It is 0.76 for phases spread evenly over a fifth of a step to both
+sides."""
 LEAST_CHANGES: Final = 20
-"""Changes of a goal that show in which steps it was sent."""
+"""Fewest changes of a goal that determine in which steps it was sent."""
 SAME: Final = 1e-6
-"""Fraction of a step within which two times are one."""
+"""Fraction of a step within which two times are equal."""
 
 
 class Sampled(NamedTuple):
-    """Sample times of a signal that the servo gave, and those at which it changed."""
+    """Sample times of a servo's signal, and those at which it changed."""
 
-    time_s: Array  # (n,)
-    changed_s: Array  # (k,), of those that differ from the one before
+    time_s: Array  # Sample times, (n,)
+    changed_s: Array  # Times of the samples that differ from the one before, (k,)
 
 
 class TimeGrid(NamedTuple):
     """Times of the rows."""
 
-    time_s: Array  # (rows,), on the clock of the samples
-    in_phase: bool  # Whether the goals were sampled or sent at these times, but for a jitter
+    time_s: Array  # Times on the clock of the samples, (rows,)
+    in_phase: bool  # Whether goals were sampled or sent at these times, apart from jitter
 
 
 def sampled(time_s: Array, values: Array) -> Sampled:
-    """Sample times of a signal, with those at which it changed.
-
-    Shapes: `time_s`, `values` (n,).
-    """
+    """Sample times of a signal and those at which it changed, from arrays (n,)."""
     return Sampled(time_s, time_s[1:][np.abs(np.diff(values)) > 0])
 
 
 def time_grid(start_s: float, end_s: float, step_s: float, signals: Sequence[Sampled]) -> TimeGrid:
     """Rows from a first to a last time, on the samples of the first signal that has the step.
 
-    Samples of exactly that step are the rows themselves. Samples around it, by jitter or with some
-    lost, and goals that were logged finely and sent in that step, give an even grid its phase. Else
-    the grid passes through a sample of the last signal.
+    Samples with exactly that step become the rows. Otherwise the grid is even. Its phase comes from
+    samples with about that step (jitter or lost samples), or from goals that were logged finely
+    and sent in that step; else the grid passes through a sample of the last signal.
 
-    `signals`: goals, then angles; without any the grid begins at `start_s`.
+    `signals` are goals, then angles; without any, the grid begins at `start_s`.
     """
     slack_s = SAME * step_s
     shared = [
@@ -75,7 +73,7 @@ def time_grid(start_s: float, end_s: float, step_s: float, signals: Sequence[Sam
 
 
 def _even(through_s: float, start_s: float, end_s: float, step_s: float) -> Array:
-    """Even grid through a time, within the first and the last one."""
+    """Even grid through a time, between the first and the last time."""
     first_s = through_s - step_s * np.floor((through_s - start_s) / step_s + SAME)
     count = int(np.floor((end_s - first_s) / step_s + SAME)) + 1
     return np.asarray(np.clip(first_s + step_s * np.arange(count), start_s, end_s))

@@ -1,9 +1,9 @@
 """Importers: readers of the files that other systems record, and their assembly into trials.
 
 Every reader takes a file and a `RecordingMap` and returns a list of `Series`: the channels of the
-file by the names of the trial contract, in SI units, each series with its own sample times, all on
-the clock of that file. `synchronise` finds the offset between two files; `assemble_trial` resamples
-everything to one uniform step. A new importer is a module with such a reader and a row of
+file under the column names of a trial, in SI units. Each series has its own sample times, all on
+the clock of that file. `synchronise` estimates the offset between two files; `assemble_trial`
+resamples everything to one uniform step. A new importer is a module with such a reader and a row of
 `READERS`.
 """
 
@@ -33,7 +33,7 @@ READERS: Final[dict[str, Reader]] = {
     "recording": read_robot_log,
     "table": read_table,
 }
-"""Readers by the name that `dropstitch import --as` takes."""
+"""Readers by their name in `dropstitch import --as`."""
 
 KINDS: Final = tuple(READERS)
 _KIND_OF_SUFFIX: Final = {".mcap": "recording", ".c3d": "c3d"}
@@ -42,9 +42,8 @@ _KIND_OF_SUFFIX: Final = {".mcap": "recording", ".c3d": "c3d"}
 def read_series(path: Path, kind: str | None, mapping: RecordingMap) -> list[Series]:
     """Read the channels of a file.
 
-    `kind`: one of `KINDS`. None selects by the suffix: `.mcap` is a log of `dropstitch run`, `.c3d`
-    is C3D, a directory is a rosbag, anything else a table.
-    `mapping`: names, units, frame and conditions that the file does not hold.
+    `kind` is one of `KINDS`. None selects by the suffix: `.mcap` is a log of `dropstitch run`,
+    `.c3d` is C3D, a directory is a rosbag, anything else a table.
     """
     if not path.exists():
         raise InputError(path, "is missing", "name an existing file")

@@ -24,18 +24,18 @@ from models.trials.trial_columns import columns_of
 from models.trials.trial_files import STEP_TOLERANCE
 
 LONGEST_TIP_GAP_S: Final = 0.1
-"""Longest gap over which an unseen tip is interpolated; the motion is below 4 Hz."""
+"""Longest gap over which an occluded tip is interpolated; the motion is below 4 Hz."""
 
 REST_RANGE_M: Final = 3e-3
-"""Largest displacement of a marker that counts as rest."""
+"""Largest displacement of a marker at rest."""
 
 
 def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Trial:
-    """Resample all series over the time that they have in common, and make a trial of them.
+    """Resample all series over their common time, and make a trial of them.
 
     Angles, currents and positions are interpolated linearly, goals are held. Goals and angles that
     already have the step keep their samples (`models.trials.clock.time_grid`). Without motion
-    capture the tip and the markers stay empty.
+    capture, tip and markers stay empty.
     """
     where = series[0].path
     series = _goals_at_samples(series, mapping)
@@ -46,7 +46,7 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
     _check_complete(where, list(source), [signal.name for signal in needed])
     used = list({id(s): s for s in source.values()}.values())
     contract = [signal.name for signal in whole]
-    width = 1 + len({*contract, *source})  # of the trial, what was not measured included
+    width = 1 + len({*contract, *source})  # columns of the trial, with those not measured
     goals = [n for n in (*contract, *source) if mapping.is_goal(n)]
     grid = _grid(source, used, goals, mapping.step_s, MOST_CELLS // width)
     grid_s = grid.time_s
@@ -56,7 +56,7 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
             columns[column] = np.full(len(grid_s), np.nan)
             continue
         owner, hold = source[column], column in goals
-        # A goal stamped up to half a step after a row's time is the one sent just after it.
+        # A goal stamped up to half a step after a row's time was sent just after it.
         after = hold and (grid.in_phase or len(used) > 1)
         at_s = grid_s + 0.5 * mapping.step_s if after else grid_s
         columns[column] = resample(owner.time_s, owner.columns[column], at_s, hold=hold)
@@ -77,7 +77,7 @@ def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Tr
 
 
 def _goals_at_samples(series: list[Series], mapping: RecordingMap) -> list[Series]:
-    """Goals that were recorded apart, stamped as the samples that they were sent after.
+    """Give goals from another log the times of the samples after which they were sent.
 
     A goal stamped within a period after a sample belongs to the row of that sample.
     """
@@ -93,7 +93,7 @@ def _goals_at_samples(series: list[Series], mapping: RecordingMap) -> list[Serie
 
 
 def _sent_after(goal_s: Array, sampled_s: Array, step_s: float) -> Array:
-    """Times of the samples before goals, where one goal follows a sample within a period."""
+    """Times of the samples before goals, if exactly one goal follows a sample within a period."""
     before = np.searchsorted(sampled_s, goal_s, side="right") - 1
     sample_s = sampled_s[np.maximum(before, 0)]
     close = (before >= 0) & (goal_s - sample_s < (1 - STEP_TOLERANCE) * step_s)
@@ -105,9 +105,9 @@ def _sent_after(goal_s: Array, sampled_s: Array, step_s: float) -> Array:
 def align_markers(
     series: list[Series], mapping: RecordingMap, rest_rad: Array | None = None
 ) -> list[Series]:
-    """Move the markers onto the nominal robot by what the map names: nothing, rest pose, or base.
+    """Move the markers onto the nominal robot, by rest pose or base as the map says.
 
-    Shapes: `rest_rad` (dof,).
+    `rest_rad` (dof,) are the joint angles at rest.
     """
     if mapping.frame.align == "none":
         return series
@@ -116,22 +116,20 @@ def align_markers(
 
 
 def rest_count(series: Series, names: Sequence[str]) -> int:
-    """Leading samples in which no marker has moved, at least one."""
+    """Number of leading samples in which no marker has moved, at least one."""
     rest = len(series.time_s)
     for column in (series.columns[f"{name}_{axis}_m"][:rest] for name in names for axis in "xyz"):
         seen = np.isfinite(column)
         first_m = column[int(np.argmax(seen))]
-        moved = np.flatnonzero(np.abs(column - first_m) > REST_RANGE_M)  # NaN is no motion
+        moved = np.flatnonzero(np.abs(column - first_m) > REST_RANGE_M)  # NaN does not count
         rest = int(moved[0]) if len(moved) else rest
     return max(rest, 1)
 
 
 def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:
-    """Values at the times of a grid, linearly interpolated or held; NaN next to NaN.
+    """Values (n,) at the times of a grid (m,), interpolated linearly or held; NaN next to NaN.
 
-    A grid time that coincides with a sample takes that sample exactly.
-
-    Shapes: `time_s`, `values` (n,), `grid_s` (m,).
+    A grid time that coincides with a sample gets exactly that sample.
     """
     before = np.clip(np.searchsorted(time_s, grid_s, side="right") - 1, 0, len(time_s) - 2)
     fraction = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])
@@ -153,7 +151,7 @@ def _check_complete(where: Path, present: list[str], needed: list[str]) -> None:
 
 
 def _with_tip(series: Series, layout: MarkerLayout) -> Series:
-    """Series with the centre of the last marker row as tip, where it has no tip of its own."""
+    """Series with the centre of the last marker row as tip, if it has no tip."""
     names = layout.row(-1)
     if "tip_x_m" in series.columns or not all(f"{n}_x_m" in series.columns for n in names):
         return series
@@ -164,7 +162,7 @@ def _with_tip(series: Series, layout: MarkerLayout) -> Series:
 def _grid(
     source: dict[str, Series], used: list[Series], goals: list[str], step_s: float, most_rows: int
 ) -> TimeGrid:
-    """Times of the rows, on the samples of goals and angles, or of the only series."""
+    """Times of the rows, aligned with the samples of goals and angles, or of the only series."""
     start_s = max(s.time_s[0] for s in used)
     end_s = min(s.time_s[-1] for s in used)
     if (end_s - start_s) / step_s > most_rows:
@@ -190,7 +188,7 @@ def _grid(
 
 
 def _fill_short_gaps(where: Path, values: Array, step_s: float) -> Array:
-    """Fill short gaps linearly; refuse long ones; an entirely empty column stays empty."""
+    """Fill short gaps linearly and refuse long ones; an empty column stays empty."""
     seen = np.isfinite(values)
     if seen.all() or not seen.any():
         return values

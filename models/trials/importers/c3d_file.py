@@ -1,4 +1,4 @@
-"""C3D reader (through ezc3d): points as markers and, where the map names them, analog channels."""
+"""C3D reader (through ezc3d): points as markers, and analog channels that the map names."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
 def read_c3d(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Markers and mapped analog channels of a C3D file.
+    """Read markers and mapped analog channels of a C3D file.
 
-    `mapping`: with `[markers]`, `[columns]` and `[frame]`; z points up unless it says otherwise.
-    Returns markers in the world frame first; analog channels, if any, second.
+    Markers in the world frame come first, analog channels, if any, second. z points up unless the
+    map's `[frame]` says otherwise.
     """
     import ezc3d  # only needed for C3D
 
@@ -29,7 +29,7 @@ def read_c3d(path: Path, mapping: RecordingMap) -> list[Series]:
         file = ezc3d.c3d(str(path))
     except MemoryError:
         raise
-    except Exception as error:  # the library raises what its parser trips over
+    except Exception as error:  # the library passes on any error of its parser
         what = f"is not C3D ({type(error).__name__}: {error})"
         raise InputError(path, what, "export it again") from None
     return [_points(path, file, mapping), *_analogs(path, file, mapping)]

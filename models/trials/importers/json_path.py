@@ -1,13 +1,13 @@
 """Paths into nested JSON: values by a dotted path or a JSON pointer.
 
-`samples[].motor.position` is one value of every entry of a list, `channels.force` a list of values
-as it is. `[]` (in a pointer: `*`) stands for every entry of a list, `[2]` for the third one::
+`samples[].motor.position` is one value of every entry of a list, `channels.force` a whole list.
+`[]` (in a pointer: `*`) stands for every entry of a list, `[2]` for the third one::
 
     samples[].motor.position      /samples/*/motor/position
     samples[].force[0]            /samples/*/force/0
     rig.load.force                /rig/load/force
 
-A pointer follows RFC 6901 (`~1` is a slash, `~0` a tilde) but for the `*`.
+A pointer follows RFC 6901 (`~1` is a slash, `~0` a tilde) except for the `*`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _TOKEN: Final = re.compile(r"([^.\[\]]+)|\[(\d*)\]")
 
 
 def json_values(where: Path, document: Any, path: str) -> Sequence[Any]:
-    """List of values that a path leads to; None where an entry lacks the last names of it."""
+    """Values at a path; None for an entry of a list that lacks the last names of the path."""
     found = _follow(where, document, path, _tokens(path), 0)
     if not isinstance(found, list) or any(isinstance(v, dict | list) for v in found):
         raise InputError(
@@ -45,7 +45,7 @@ def _tokens(path: str) -> list[str]:
 
 
 def _follow(where: Path, node: Any, path: str, tokens: list[str], depth: int) -> Any:
-    """Value below a node; a list of them where the rest of the path passes every entry of one."""
+    """Value below a node, or a list of values if the path passes every entry of a list."""
     if depth == len(tokens):
         return node
     token = tokens[depth]
@@ -65,7 +65,7 @@ def _follow(where: Path, node: Any, path: str, tokens: list[str], depth: int) ->
 def _of_every_entry(
     where: Path, entries: list[Any], path: str, tokens: list[str], depth: int
 ) -> list[Any]:
-    """Value of each entry, None where it has none; the first error if no entry has one."""
+    """Value of each entry, None if it has none; fails if no entry has one."""
     result: list[Any] = []
     first: InputError | None = None
     for entry in entries:
@@ -80,7 +80,7 @@ def _of_every_entry(
 
 
 def _dead_end(path: str, node: Any, tokens: list[str], depth: int) -> str:
-    """Sentence that says where a path ends."""
+    """Message that says where a path ends."""
     before = ".".join(tokens[:depth]).replace(f".{EVERY}", "[]") or "the file"
     if isinstance(node, dict):
         has = f"it has {', '.join(map(repr, list(node)[:20])) or 'no names'}"

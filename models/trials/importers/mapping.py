@@ -1,29 +1,29 @@
-"""Map of a recording (MAP.toml): names, units, frame and conditions that the file does not hold.
+"""Map of a recording (MAP.toml): names, units, frame and conditions that the file lacks.
 
 ::
 
     step_s = 0.017                     # uniform step of the trial
-    link = "link.toml"                 # beside the map: size, markers, gravity of your own link
-    plant = "xl330_pendulum.toml"      # beside the map, with the [signals] of a plant not the link
+    link = "link.toml"                 # beside the map: size, markers and gravity of your link
+    plant = "xl330_pendulum.toml"      # beside the map: [signals] of a plant that is not the link
 
-    [trial]                            # the trial's conditions (docs/architecture.md)
+    [trial]                            # the trial's conditions (docs/trials.md)
     dof = 1                            # schema, source, rest_samples and period_s may be left out
     payload_kg = 1.0
-    motion = { from = "trajectory" }   # single value of the file, by its name there
+    motion = { from = "trajectory" }   # single value of the file, by its name in it
     …
 
-    [conditions]                       # conditions of the plant's file: a number, or
+    [conditions]                       # conditions that the plant declares: a number, or
     duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # a single value
 
-    [columns]                          # table, C3D analog: contract name = where it comes from
+    [columns]                          # table, C3D analog: column of the trial = its source
     time_s      = { from = "stamp", unit = "ms" }
     position_1_m = { from = "samples[].motor.position", unit = "mm" }   # path into nested JSON
     angle_1_rad = { from = "Present Position", unit = "deg" }
     current_1_a = { from = "cur", unit = "mA", scale = -1.0, offset = 0.0 }
 
-    [servo_columns]                    # the same for --servo, where it is another table
+    [servo_columns]                    # the same for --servo, if it is another table
 
-    [markers]                          # motive, C3D, rosbag: contract name = name in the file
+    [markers]                          # motive, C3D, rosbag: name in the trial = name in the file
     m01 = "Link:Marker 001"
     tip = "EndEffector"
 
@@ -32,15 +32,15 @@
 
     [frame]                            # mocap frame -> world frame
     up = "y"                           # axis of the file along which the link points at zero angle
-    mirror = "x"                       # axis of a left-handed file that is turned round
+    mirror = "x"                       # axis of a left-handed file that is reversed
     align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
     origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
     yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
 
     [takes]                            # one map for many files: conditions by file name or table
-    pattern = "load{payload_kg}_take{trial}"   # of the names, without suffix
+    pattern = "load{payload_kg}_take{trial}"   # of the file names, without suffix
     table = "takes.csv"                # or a table with a column `file` and one for each condition
-    servo = "{name}.mcap"              # servo's file of each take, beside it
+    servo = "{name}.mcap"              # servo log of each take, beside it
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ from models.trials.trial_columns import check_step_range
 from models.trials.trial_files import check_meta
 
 Scalar = str | int | float
-"""Single value of a file, or of a condition."""
+"""Single value of a file or of a condition."""
 
 BASE_MARKERS = ("b01", "b02", "b03", "b04")
-"""Corners of the base plate, in the order of a row; they align the frame and give the clock."""
+"""Corners of the base plate, in the order of a row; they align the frame and the clock."""
 
 
 class ColumnSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -79,13 +79,13 @@ class ColumnSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A `[trial]` entry that is taken from a single value of the file."""
+    """A `[trial]` entry whose source is a single value of the file."""
 
     source: str = msgspec.field(name="from")
 
 
 class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Orientation and origin of the motion capture's frame in the world; see the module's text."""
+    """Orientation and origin of the motion capture's frame in the world."""
 
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
     mirror: Literal["x", "y", "z"] | None = None
@@ -95,7 +95,7 @@ class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`[takes]`: how a folder of takes gets conditions and servo files; see the module's text."""
+    """`[takes]`: conditions and servo logs of many takes; see the module's docstring."""
 
     pattern: str = ""
     table: str = ""
@@ -103,7 +103,7 @@ class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 
 class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Decoded MAP.toml.
+    """Content of MAP.toml; the module's docstring has an example.
 
     Attributes
     ----------
@@ -118,27 +118,27 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     link : str
         Description of the link beside the map; empty for the study's.
     described : LinkDescription
-        What it says: `[trial]` may leave out what the link gives.
+        Content of that description; `[trial]` may leave out what it states.
     step_s : float
-        Uniform step of the trial.
+        Uniform step of the trial in s.
     step_named : bool
-        Whether the map names that step itself.
+        Whether the map states the step, as opposed to the default.
     columns, servo_columns : dict of str to ColumnSource
-        Sources of the contract's columns in the file and in the file of `--servo`.
+        Sources of the trial's columns in the file, and in the file of `--servo`.
     markers : dict of str to str
-        Name in the file by marker of the contract; empty where the names are the same.
+        Name in the file by marker of the trial; empty if the names are the same.
     topics : dict of str to str
         Role by topic of a ROS 2 bag.
     joints : list of str
         Names of joint 1 and joint 2 in a ROS 2 bag; empty for the order of the message.
     effort_unit : str
-        Unit of `JointState.effort`.
+        Unit of `JointState.effort` in a ROS 2 bag.
     frame : MocapFrame
         Frame of the motion capture.
     takes : TakeRules
-        Conditions and servo files of many takes.
+        Conditions and servo logs of many takes.
     path : str
-        File of the map, for messages.
+        Path of the map, for messages.
     """
 
     trial: dict[str, Scalar | ScalarSource] = {}
@@ -160,14 +160,14 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     path: str = "--map"
 
     def meta(self, rest_samples: int, duration_s: float | None = None) -> TrialMeta:
-        """Conditions of the trial.
+        """Return the conditions of the trial.
 
         Parameters
         ----------
         rest_samples : int
-            Where the map leaves it out.
+            Rows at rest, used if the map does not set them.
         duration_s : float, optional
-            Period where the map of another plant leaves it out.
+            Period in s for a plant that is not the link, used if the map does not set it.
 
         Raises
         ------
@@ -187,14 +187,14 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return check_meta(document, Path(self.path), self.signals)
 
     def with_scalars(self, scalars: Mapping[str, Scalar], where: Path) -> RecordingMap:
-        """Map in which every `{ from = … }` of a single value is replaced by that value.
+        """Return the map with every `{ from = … }` of a single value replaced by that value.
 
         Parameters
         ----------
         scalars : mapping of str to str, int or float
             Single values of the file, by name.
         where : Path
-            The file.
+            File with the values, for messages.
 
         Raises
         ------
@@ -223,7 +223,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
 
     def _condition(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
-        """Single value as a condition of the trial; a number that names a motion as text."""
+        """Single value as a condition of the trial; a motion's name is text, even a number."""
         value = self._scalar(scalars, where, key, name)
         return f"{value:g}" if key == "motion" and isinstance(value, int | float) else value
 
@@ -236,17 +236,17 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return scalars[name]
 
     def for_servo(self) -> RecordingMap:
-        """Map with which the file of `--servo` is read."""
+        """Return the map for reading the file of `--servo`."""
         return msgspec.structs.replace(self, columns=self.servo_columns or self.columns)
 
     @property
     def dof(self) -> int:
-        """Joints of the trial, 1 or 2.
+        """Number of joints of the trial, 1 or 2.
 
         Raises
         ------
         InputError
-            If the map does not give it.
+            If the map does not state it.
         """
         dof = self.trial.get("dof", self.described.joints if self.link else None)
         if dof not in (1, 2):
@@ -261,16 +261,16 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     @property
     def layout(self) -> MarkerLayout:
-        """Places of the markers."""
+        """Layout of the markers on the link."""
         return self.described.layout
 
     @property
     def known_markers(self) -> tuple[str, ...]:
-        """Names that a marker can have."""
+        """Names that a marker of the trial can have."""
         return (*self.layout.names, *BASE_MARKERS, "tip")
 
     def marker_of(self, name: str) -> str | None:
-        """Contract name (`m01` …, `tip`) of a marker that the file calls `name`, else None."""
+        """Return the trial's name (`m01` …, `tip`) of the file's marker `name`, or None."""
         for marker, source in self.markers.items():
             if name == source:
                 return marker
@@ -279,7 +279,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 def read_mapping(path: Path | None) -> RecordingMap:
-    """Read MAP.toml; without one the file must have the contract's names and units."""
+    """Read MAP.toml; without a map, the file must have the names and units of a trial."""
     if path is None:
         return RecordingMap()
     document = read_toml(path, "name an existing MAP.toml")
@@ -304,7 +304,7 @@ def read_mapping(path: Path | None) -> RecordingMap:
 
 
 def _refuse_doubled(mapping: RecordingMap, path: Path) -> None:
-    """Refuse two names for one source; only a goal may be taken from another signal's column."""
+    """Refuse two names for one source; only a goal may share the column of another signal."""
     joints = {f"joint {j}": name for j, name in enumerate(mapping.joints, start=1)}
     tables = [("[markers]", mapping.markers), ("'joints'", joints)]
     both = {"[columns]": mapping.columns, "[servo_columns]": mapping.servo_columns}
@@ -324,7 +324,7 @@ def _refuse_doubled(mapping: RecordingMap, path: Path) -> None:
 
 
 def _signals(path: Path) -> dict[str, SignalRole]:
-    """Signals that a plant document declares; the plant itself is not read."""
+    """Signals that a plant document declares; nothing else of it is read."""
     entries = read_toml(path, "correct 'plant' in the map").get("signals", {})
     signals = convert(entries, dict[str, SignalRole], path, "is no plant document", "correct it")
     check_signal_units(path, signals)

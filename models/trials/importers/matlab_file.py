@@ -14,10 +14,10 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_bytes
 
 MATRIX_COLUMNS: Final = 32
-"""Most columns of a matrix of a MATLAB file that are taken for channels sampled together."""
+"""Most columns of a matrix whose columns count as channels sampled together."""
 MOST_UNPACKED_BYTES: Final = 150_000_000
-"""Most bytes of the compressed variables of a file, unpacked: those of `MOST_CELLS` numbers, with
-as much again for what is not read."""
+"""Most unpacked bytes of a file's compressed variables: those of `MOST_CELLS` numbers, and as much
+again for variables that are not used."""
 _COMPRESSED: Final = 15
 """Type of a compressed element (MAT-File Format, R2019b, table 1-1)."""
 _HEADER_BYTES: Final = 128
@@ -25,7 +25,7 @@ _REMEDY: Final = "save it with -v7"
 
 
 def matlab_variables(path: Path) -> dict[str, Any]:
-    """Variables of a MATLAB file by name."""
+    """Read the variables of a MATLAB file, by name."""
     import io
 
     from scipy.io import loadmat
@@ -34,11 +34,11 @@ def matlab_variables(path: Path) -> dict[str, Any]:
     _check_unpacked(path, data)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of two variables of one name, among others
+            warnings.simplefilter("error")  # for example of two variables with one name
             variables = loadmat(io.BytesIO(data))
     except MemoryError:
         raise
-    except Exception as error:  # scipy raises what its parser trips over
+    except Exception as error:  # scipy passes on any error of its parser
         what = f"is not a MATLAB file up to version 7 ({type(error).__name__}: {error})"
         raise InputError(path, what, _REMEDY) from None
     return {name: value for name, value in variables.items() if not name.startswith("__")}
@@ -84,7 +84,7 @@ def _check_unpacked(path: Path, data: bytes) -> None:
 
 
 def _unpacked_bytes(packed: memoryview, before: int) -> int:
-    """Size of an unpacked element, counted in pieces; what is damaged ends it."""
+    """Size of an unpacked element, counted in pieces up to the first damaged byte."""
     unpack, size = zlib.decompressobj(), 0
     try:
         piece = unpack.decompress(packed, 1 << 20)

@@ -14,32 +14,25 @@ _TO_Z_UP: Final = {
     "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "z": np.eye(3),
 }
-"""Rotation that makes the file's upward axis the z axis, by that axis."""
+"""Rotation from the file's upward axis to z, by that axis."""
 _OVER: Final = np.diag([1.0, -1.0, -1.0])
 """Half a turn about x, for a link that points down an axis."""
 
 
 def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
-    """Positions in the world frame.
-
-    Shapes: `positions_m` (n, 3).
-    `default_up`: upward axis of the file where the map does not give it.
-    """
+    """Positions (n, 3) in the world frame; `default_up` is used if the map does not state `up`."""
     rotation = world_rotation(frame, default_up)
     origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
     return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
 
 
 def world_rotation(frame: MocapFrame, default_up: str) -> Array:
-    """Rotation from the file's axes to the world's, shape (3, 3); a reflection with `mirror`.
-
-    `default_up`: upward axis of the file where the map does not give it.
-    """
+    """Rotation from the file's axes to the world's, shape (3, 3); a reflection with `mirror`."""
     up = frame.up or default_up
     upward = _TO_Z_UP[up.removeprefix("-")]
     turned = _about_z(frame.yaw_deg) @ (_OVER @ upward if up != up[-1] else upward)
     signs = [-1.0 if axis == frame.mirror else 1.0 for axis in "xyz"]
-    return np.asarray(turned * signs)  # of the file's axes
+    return np.asarray(turned * signs)  # signs belong to the file's axes
 
 
 def _about_z(yaw_deg: float) -> Array:
@@ -58,13 +51,10 @@ def nominal_markers_m(meta: TrialMeta) -> Array:
 
 
 def fit_rigid_motion(measured_m: Array, nominal_m: Array) -> tuple[Array, Array]:
-    """Rigid motion that best maps measured points to nominal ones.
+    """Rotation (3, 3) and shift (3,) that best map measured points to nominal ones, (k, 3) each.
 
-    Least squares by the singular value decomposition (Kabsch 1976). It takes a pre-bent link for a
-    tilted frame, so it is an option, not the default.
-
-    Shapes: `measured_m`, `nominal_m` (k, 3).
-    Returns `rotation` (3, 3); `shift_m` (3,): nominal ≈ rotation @ measured + shift.
+    nominal ≈ rotation @ measured + shift, by least squares with the singular value decomposition
+    (Kabsch 1976). A pre-bent link looks like a tilted frame, so this is an option, not the default.
     """
     centre, target = measured_m.mean(axis=0), nominal_m.mean(axis=0)
     u, _, vt = np.linalg.svd((measured_m - centre).T @ (nominal_m - target))

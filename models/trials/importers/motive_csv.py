@@ -2,9 +2,9 @@
 
 The header's first line holds key, value pairs. Label rows follow, whose second cell is their label
 (Type, Name, ID, Parent, or empty for Rotation / Position), then the row that begins with Frame,
-then the samples. The set of rows depends on the version and on the export options, so every row is
-found by its label, not by its line number. A blank cell is an occluded marker. Only positions are
-used; rotations of rigid bodies are skipped.
+then the samples. The set of rows depends on version and export options, so every row is identified
+by its label, not by its line number. A blank cell is an occluded marker. Only positions are used;
+rotations of rigid bodies are skipped.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from models.trials.trial_columns import MOST_COLUMNS
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
 _RANK: Final = {"marker": 0, "rigid body marker": 1, "bone marker": 1}
-"""Preference by kind, lowest first: a measured marker before the solver's expected one."""
+"""Preference by kind, lowest first: a measured marker before the one that the solver expects."""
 _MOST_HEADER_LINES: Final = 100
-"""Lines in which the header ends; Motive writes seven."""
+"""Most lines of the header; Motive writes seven."""
 
 
 def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Markers of a Motive export in the world frame.
+    """Read the markers of a Motive export, in the world frame.
 
-    `mapping`: with `[markers]` and `[frame]`; y points up unless it says otherwise.
+    y points up unless the map's `[frame]` says otherwise.
     """
     rows = _rows(path)
     header = _header(path, next(rows, []))
@@ -55,7 +55,7 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     used = [time, *(k for axes in positions.values() for k in axes)]
     samples = _samples(path, rows, line, len(labels["Frame"]), used)
     columns: dict[str, Array] = {}
-    for i, name in enumerate(positions):  # one by one: a long capture is held once, not four times
+    for i, name in enumerate(positions):  # one by one: one copy of a long capture, not four
         in_file_m = metres * samples[:, 1 + 3 * i : 4 + 3 * i]
         columns |= marker_columns(to_world({name: in_file_m}, mapping.frame, default_up="y"))
     return [Series(samples[:, 0].copy(), columns, path)]
@@ -71,7 +71,7 @@ def _rows(path: Path) -> Iterator[list[str]]:
 
 
 def _header(path: Path, first: list[str]) -> dict[str, str]:
-    """Key, value pairs of the header's first line, checked."""
+    """Check the header's first line and return its key, value pairs."""
     header = dict(zip(first[::2], first[1::2], strict=False))
     if first and first[0].startswith("Format Version;"):
         raise InputError(
@@ -93,7 +93,7 @@ def _header(path: Path, first: list[str]) -> dict[str, str]:
 
 
 def _label_rows(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, list[str]], int]:
-    """Label rows by label ("" is the Rotation / Position row), and the number of the last one."""
+    """Label rows by label ("" for Rotation / Position), and the line number of the last one."""
     labels: dict[str, list[str]] = {}
     for number, row in enumerate(rows, start=2):
         if len(row) > MOST_COLUMNS:
@@ -119,7 +119,7 @@ def _label_rows(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, list[s
 def _position_columns(
     path: Path, labels: dict[str, list[str]], mapping: RecordingMap
 ) -> dict[str, list[int]]:
-    """Columns of X, Y and Z by the contract's marker name."""
+    """Columns of X, Y and Z by the trial's name of the marker."""
     best: dict[str, tuple[int, dict[str, list[int]]]] = {}
     for k, (kind, name, measure, axis) in enumerate(
         zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
@@ -146,7 +146,7 @@ def _position_columns(
 def _samples(
     path: Path, rows: Iterator[list[str]], line: int, width: int, used: list[int]
 ) -> Array:
-    """Cells of the used columns below the header as numbers, blank ones as NaN."""
+    """Samples of the used columns as numbers, NaN for a blank cell."""
     numbers = array("d")
     for number, row in enumerate(rows, start=line + 1):
         if not row:

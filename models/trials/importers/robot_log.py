@@ -1,12 +1,12 @@
 """Reader of the logs of `dropstitch run`: goals, angles and currents of a trial.
 
-The robot has no motion capture. Its predicted tip is kept under its own name (`predicted_tip_x_m`
-…); the tip and the markers come from a second file or stay empty. Ticks without fresh data are
-left out of the measured series, so that held values are not taken for samples; goals are known in
-every tick. Goals begin with the motion, at time zero: a trial, whose first rows are at rest, holds
-neither the approach nor a probing motion, but the clock of motion capture is found with both.
-Samples of a second read are late: angle and current are interpolated to the time of their row. Rows
-from an alert or an early stop on are no part of the motion.
+The robot has no motion capture. Its predicted tip gets its own columns (`predicted_tip_x_m` …); the
+tip and the markers come from a second file or stay empty. Ticks without fresh data are left out of
+the measured series, so that stale values do not become samples; goals are known in every tick.
+Goals begin with the motion, at time zero: a trial, whose first rows are at rest, holds neither the
+approach nor a probing motion. The clock of the motion capture is estimated from both, however.
+Samples of a retried read are late: angle and current are interpolated to the time of their row.
+Rows from an alert or an early stop on are not part of the motion.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from models.trials.motion_start import rows_at_rest
 from models.trials.trial import Array
 
 LEAST_MOVING_ROWS: Final = 20
-"""Rows after the rest below which the rows before a stop are no trial [assumed]: as many as an
-import wants at rest."""
+"""Fewest rows after the rest for rows before a stop to be a trial [assumed]: as many as an import
+expects at rest."""
 _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
 
 
 class LogEnd(NamedTuple):
     """Early end of the motion in a log."""
 
-    row: int  # First row that is no part of the motion
-    text: str  # What is left out, with its reason
+    row: int  # First row that is not part of the motion
+    text: str  # Sentence on what is left out, and why
 
 
 def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
-    """Rows of a log in which the robot followed its motion, and what ended them early.
+    """Rows of a log in which the robot followed its motion, and the reason for an early end.
 
-    The first row with an alert ends them, and so does that of a stop before the motion was over.
-    The stop after the motion stays: the goals hold its last ones.
+    The first alert ends them, or a stop before the end of the motion. Rows of a stop after the
+    motion stay: they hold its last goals.
     """
     alert, stop = _first_alert(log), _early_stop(log)
     found = [row for row in (alert, stop) if row is not None]
@@ -76,11 +76,11 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
 
 
 def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Joint signals, predictions and the estimated payload of a log, on the log's clock.
+    """Read joint signals, predictions and estimated payload of a log, on the log's clock.
 
-    `mapping`: not used: the log holds the contract's names and units.
-    Returns one series, or goals and measured signals apart where some ticks have no fresh data, or
-    the arm approaches the first goal.
+    A log has the names and units of a trial, so the map is not used. The result is one series. If
+    some ticks have no fresh data, or the arm approaches the first goal, goals and measured signals
+    are two series.
     """
     log, _ = motion_rows(read_recording(path))
     columns = log.columns
@@ -93,7 +93,7 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
     measured = sampled | {name: columns[name] for name in predicted}
     measured[f"estimated_{PAYLOAD.name}"] = columns[PAYLOAD.name]
     begun = columns["tick"] >= 0
-    if fresh.all() and begun.all():  # one series, which keeps its samples as they are
+    if fresh.all() and begun.all():  # one series keeps its samples unchanged
         return [Series(time_s, goals | measured, path)]
     held = {name: column[fresh] for name, column in measured.items()}
     goals = {name: column[begun] for name, column in goals.items()}
@@ -101,12 +101,12 @@ def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
 
 
 def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
-    """Map completed from a log: `[trial]` and `step_s`, where the map does not give them."""
+    """Complete `[trial]` and `step_s` of a map from a log."""
     facts = logged_run(log)
     step_s = facts.period_s or float(np.median(np.diff(log.columns["time_s"])))
     motion = _goals_reach(log, step_s) if _outside(facts) else _motion_conditions(facts.motion)
     known: dict[str, Scalar | None] = {"dof": log.dof, **motion}
-    known["source"] = log.metadata.get("source", "recording")  # a run in software says "sil"
+    known["source"] = log.metadata.get("source", "recording")  # a run in software has "sil"
     known["payload_kg"] = facts.payload_kg
     if facts.payload_kg is None and "payload_kg" not in mapping.trial:
         estimated_kg = log.columns[PAYLOAD.name]
@@ -138,7 +138,7 @@ def _bits(columns: dict[str, NDArray[Any]]) -> Array:
 def _early_stop(log: Recording) -> int | None:
     """Row in which the robot began to stop, unless its motion was over.
 
-    Where nothing tells the end of the motion, a stop from rest is one after it.
+    If the log does not tell the end of the motion, a stop from rest counts as after it.
     """
     rows = np.flatnonzero(log.columns["state"] >= SafetyState.STOPPING)
     if not len(rows):
@@ -153,7 +153,7 @@ def _early_stop(log: Recording) -> int | None:
 
 
 def _slots(log: Recording, facts: LoggedRun) -> int | None:
-    """Slot in which the motion was to end; earlier logs know only what it was."""
+    """Tick in which the motion should end; from the motion itself in earlier logs."""
     if facts.slots is not None or facts.period_s is None:
         return facts.slots
     logged = facts.motion
@@ -176,14 +176,14 @@ def _goals(log: Recording) -> Array:
 
 
 def _motion_goals(log: Recording) -> Array:
-    """Goals without those of the approach, before time zero."""
+    """Goals from time zero on, without those of the approach."""
     return np.asarray(_goals(log)[log.columns["tick"] >= 0])
 
 
 def _late_s(columns: dict[str, NDArray[Any]]) -> Array:
-    """Time from a row to its sample where a second read gave it, else zero.
+    """Delay of each row's sample after a retried read, else zero.
 
-    Counted from the usual time at which a sample is taken that was answered at once.
+    It is counted from the usual time of a sample that is answered at the first attempt.
     """
     status = columns["bus_status"]
     at_once, again = status == BusStatus.OK, status == BusStatus.RETRIED
@@ -200,7 +200,7 @@ def _late_s(columns: dict[str, NDArray[Any]]) -> Array:
 def _at_rows(
     time_s: Array, fresh: NDArray[np.bool_], late_s: Array, sampled: dict[str, Array]
 ) -> tuple[NDArray[np.bool_], dict[str, Array]]:
-    """Rows with a measurement, and late samples interpolated to the time of their row."""
+    """Mask of the measured rows, and late samples interpolated to the time of their row."""
     late = fresh & (late_s > 0)
     if not late.any():
         return fresh, sampled
@@ -209,17 +209,17 @@ def _at_rows(
     for name, column in sampled.items():
         own[name] = column.copy()
         own[name][late] = np.interp(time_s[late], sample_s, column[fresh])
-    return fresh & ~(late & (time_s < sample_s[0])), own  # nothing is known before the first
+    return fresh & ~(late & (time_s < sample_s[0])), own  # the first sample has none before it
 
 
 def _outside(facts: LoggedRun) -> bool:
-    """Whether another program sent the goals; earlier logs give it a motion of no amplitude."""
+    """Whether another program sent the goals; earlier logs then state an amplitude of zero."""
     motion = facts.motion
     return motion.design is None and motion.motion == OUTSIDE and not motion.amplitude_rad
 
 
 def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:
-    """Conditions of goals that nobody knew before the run: duration and largest goal."""
+    """Conditions of goals from another program: their duration and the largest goal."""
     goals = _motion_goals(log)
     if not len(goals) or not np.isfinite(goals).all():
         raise InputError(log.path, "holds no goals", "record it again")
@@ -231,7 +231,7 @@ def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:
 
 
 def _motion_conditions(logged: LoggedMotion) -> dict[str, Scalar | None]:
-    """Conditions of a trial from the motion of a log."""
+    """Conditions of a trial from the logged motion."""
     if logged.design is None:
         return {
             "motion": logged.motion or logged.kind, "period_s": logged.period_s,

@@ -1,10 +1,10 @@
 """Reader of ROS 2 bags (through rosbags, without ROS).
 
-The map's `[topics]` gives the role of each topic: `joints` (sensor_msgs/JointState: position and
-effort become angle and current), `goals` (JointState), `markers` (MarkerArray or PoseArray), or
-the name of one marker (`tip`, `m01` …; PointStamped, PoseStamped or TransformStamped). Joints
-keep the order of the message unless the map lists their names under `joints`. The time of
-a message is its header's stamp, or the time of recording where it has none.
+The map's `[topics]` states the role of each topic: `joints` (sensor_msgs/JointState: position and
+effort become angle and current), `goals` (JointState), `markers` (MarkerArray or PoseArray), or the
+name of one marker (`tip`, `m01` …; PointStamped, PoseStamped or TransformStamped). Joints keep the
+order of the message unless the map lists their names under `joints`. The time of a message is the
+stamp of its header, or the time of recording without one.
 """
 
 from __future__ import annotations
@@ -27,18 +27,17 @@ from models.trials.importers.series import Series, factor_to_si, marker_columns
 MOST_FILES: Final = 100
 """Most files of a bag."""
 MOST_METADATA_BYTES: Final = 100_000
-"""Size of the largest metadata.yaml: 200 topics; its parser needs a second for it."""
+"""Largest size of metadata.yaml: 200 topics, for which its parser needs a second."""
 MOST_NESTED: Final = 1000
-"""Most brackets and lists in lists of it, for which its parser needs quadratic time."""
+"""Most brackets and nested lists in metadata.yaml, for which its parser needs quadratic time."""
 _NESTING: Final = (b"[", b"{", b"- - ", b"? ?")
 Samples = list[tuple[float, dict[str, Any]]]
 
 
 def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Joint states, goals and markers of a bag, one series per topic.
+    """Read joint states, goals and markers of a bag, one series per topic.
 
-    `mapping`: with `[topics]`, `joints`, `[markers]` and `[frame]`; z points up unless it says
-    otherwise.
+    z points up unless the map's `[frame]` says otherwise.
     """
     if not mapping.topics:
         raise InputError(
@@ -77,7 +76,7 @@ def _check_files(path: Path) -> None:
 
 
 def _messages(path: Path, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time of recording in ns and content of every message of some topics."""
+    """Topic, time of recording in ns and content of every message on these topics."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -96,7 +95,7 @@ def _messages(path: Path, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
                 yield connection.topic, recorded_ns, bag.deserialize(raw, connection.msgtype)
     except (InputError, MemoryError, GeneratorExit):
         raise
-    except Exception as error:  # SQLite, YAML, MCAP and CDR each raise what they trip over
+    except Exception as error:  # parsers of SQLite, YAML, MCAP and CDR raise many types
         what = f"is no readable ROS 2 bag ({type(error).__name__}: {error})"
         raise InputError(path, what, "name its directory, or record it again") from None
 
@@ -110,7 +109,7 @@ def _stamp_s(message: Any, recorded_ns: int) -> float:
 
 
 def _values(path: Path, message: Any, topic: str, mapping: RecordingMap) -> dict[str, Any]:
-    """Scalars (joints) or positions (markers) of one message, by contract name."""
+    """Scalars (joints) or positions (markers) of one message, by column name."""
     role = mapping.topics[topic]
     if role in ("joints", "goals"):
         return _joints(path, message, role, topic, mapping)

@@ -1,4 +1,4 @@
-"""Series: channels sampled together, by the names of the trial contract, in SI units."""
+"""Series: channels sampled together, under the column names of a trial, in SI units."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from models.trials.si_units import TO_SI
 from models.trials.trial import Array
 
 OPPOSITE_M: Final = 1e-3
-"""Distance from the axis within which the midpoint of two markers is the row's centre."""
+"""Largest distance from the axis at which the midpoint of two markers is the row's centre."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Series:
     Attributes
     ----------
     time_s : ndarray, shape (n,)
-        Strictly increasing, on the clock of the file; steps may vary.
+        Sample times in s, strictly increasing, on the clock of the file; steps may vary.
     columns : dict of str to ndarray, shape (n,)
-        By contract name, in SI; NaN where nothing was measured.
+        Samples by column name of a trial, in SI units; NaN where nothing was measured.
     path : Path
-        File that it was read from, for messages.
+        File that they were read from, for messages.
 
     Raises
     ------
@@ -66,12 +66,12 @@ class Series:
                 )
 
     def position_m(self, name: str) -> Array:
-        """Position of a marker or the tip, shape (n, 3)."""
+        """Return the position of a marker or the tip in m, shape (n, 3)."""
         return np.column_stack([self.columns[f"{name}_{axis}_m"] for axis in "xyz"])
 
 
 def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
-    """Columns `m01_x_m` … of positions by contract name (`m01` … `m16`, `tip`), each (n, 3)."""
+    """Columns `m01_x_m` … of positions by marker name (`m01` … `m16`, `tip`), each (n, 3)."""
     return {
         f"{name}_{axis}_m": np.ascontiguousarray(position[:, k])
         for name, position in markers_m.items()
@@ -80,12 +80,10 @@ def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
 
 
 def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> Array:
-    """Centre of a marker row, shape (n, 3), NaN where it cannot be told.
+    """Centre of a marker row, shape (n, 3), from its markers (corners, n, 3).
 
-    The centre is the midpoint of any two opposite markers, so two of them suffice; without
-    opposite ones all are needed.
-
-    Shapes: `corners_m` (corners, n, 3).
+    The centre is the midpoint of any two opposite markers, so two of them suffice. Without opposite
+    markers all are needed. It is NaN where too many are occluded.
     """
     places = np.asarray(places_m)
     apart = np.abs(places[:, None] + places[None]).max(axis=2)
@@ -100,10 +98,7 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
 
 
 def factor_to_si(where: Path, column: str, unit: str, declared: str | None = None) -> float:
-    """Factor from `unit` to the SI unit in which `column` is declared.
-
-    `declared`: SI unit of a column whose name has no unit suffix.
-    """
+    """Factor from `unit` to the SI unit of `column`, from its suffix or `declared` without one."""
     declared = declared or unit_of(column) or "1"
     if unit == declared:
         return 1.0

@@ -1,9 +1,9 @@
 """Offset between the servo's clock and the motion capture's.
 
-A hardware signal that both files recorded (`sync_v`) gives it directly. Otherwise both recorded the
-same motion: the servo as its angle, the markers as the direction in which the link points. All
-offsets and signs are searched (`models.trials.clock.offset_search`), and the offset is fitted
-without the lag of the link's bend (`models.trials.clock.offset_fit`).
+A hardware signal that both files recorded (`sync_v`) determines it directly. Otherwise both
+recorded the same motion: the servo as its angle, the markers as the direction of the link. All
+offsets and signs are searched (`models.trials.clock.offset_search`). Then the offset is fitted, and
+the lag of the link's bend is removed (`models.trials.clock.offset_fit`).
 """
 
 from __future__ import annotations
@@ -26,47 +26,47 @@ from models.trials.trial import Array, TrialMeta
 LONGEST_S: Final = 10_000.0
 """Longest recording whose offset is searched: a million coarse steps."""
 MIN_CORRELATION: Final = 0.9
-"""Correlation below which two files do not show the same motion."""
+"""Smallest correlation of two files with the same motion."""
 SYNC: Final = "sync_v"
 """Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
 FINE_S: Final = 0.001
 """Half width of the signal's offset above which the motion refines it: the clock's target."""
 NEAR_FACTOR: Final = 3.0
 NEAR_FLOOR: Final = 0.001
-"""A second offset is near if its lack of correlation is below this multiple of the best one's plus
+"""A second offset competes if its lack of correlation is below this multiple of the best one's plus
 the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset, ten
-minutes of a motion that nearly repeats itself 0.003]."""
+minutes of a nearly periodic motion 0.003]."""
 
 
 @dataclass(frozen=True)
 class Synchronisation:
-    """Result of `synchronise`."""
+    """Offset between servo and motion capture, with its error."""
 
-    offset_s: float  # To be added to the servo's times to get those of the motion capture
-    # Of servo angle and direction of the link at that offset; 1 is perfect. NaN where the motion
-    # did not give the offset.
+    offset_s: float  # Add it to the servo's times to get times of the motion capture
+    # Correlation of servo angle and direction of the link at that offset, at most 1. NaN if the
+    # motion did not determine the offset.
     correlation: float
     error_s: float = 0.0  # Half width of the 95 % interval of the offset
-    lag_s: float = 0.0  # Lag of the link's bend, which was left out of the offset
-    second_offset_s: float = np.nan  # Best offset apart from the first; NaN where there is none
+    lag_s: float = 0.0  # Lag of the link's bend, removed from the offset
+    second_offset_s: float = np.nan  # Best offset apart from the first; NaN if there is none
     second_correlation: float = np.nan
-    # What gave the offset: the motion, a hardware signal, or the user
+    # Source of the offset: the motion, a hardware signal, or the user's option
     by: Literal["motion", "sync", "option"] = "motion"
-    fit: OffsetFit | None = None  # Residuals, for a picture
+    fit: OffsetFit | None = None  # Fit to the motion, for the picture of its residuals
     # Change of the offset over the edges of a hardware signal
     edges_drift: ClockDrift | None = None
 
     @property
     def drifts(self) -> list[ClockDrift]:
-        """Changes of the offset that edges and motion tell."""
+        """Drifts of the offset, measured by edges and by motion."""
         told = (self.edges_drift, self.fit.drift if self.fit is not None else None)
         return [drift for drift in told if drift is not None]
 
 
 def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
-    """Offset between the clocks of two files, with its error.
+    """Estimate the offset between the clocks of two files, with its error.
 
-    `mocap`: with the first marker row or the tip; the second row shows the bend.
+    The motion capture needs the first marker row or the tip; its second row measures the bend.
     """
     by_edges = _by_edges(servo, mocap)
     if len(by_edges) == 1 and by_edges[0].error_s <= FINE_S:
@@ -107,10 +107,9 @@ def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Syn
 def offset_near(
     servo: list[Series], mocap: list[Series], meta: TrialMeta, given_s: float
 ) -> Synchronisation | None:
-    """Offset that signal or motion give, to compare one given by hand with it.
+    """Offset from signal or motion, to be compared with one that the user gave.
 
-    `given_s`: offset given by hand: where the motion repeats itself, it is fitted near this one.
-    Returns None where the files do not tell it.
+    If the motion is periodic, the offset is fitted near the user's. None if it cannot be estimated.
     """
     try:
         return synchronise(servo, mocap, meta)
@@ -127,12 +126,12 @@ def offset_near(
 
 
 def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
-    """Series whose times are larger by `offset_s`."""
+    """Add `offset_s` to the times of series."""
     return [replace(s, time_s=s.time_s + offset_s) for s in series]
 
 
 def without_sync(series: list[Series]) -> list[Series]:
-    """Series without the synchronisation signal, which is no signal of the trial."""
+    """Remove the synchronisation signal, which is not a signal of the trial."""
     return [
         replace(s, columns={n: v for n, v in s.columns.items() if n != SYNC}) if SYNC in s.columns
         else s
@@ -160,7 +159,7 @@ def _by_edges(servo: list[Series], mocap: list[Series]) -> list[EdgeOffset]:
 def _edge_with_motion(
     edges: list[EdgeOffset], servo: list[Series], mocap: list[Series], meta: TrialMeta
 ) -> Synchronisation:
-    """Offset of a signal that repeats itself, or was sampled coarsely, with the motion's help."""
+    """Offset from a periodic or coarsely sampled signal, refined by the motion."""
     try:
         motion = _by_motion(servo, mocap, meta)
     except InputError as error:
@@ -174,7 +173,7 @@ def _edge_with_motion(
         ) from None  # fmt: skip
     nearest = min(edges, key=lambda edge: abs(edge.offset_s - motion.offset_s))
     inside_s = float(np.clip(motion.offset_s, nearest.low_s, nearest.high_s))
-    if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal counts, not the motion
+    if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal is trusted, not the motion
         return _of_edges(nearest)
     error_s = min(nearest.error_s, motion.error_s)
     return replace(motion, offset_s=inside_s, error_s=error_s, by="sync", edges_drift=nearest.drift)
@@ -195,11 +194,11 @@ def _angle(servo: list[Series], dof: int) -> ClockSignal:
 
 
 def _direction(mocap: list[Series], meta: TrialMeta) -> tuple[ClockSignal, Array | None, BendRatio]:
-    """Direction of the link near its root, bend above it, and ratio of the bend below it."""
+    """Direction of the link near its root, bend above, and nominal ratio of the bend below."""
     dof, layout = meta.dof, meta.layout
     ratio = nominal_bend_ratio(meta)
     for series in mocap:
-        if all(f"{name}_z_m" in series.columns for name in BASE_MARKERS):  # it does not bend
+        if all(f"{name}_z_m" in series.columns for name in BASE_MARKERS):  # the base does not bend
             b1, b2, b3, b4 = (series.position_m(name) for name in BASE_MARKERS)
             normal = pointing_angles_rad(np.cross(b1 + b3 - b2 - b4, b1 + b2 - b3 - b4))[:, :dof]
             whole = _complete(series, normal)
@@ -238,7 +237,7 @@ def _complete(series: Series, values: Array) -> Array:
 def _check_reading(
     servo: list[Series], mocap: list[Series], mapped: list[Peak], peaks: list[Peak]
 ) -> None:
-    """Refuse angles that fit with other signs or in another order, or not at all."""
+    """Refuse angles that fit better with other signs or in another order, or do not fit at all."""
     best = max((p.correlation for p in mapped), default=0.0)
     other = max(
         (p for p in peaks if not p.reading.as_mapped), key=lambda p: p.correlation, default=None
@@ -273,7 +272,7 @@ def _other_reading(peak: Peak) -> str:
 
 
 def _second(mapped: list[Peak], peaks: list[Peak]) -> Peak | None:
-    """Best peak at another offset, in any reading."""
+    """Best peak at another offset, for any signs and order."""
     first_s = mapped[0].offset_s
     apart = [p for p in peaks if abs(p.offset_s - first_s) > SEPARATION_S]
     return max(apart, key=lambda p: p.correlation, default=None)

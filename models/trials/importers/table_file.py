@@ -1,7 +1,7 @@
-"""Reader of tables (CSV, TSV, JSON, MATLAB) whose columns a map renames to the contract's names.
+"""Reader of tables (CSV, TSV, JSON, MATLAB) whose columns a map renames to those of a trial.
 
-`read_columns` returns all columns of a file. The map gives them their meaning, so that the log of
-another plant needs another map but no other reader. In JSON a map may also give a path
+`read_columns` returns all columns of a file. The map defines their meaning, so the log of another
+plant needs another map but no other reader. For JSON a map may also have paths
 (`models.trials.importers.json_path`).
 """
 
@@ -25,16 +25,14 @@ from models.trials.importers.text_columns import no_number, read_text_columns
 from models.trials.trial import Array
 
 LONGEST_NAME: Final = 1000
-"""Characters of the longest path to a single value in JSON."""
+"""Most characters of a path to a single value in JSON."""
 
 
 def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Columns of a table by the contract's names, in SI units.
+    """Read the columns of a table that the map names, in SI units.
 
-    A column that the map does not name is kept if its own name ends in a unit suffix of the
-    contract; all others are dropped.
-
-    `mapping`: with `[columns]`; a marker export (QTM, TRC) needs `[markers]` only.
+    A column that the map does not name is kept if its own name ends in a unit suffix; all others
+    are dropped. A marker export (QTM, TRC) needs `[markers]` only.
     """
     if path.suffix.lower() not in (".json", ".mat"):
         mapping = with_capture_columns(path, mapping)
@@ -70,7 +68,7 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
 def _with_paths(
     path: Path, mapping: RecordingMap, raw: dict[str, Sequence[Any]]
 ) -> dict[str, Sequence[Any]]:
-    """Columns of a file, and those that the map names by a path into nested JSON."""
+    """Columns of a file, with those that the map names by a path into nested JSON."""
     wanted = {c.source for c in mapping.columns.values()}
     nested = sorted(w for w in wanted - set(raw) if set(w) & set("./[")) if _is_json(path) else []
     if not nested and not raw:
@@ -100,8 +98,8 @@ def _is_json(path: Path) -> bool:
 def read_scalars(path: Path) -> dict[str, Scalar]:
     """Single values of a file beside its columns, by name: a gain, a mass, the motion's name.
 
-    These are the strings and numbers of a JSON object, those of objects in it by dotted path and by
-    JSON pointer, and the 1 × 1 variables of a MATLAB file; other files have none.
+    In JSON these are the strings and numbers of an object, and those of objects in it by dotted
+    path and by JSON pointer; in a MATLAB file, the 1 × 1 variables. Other files have none.
     """
     suffix = path.suffix.lower()
     if suffix == ".json":
@@ -129,14 +127,14 @@ def _single_values(node: Any, form: str, prefix: str = "") -> dict[str, Scalar]:
 def read_columns(
     path: Path, wanted: Callable[[str], bool] = bool, *, may_be_nested: bool = False
 ) -> dict[str, Sequence[Any]]:
-    """Cells of a file by the names of its columns, each of length n.
+    """Read the cells of a file by the names of its columns, each of length n.
 
-    JSON may be a list of records, an object of equally long lists, or an object in which one key
-    holds the list of records. From a MATLAB file the vectors of the most frequent length are taken,
-    and the columns of matrices of that length: `speed[0]`, `speed[1]`, ….
+    JSON may be a list of records, an object of equally long lists, or an object with one key for
+    the list of records. A MATLAB file yields its vectors of the most frequent length, and the
+    columns of matrices of that length: `speed[0]`, `speed[1]`, ….
 
-    `wanted`: whether the cells of a column of a text table are read; others are empty.
-    `may_be_nested`: whether a file without columns is accepted, because a map has paths into it.
+    `wanted` selects the columns of a text table whose cells are read; others are empty.
+    `may_be_nested` accepts a file without columns, because a map has paths into it.
     """
     suffix = path.suffix.lower()
     columns: dict[str, Any]
@@ -178,7 +176,7 @@ def _most_frequent_length(columns: dict[str, Any]) -> dict[str, Sequence[Any]]:
 
 
 def _numbers(path: Path, name: str, cells: Sequence[Any]) -> Array:
-    """Cells as doubles; an empty one is NaN."""
+    """Cells as doubles; NaN for an empty one."""
     if isinstance(cells, np.ndarray):
         return np.asarray(cells, dtype=np.float64)
     numbers = np.empty(len(cells))

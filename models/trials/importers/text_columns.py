@@ -20,19 +20,17 @@ from models.trials.trial import Array
 from models.trials.trial_columns import MOST_COLUMNS
 
 _SPLIT_NUMBER: Final = re.compile(r"(^|,)\s*[-+]?\d+,\d+(,|$)")
-"""Two cells of a row that a decimal comma made of one number: neither has a point."""
+"""Two cells that a decimal comma made of one number: neither has a decimal point."""
 _TIME_STAMP: Final = re.compile(r"(\d{4}-\d\d-\d\d([T ].*)?)|(\d{1,2}:\d\d(:.*)?)")
 _DECIMAL_COMMA: Final = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
 
 
 def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[str], list[Array]]:
-    """Names of all columns of a text table, and the wanted ones among them as numbers.
+    """Read names of all columns of a text table, and the wanted columns as numbers, shape (n,).
 
-    `path`: text with a header; the commonest of `,`, `;` and tabulator in it separates. The header
-    rows of a marker export (QTM, TRC) are skipped.
-    `wanted`: whether a column of this name is read; cells of others may be anything.
-    Returns shape (n,), columns in this order; an empty cell is NaN, and columns that are not wanted
-    are empty.
+    The text has a header; its most frequent character of `,`, `;` and tabulator is the separator.
+    The header rows of a marker export (QTM, TRC) are skipped. An empty cell is NaN. A column that
+    is not wanted is empty, whatever its cells hold.
     """
     lines, above = without_capture_header(path, read_lines(path, "name an existing table"))
     first = next(lines, "")
@@ -68,7 +66,7 @@ def read_text_columns(path: Path, wanted: Callable[[str], bool]) -> tuple[list[s
 
 
 def refuse_doubled(path: Path, names: list[str]) -> None:
-    """Refuse two columns of one name; empty names are no names."""
+    """Refuse two columns of one name; empty names are ignored."""
     seen: set[str] = set()
     for name in names:
         if name and name in seen:
@@ -77,7 +75,7 @@ def refuse_doubled(path: Path, names: list[str]) -> None:
 
 
 def cells_remedy(row: Sequence[str], header: int, delimiter: str = ",") -> str:
-    """Remedy for a row of another length than the header; decimal commas nearly double it."""
+    """Remedy for a row whose length is not the header's; decimal commas nearly double it."""
     if len(row) < header:
         return "the file is truncated or damaged: export it again"
     if len(row) >= 1.5 * header and delimiter == "," and _SPLIT_NUMBER.search(",".join(row)):
@@ -91,7 +89,7 @@ def has_decimal_comma(cell: object) -> bool:
 
 
 def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
-    """Sentence for a cell that is not a number."""
+    """Error of a cell that is not a number."""
     remedy = "correct the cell or leave it empty"
     if has_decimal_comma(cell):
         remedy = "the file has decimal commas: export it with decimal points"
@@ -103,10 +101,10 @@ def no_number(path: Path, sample: int, column: str, cell: object) -> InputError:
 
 
 def _number(path: Path, row: int, column: str, cell: str) -> float:
-    """Number in a cell; the row counts from 1, the header's."""
+    """Number in a cell; rows count from 1, the header."""
     try:
         number = float(cell) if cell else math.nan
-        if "_" in cell:  # Python would read 0.0_17 as 0.017
+        if "_" in cell:  # `float` reads 0.0_17 as 0.017
             raise ValueError
     except ValueError:
         raise no_number(path, row - 1, column, cell) from None

@@ -23,19 +23,16 @@ from models.trials.verdict.finding import (
 
 @dataclass(frozen=True)
 class Gap:
-    """Longest time without a sample in one series."""
+    """Longest time without a sample in a series."""
 
-    file: str
-    start_s: float  # Last sample before it, on the trial's clock
+    file: str  # Name of the file
+    start_s: float  # Last sample before the gap, on the trial's clock
     length_s: float  # Time to the next sample
     step_s: float  # Usual step of the series
 
 
 def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list[Gap]:
-    """Longest gap of every series within the time of a trial.
-
-    `start_s`, `end_s`: first and last time of the trial on that clock.
-    """
+    """Longest gap of every series between the first and the last time of a trial."""
     gaps = []
     for s in series:
         inside = s.time_s[(s.time_s >= start_s - 1.0) & (s.time_s <= end_s + 1.0)]
@@ -68,7 +65,7 @@ def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
 
 
 def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on markers that are mapped and absent, or hardly ever seen."""
+    """Findings on markers that are mapped but absent, or occluded most of the time."""
     columns = {name: values for s in series for name, values in s.columns.items()}
     markers = mapping.layout.names
     given = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
@@ -135,7 +132,7 @@ def judge_rest(trial: Trial) -> list[ImportFinding]:
 
 
 def _largest_move_m(markers_m: Array) -> float:
-    """Distance between the mean places in the first and last third of rows, largest marker."""
+    """Largest distance between a marker's mean places in the first and the last third of rows."""
     third = max(len(markers_m) // 3, 1)
     ends = []
     for rows in (markers_m[:third], markers_m[-third:]):

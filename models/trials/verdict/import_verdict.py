@@ -1,4 +1,4 @@
-"""Verdict on an import: findings and measures, filled in as the import proceeds."""
+"""Verdict on an import: findings and measurements, collected during the import."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from models.trials.verdict.rest_pose import RestPose
 
 @dataclass
 class ImportVerdict:
-    """What is known of an import, filled in as it proceeds."""
+    """Findings and measurements of an import, collected while it proceeds."""
 
     name: str
     findings: list[ImportFinding] = field(default_factory=list)
-    pose: RestPose | None = None  # At rest, before alignment
-    # Of two files, or of the signals of one file against each other
+    pose: RestPose | None = None  # Pose at rest, before alignment
+    # Offset between the clocks of two files, or between signals of one file
     clock: Synchronisation | None = None
-    gaps: list[Gap] = field(default_factory=list)  # Longest of each file
+    gaps: list[Gap] = field(default_factory=list)  # Longest gap of each file
     trial: Trial | None = None
-    # Usual step of each file before resampling
+    # Median step of each file before resampling
     steps_s: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -43,11 +43,11 @@ class ImportVerdict:
 
     @property
     def warnings(self) -> list[ImportFinding]:
-        """Findings of which the import only warns."""
+        """Findings that do not refuse the import."""
         return [f for f in self.findings if f.level == "warning"]
 
     def check_clock(self) -> None:
-        """Add findings where the clock's offset is uncertain, or changes during the motion."""
+        """Add findings if the clock's offset is uncertain, or drifts during the motion."""
         if self.clock is None:
             return
         low, high = CLOCK_ERROR_S
@@ -74,10 +74,10 @@ class ImportVerdict:
     def check_given_offset(
         self, given_s: float, found: Synchronisation | None, apart_s: float
     ) -> None:
-        """Add a finding where an offset given by hand is not the one that the files show.
+        """Add a finding if the user's offset differs from the estimate of signal or motion.
 
-        `found`: by a signal or by the motion; None where the files do not tell it.
-        `apart_s`: added to both for the message: clocks may count from an epoch.
+        There is no estimate if `found` is None. `apart_s` is added to both in the message, because
+        clocks may count from an epoch.
         """
         if found is None:
             return
@@ -95,14 +95,14 @@ class ImportVerdict:
             )  # fmt: skip
 
     def refuse(self, where: Path) -> None:
-        """Refuse the import if there is reason."""
+        """Refuse the import if a finding does."""
         reasons = self.refused
         if reasons:
             others = "".join(f"; also: {f.text}" for f in [*reasons[1:], *self.warnings][:2])
             raise InputError(where, reasons[0].text + others, reasons[0].remedy)
 
     def as_json(self) -> dict[str, Any]:
-        """Verdict for machines."""
+        """Verdict as JSON."""
         said: dict[str, Any] = {
             "verdict": "refused" if self.refused else "warned" if self.warnings else "passed",
             "findings": [f._asdict() for f in self.findings],

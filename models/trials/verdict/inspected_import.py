@@ -46,24 +46,24 @@ from models.trials.verdict.whole_run.tip_findings import judge_tip
 from models.trials.verdict.whole_run.zero_markers import without_zeros
 
 _UP: Final = {"motive": "y"}
-"""Upward axis by format; z in all others."""
+"""Upward axis by format; z in all other formats."""
 _EPOCH_FROM_S: Final = 1e6
-"""Time beyond which a clock counts from an epoch: twelve days."""
+"""First time of a clock above which it counts from an epoch: twelve days."""
 _LOST_DIGITS_S: Final = 2e-6
-"""Error of a time since 1970 in a double, with its conversion from another unit."""
+"""Rounding error of a time since 1970 as a double, including a conversion of its unit."""
 
 
 class Source(NamedTuple):
-    """What one import reads."""
+    """Files and options of one import."""
 
-    file: Path
-    kind: str
+    file: Path  # Recording
+    kind: str  # Format of the recording
     servo: Path | None = None  # Second file with the servo's signals
-    offset_s: float | None = None  # Offset of the servo's clock; None to find it
+    offset_s: float | None = None  # Offset of the servo's clock; None to estimate it
 
 
 def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict) -> Trial:
-    """Import a recording; fill in the verdict as it proceeds."""
+    """Import a recording and collect its verdict."""
     series = read_series(source.file, source.kind, mapping)
     if source.kind == "table":
         series = [_table_to_world(s, mapping) for s in series]
@@ -113,7 +113,7 @@ def _merged(
     verdict: ImportVerdict,
     apart_s: float,
 ) -> list[Series]:
-    """Series of both files on one clock; their epochs lie `apart_s` apart."""
+    """Series of both files on one clock; their epochs are `apart_s` apart."""
     try:
         clock = _clock(servo, series, source, mapping, verdict, apart_s)
     except InputError:
@@ -128,7 +128,7 @@ def _merged(
 
 
 def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: ImportVerdict) -> None:
-    """Add gaps anywhere in two files: such a gap is why their clocks do not fit."""
+    """Add findings on gaps in the whole files: a gap may explain why the clocks do not fit."""
     gaps = [
         gap for side in (servo, mocap)
         for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
@@ -138,7 +138,7 @@ def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: Import
 
 
 def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
-    """Markers of a table in the world frame; the other readers do it themselves."""
+    """Transform the markers of a table to the world frame; other readers do it themselves."""
     names = [n for n in mapping.known_markers if _has(series, n)]
     frame = mapping.frame
     moved = frame.up not in (None, "z") or frame.yaw_deg or any(frame.origin_m) or frame.mirror
@@ -151,7 +151,7 @@ def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
 def _without_zeros(
     series: list[Series], mapping: RecordingMap, verdict: ImportVerdict
 ) -> list[Series]:
-    """Series in the world frame without the markers that the file puts at its zero."""
+    """Remove samples of markers at the file's zero from series in the world frame."""
     zero_m = to_world({"zero": np.zeros((1, 3))}, mapping.frame, "z")["zero"][0]
     remedy = "check that these markers were hidden: the samples are left out"
     series, found = without_zeros(series, mapping.known_markers, zero_m, remedy)
@@ -164,7 +164,7 @@ def _has(series: Series, name: str) -> bool:
 
 
 def _without_base(series: list[Series]) -> list[Series]:
-    """Series without the base's markers, which are no signals of a trial."""
+    """Remove the base's markers, which are not signals of a trial."""
     drop = {f"{name}_{axis}_m" for name in BASE_MARKERS for axis in "xyz"}
     return [
         Series(s.time_s, {n: v for n, v in s.columns.items() if n not in drop}, s.path)
@@ -175,13 +175,13 @@ def _without_base(series: list[Series]) -> list[Series]:
 
 
 def _epoch_s(series: list[Series]) -> float:
-    """Whole seconds from which the clock of a file counts; 0 if it starts near zero."""
+    """Epoch of a file's clock in whole seconds; 0 if it starts near zero."""
     first_s = min((float(s.time_s[0]) for s in series), default=0.0)
     return float(np.floor(first_s)) if abs(first_s) > _EPOCH_FROM_S else 0.0
 
 
 def _since(series: list[Series], epoch_s: float) -> list[Series]:
-    """Series on a clock that counts from an epoch, with even steps where only digits were lost.
+    """Subtract an epoch from times; make steps even if they are uneven by rounding only.
 
     A double holds a time of day to a quarter of a microsecond.
     """
@@ -196,7 +196,7 @@ def _even(time_s: Array) -> Array:
 
 
 def _first_angles(series: list[Series], dof: int) -> Array | None:
-    """Joint angles in the first samples of a file, at rest."""
+    """Joint angles in the first samples, at rest."""
     names = [f"angle_{j}_rad" for j in range(1, dof + 1)]
     for s in series:
         if all(name in s.columns for name in names):
@@ -212,7 +212,7 @@ def _aligned(
     rest_rad: Array | None,
     source: Source,
 ) -> list[Series]:
-    """Series with markers in the world frame; the pose is judged before and after."""
+    """Align the markers to the world frame; judge the pose before and after."""
     verdict.pose = _rest_pose_of(series, mapping, rest_rad)
     if verdict.pose is not None:
         verdict.findings += judge_pose(verdict.pose, mapping, _UP.get(source.kind, "z"))
@@ -249,7 +249,7 @@ def _clock(
     verdict: ImportVerdict,
     apart_s: float = 0.0,
 ) -> Synchronisation:
-    """Offset after both clocks were set to start near zero, by `apart_s` differently."""
+    """Offset between clocks that were shifted to start near zero, by epochs `apart_s` apart."""
     if source.offset_s is None:
         return synchronise(servo, series, mapping.meta(0))
     given_s = source.offset_s - apart_s

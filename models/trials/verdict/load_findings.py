@@ -1,4 +1,4 @@
-"""Findings on the payloads of trials: the load that currents or bend show, and what is stated."""
+"""Findings on the payloads of trials: the load in current or bend, against the declared payload."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from models.trials.verdict.finding import REPEATED_LOAD, ImportFinding
 from models.trials.verdict.motion_findings import LEAST_MOTION_RAD, current_terms
 
 _CLEAR: Final = 0.5
-"""Part of the current that must go with the angle's sine for the current to show the load."""
+"""Smallest fraction of the current that follows the angle's sine, to estimate the load."""
 _LEAST_BEND: Final = 0.02
-"""Bend of the link over the angle from which it shows the load."""
+"""Smallest bend of the link, relative to the angle, for an estimate of the load."""
 _FALL: Final = 0.1
-"""Relative fall of the load towards a larger payload that is no chance."""
+"""Relative decrease of the load towards a larger payload that is significant."""
 _BETWEEN: Final = 0.2
-"""Distance of a payload from what its neighbours' loads say, over the range of the payloads: the
-rig's load is in proportion to the payload within 3 %."""
+"""Distance of a payload from the interpolation of its neighbours' loads, relative to the range of
+the payloads. The rig's load is in proportion to the payload within 3 %."""
 
 
 def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Findings on payloads that do not fit the load, among trials of one motion.
+    """Findings on payloads that do not match the load, among trials of one motion.
 
-    The load is what the current has in proportion to the angle's sine (weight times lever, and
-    inertia), or the bend in proportion to the angle. It is not compared with a nominal link, only
-    between trials: alike for one payload, larger for a larger one, and between its neighbours'.
+    The load is the current in proportion to the angle's sine (weight times lever, and inertia), or
+    the bend in proportion to the angle. It is compared between trials, not with a nominal link: it
+    must be equal for equal payloads, larger for a larger one, and between those of its neighbours.
     """
     groups: dict[tuple[object, ...], list[Trial]] = defaultdict(list)
     for t in trials:
@@ -37,7 +37,7 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
         groups[(*moved, t.meta.phase_2_rad, t.meta.pressure_pa)].append(t)
     found = []
     for group in groups.values():
-        # One joint for all: of joints that move alike another one would lead in each trial.
+        # One joint for all: with similar motions, trials would differ in the joint that moves most.
         joint = int(np.argmax(np.mean([t.angle_rad.std(axis=0) for t in group], axis=0)))
         for load, what in ((_current_load, "current"), (_bend_load, "bend")):
             loads = [load(t, joint) for t in group]
@@ -48,7 +48,7 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
 
 
 def _current_load(trial: Trial, joint: int) -> float | None:
-    """Current per sine of the angle of a joint; None where it does not show."""
+    """Current per sine of a joint's angle; None if it is not significant."""
     angle, current = trial.angle_rad[:, joint], trial.current_a[:, joint]
     if angle.std() < LEAST_MOTION_RAD or not np.isfinite(current).all():
         return None
@@ -57,7 +57,7 @@ def _current_load(trial: Trial, joint: int) -> float | None:
 
 
 def _bend_load(trial: Trial, joint: int) -> float | None:
-    """Bend of a joint's plane per angle; None where the tip was not seen, or does not show it."""
+    """Bend in a joint's plane per angle; None if the tip is occluded or the bend is small."""
     seen = np.isfinite(trial.tip_m).all(axis=1)
     angle = trial.angle_rad[seen, joint]
     if seen.mean() < 0.5 or angle.std() < LEAST_MOTION_RAD:

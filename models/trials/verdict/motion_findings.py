@@ -21,27 +21,27 @@ from models.trials.verdict.finding import (
 )
 
 LEAST_MOTION_RAD: Final = 0.03
-"""Standard deviation of an angle from which a motion can be judged."""
+"""Smallest standard deviation of an angle for a motion to be judged."""
 LARGEST_RAD: Final = 6.3
-"""Angle beyond which its unit is not rad."""
+"""Angle above which its unit is not rad."""
 LARGEST: Final = (
     ("goal", "rad", LARGEST_RAD, "deg"),
     ("angle", "rad", LARGEST_RAD, "deg"),
     ("current", "a", 100.0, "mA"),
 )
-"""Signals of a joint: name, SI unit, the value beyond which the unit is another one, and which."""
+"""Signals of a joint: name, SI unit, value above which the unit is wrong, and the probable unit."""
 LEAST_CURRENT_A: Final = 0.01
-"""Largest current of a motion below which it is not in A: the smallest servo's friction takes 0.02
+"""Peak current of a motion below which its unit is not A: friction of the smallest servo needs 0.02
 to 0.04 A (docs/sources.md, "The servo")."""
 SWAPPED: Final = 1.5
-"""Power that a current leaves beside its own joint, over that beside the other one: at most 0.4 on
-the rig, 2.4 and more where they are exchanged."""
+"""Ratio of the current's residual variance with its own joint's motion to that with the other's: at
+most 0.4 on the rig, 2.4 and more if the currents are exchanged."""
 ALIKE: Final = 0.9
-"""Correlation from which two signals show the same motion."""
+"""Smallest correlation of two signals with the same motion."""
 AMPLITUDE: Final = 0.3
-"""Relative difference of the goals' reach and the declared amplitude that is warned of."""
+"""Relative difference of the goals' amplitude from the declared one that causes a warning."""
 MOVING_RAD_S: Final = 0.05
-"""Speed from which friction has its sign."""
+"""Speed above which friction has its full value."""
 
 
 def judge_motion(trial: Trial) -> list[ImportFinding]:
@@ -64,12 +64,12 @@ def link_direction(trial: Trial) -> Array | None:
     if np.isfinite(root_m).all(axis=1).mean() < 0.5:
         return None
     apart_m = np.linalg.norm(root_m, axis=1, keepdims=True)
-    direction = root_m / np.where(apart_m > 0, apart_m, np.nan)  # the origin has none
+    direction = root_m / np.where(apart_m > 0, apart_m, np.nan)  # the origin has no direction
     return direction if np.isfinite(direction).all(axis=1).mean() >= 0.5 else None
 
 
 def _unit_findings(trial: Trial) -> list[ImportFinding]:
-    """Angles in degrees, currents in mA, and the reverse."""
+    """Findings on angles in degrees, currents in mA, and the reverse."""
     found = []
     for j in range(1, trial.meta.dof + 1):
         for kind, suffix, largest, unit in LARGEST:
@@ -97,7 +97,7 @@ def _unit_findings(trial: Trial) -> list[ImportFinding]:
 
 
 def _condition_findings(trial: Trial) -> list[ImportFinding]:
-    """Pressure that cannot be."""
+    """Findings on an impossible pressure."""
     found: list[ImportFinding] = []
     meta = trial.meta
     if 0 < meta.pressure_pa < PRESSURE_PA:
@@ -156,7 +156,7 @@ def _link_findings(trial: Trial) -> list[ImportFinding]:
 
 
 def _across(moved: Array) -> ImportFinding | None:
-    """Finding where the link of one joint moves in a second direction too."""
+    """Finding if the link of a single joint moves in a second direction."""
     sizes = np.sqrt(np.maximum(np.linalg.eigvalsh(moved.T @ moved), 0.0))
     across = float(sizes[0] / sizes[1]) if sizes[1] > 0 else 0.0
     level = level_of(across, ACROSS)
@@ -170,7 +170,7 @@ def _across(moved: Array) -> ImportFinding | None:
 
 
 def _reading(direction: Array, angle: Array) -> list[ImportFinding]:
-    """Signs and order of the joints, each direction against each angle."""
+    """Findings on signs and order of the joints, comparing each direction with each angle."""
     dof = angle.shape[1]
     fit = np.array(
         [[_correlation(direction[:, i], angle[:, j]) for j in range(dof)] for i in range(dof)]
@@ -206,10 +206,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def runs_against(goal_rad: Array, angle_rad: Array) -> bool:
-    """Whether the angle of a joint mirrors its goal: one of the two has the wrong sign.
-
-    Shapes: `goal_rad`, `angle_rad` (n,).
-    """
+    """Whether the angle (n,) of a joint mirrors its goal (n,): one of them has the wrong sign."""
     return _correlation(angle_rad, goal_rad) < -ALIKE
 
 
@@ -230,7 +227,7 @@ def _goal_findings(trial: Trial) -> list[ImportFinding]:
                 )
             )  # fmt: skip
     declared = trial.meta.amplitude_rad
-    # A motion may begin beside zero, and a servo may count from elsewhere.
+    # A motion may begin away from zero, and a servo's zero may be elsewhere.
     reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
     reach = min(reaches, key=lambda own: abs(own - declared))
     if reach > LEAST_MOTION_RAD and abs(reach - declared) > AMPLITUDE * max(reach, declared):
@@ -246,10 +243,10 @@ def _goal_findings(trial: Trial) -> list[ImportFinding]:
 
 
 def _current_findings(trial: Trial) -> list[ImportFinding]:
-    """Sign of each current.
+    """Findings on the sign of each current.
 
-    Friction takes a current along the motion, an upright link's weight one against its lean. Both
-    must be turned before the current is said to be.
+    Friction needs a current along the motion, the weight of an upright link one against its lean.
+    Both must have the wrong sign before the current's sign counts as wrong.
     """
     found: list[ImportFinding] = []
     if trial.meta.dof == 2 and _exchanged_currents(trial):
@@ -280,10 +277,10 @@ def _current_findings(trial: Trial) -> list[ImportFinding]:
 
 
 def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, Array]:
-    """Parts of a current: offset, per sine of the angle (load), by the sign of the rate (friction).
+    """Fit a current by an offset, the sine of the angle (load) and the rate's sign (friction).
 
-    Shapes: `current`, `angle` (n,).
-    Returns shape (3,), the three parts in A; shape (n,), what they leave.
+    `current` and `angle` have shape (n,). Returns the three coefficients in A, (3,), and the
+    residual, (n,).
     """
     rate = np.gradient(angle, step_s)
     design = np.column_stack([np.ones_like(angle), np.sin(angle), np.tanh(rate / MOVING_RAD_S)])
@@ -292,7 +289,7 @@ def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, A
 
 
 def _exchanged_currents(trial: Trial) -> bool:
-    """Whether each current goes with the other joint's motion."""
+    """Whether each current fits the other joint's motion better."""
     angle, current = trial.angle_rad, trial.current_a
     if not np.isfinite(angle + current).all() or angle.std(axis=0).min() < LEAST_MOTION_RAD:
         return False

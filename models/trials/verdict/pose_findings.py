@@ -20,14 +20,13 @@ from models.trials.verdict.finding import (
 from models.trials.verdict.rest_pose import RestPose
 
 _LYING_RAD = np.radians(30.0)
-"""Tilt beyond which the upward axis is wrong and not the frame tilted."""
+"""Tilt above which the upward axis is wrong, as opposed to a tilted frame."""
 
 
 def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
-    """Findings on a pose, the most likely cause first.
+    """Findings on a pose before alignment, the most likely cause first.
 
-    `pose`: of the markers as the map puts them into the world, before they are aligned.
-    `default_up`: upward axis of the format where the map does not give it.
+    `default_up` is the upward axis of the format, used if the map does not state one.
     """
     found = _names(pose, mapping, default_up)
     level = level_of(pose.scale - 1, SCALE)
@@ -66,10 +65,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
 
 
 def judge_base(pose: RestPose) -> list[ImportFinding]:
-    """Findings on a pose after the alignment by the base's markers.
-
-    `pose`: of the link's markers, which then stand on the base plate.
-    """
+    """Findings on the pose of the link's markers after the alignment by the base's."""
     wrong = []
     if pose.tilt_rad > TILT_RAD[1]:
         wrong.append(f"leans by {ANGLE.text(pose.tilt_rad)}")
@@ -154,7 +150,7 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
 
 
 def _is_tilt(pose: RestPose) -> bool:
-    """Whether a lean through the origin, and no shift of it, puts the lowest markers aside."""
+    """Whether a lean about the origin, and not a shift, displaces the lowest markers sideways."""
     aside_m, shift_m = (float(np.hypot(*v[:2])) for v in (pose.offset_m, pose.crossing_m))
     return shift_m < OFFSET_M[0] < min(aside_m, pose.tip_aside_m)
 
@@ -176,7 +172,7 @@ def _origin(pose: RestPose, mapping: RecordingMap) -> list[ImportFinding]:
     place = ", ".join(f"{v:.3f}" for v in new)
     remedy = f"set origin_m = [{place}] under [frame], or correct base_offset_m"
     moved_m = np.hypot(*(pose.offset_m - pose.crossing_m)[:2])
-    if not tilted and moved_m > OFFSET_M[0]:  # the lean moves it as much
+    if not tilted and moved_m > OFFSET_M[0]:  # the lean displaces it by as much
         remedy = "correct the tilt first, then origin_m under [frame]"
     return [
         ImportFinding(

@@ -1,7 +1,7 @@
 """Pose of the markers at rest against the nominal link: origin, tilt, yaw, scale, exchanged names.
 
-The measured markers are the nominal ones under a rigid motion (Kabsch 1976). What is left after the
-best motion tells exchanged names, mirrored corners and a wrong scale; the motion itself tells a
+The measured markers are the nominal ones under a rigid motion (Kabsch 1976). The residual of the
+best motion reveals exchanged names, mirrored corners and a wrong scale; the motion itself reveals a
 wrong origin, upward axis and yaw.
 """
 
@@ -24,60 +24,57 @@ from models.trials.verdict.sag import nominal_sag_m
 Order = NDArray[np.intp]
 
 MOST_PERMUTED: Final = 5
-"""Rows or corners of which every order is tried: 120 orders."""
+"""Most rows or corners of which every order is tried: 120 orders."""
 LEAST_MARKERS: Final = 4
-"""Markers from which a pose can be told."""
+"""Fewest markers that determine a pose."""
 MOST_SAG: Final = 3.0
-"""How many times the nominal link's sag a link may have: half its stiffness and creep [assumed]."""
+"""Largest sag, relative to the nominal link's: half its stiffness, and creep [assumed]."""
 LEAST_SAG_M: Final = 0.005
-"""Sag below which a link counts as straight: what is warned of in an upright link is as large."""
+"""Sag below which a link counts as straight: the limits of an upright link are as large."""
 _BETTER: Final = 0.35
-"""Fraction to which another order of the names must bring the misfit to be believed [assumed]."""
+"""Fraction to which another order of the names must reduce the misfit [assumed]."""
 _PER_RAD_M: Final = 0.001
-"""What a turn costs against misfit: it decides between orders that fit within 3 mm [assumed]."""
+"""Cost of a turn in terms of misfit: it decides between orders within 3 mm [assumed]."""
 _SAME_PLACE_M: Final = 0.002
-"""Distance up to which two corners are one place."""
+"""Largest distance between equal corners."""
 _FAR_M: Final = 0.015
-"""Misfit of a marker from which other orders of the names are tried."""
+"""Misfit of a marker above which other orders of the names are tried."""
 
 
 @dataclass(frozen=True)
 class RestPose:
-    """Pose of the link at rest."""
+    """Pose of the link at rest, compared with the nominal link."""
 
-    names: tuple[str, ...]  # Markers that were seen at rest, in the order of the contract
-    # (k, 3), means at rest, and nominal places at the angle of the rest, with the sag of a lying
-    # link
-    measured_m: Array
+    names: tuple[str, ...]  # Markers visible at rest, in the order of a trial
+    measured_m: Array  # Mean places at rest, (k, 3)
+    # Nominal places at the angle of the rest, with the sag of a lying link, (k, 3)
     nominal_m: Array
-    offset_m: Array  # (3,), crossing of the joint axes, as the markers show it
-    # (3,), the same where the whole tilt is one of the frame and none of the link
+    offset_m: Array  # Crossing of the joint axes, from the markers, (3,)
+    # The same if the whole tilt belongs to the frame and none to the link, (3,)
     crossing_m: Array
-    # Distance of the highest markers' centre from its nominal place, across the vertical
+    # Distance of the highest markers' centre from its nominal place, horizontally
     tip_aside_m: float
-    tilt_rad: float  # Of the link against the nominal one; yaw about z
-    yaw_rad: float
+    tilt_rad: float  # Tilt of the link against the nominal one
+    yaw_rad: float  # Turn about z against the nominal link
     tilt_turned_rad: float  # Tilt against the nominal link with the joint angles of the other sign
-    axis: Array  # (3,), direction of the link
-    scale: float  # Of the measured distances, relative to the nominal ones
-    # (k,), distance of each marker from its nominal place after the best rigid motion
+    axis: Array  # Direction of the link, (3,)
+    scale: float  # Measured distances, relative to the nominal ones
+    # Distance of each marker from its nominal place after the best rigid motion, (k,)
     misfit_m: Array
-    row_heights_m: Array  # (rows,), mean height of each row; NaN where it was not seen
+    row_heights_m: Array  # Mean height of each row, (rows,); NaN if it was occluded
     sag_m: float  # Sag of the tip of a nominal link under its weight
-    order: str  # Order of the names that fits, in words; "" if the names fit as they are
-    # (3,), direction of the one axis that is mirrored, where that order is the same reflection of
-    # the section in every row, or the rows are reversed and below the origin
+    order: str  # Order of the names that fits, in words; "" if the names are in order
+    # Direction of the single mirrored axis, (3,), if that order is the same reflection of the
+    # section in every row, or if the rows are reversed and below the origin
     mirrored: Array | None
 
 
 def rest_pose(
     markers_m: Mapping[str, Array], meta: TrialMeta, rest_rad: Array | None = None
 ) -> RestPose | None:
-    """Pose from the mean place of each marker at rest.
+    """Pose from the mean place (3,) of each marker at rest; None for fewer than `LEAST_MARKERS`.
 
-    Shapes: `markers_m` (3,), `rest_rad` (dof,).
-    `markers_m`: mean place at rest by contract name; NaN where the marker was not seen.
-    Returns None where fewer than `LEAST_MARKERS` were seen.
+    `markers_m` is NaN for an occluded marker; `rest_rad` (dof,) are the joint angles.
     """
     layout = meta.layout
     names = tuple(n for n in layout.names if n in markers_m and np.isfinite(markers_m[n]).all())
@@ -122,7 +119,7 @@ def rest_pose(
 
 
 def _stiffness_ratio(straight: Array, sag: Array, order: Order, measured: Array) -> float:
-    """Multiple of the nominal sag, up to `MOST_SAG`, with which the link leans least beside it."""
+    """Multiple of the nominal sag, up to `MOST_SAG`, that minimises the remaining lean."""
     if np.abs(sag).max() < LEAST_SAG_M:
         return 0.0
     ratios = np.linspace(0.0, MOST_SAG, 13)
@@ -140,10 +137,10 @@ def _scale(measured: Array, nominal: Array) -> float:
 
 
 def _origin_m(measured: Array, nominal: Array, rotation: Array, shift: Array) -> Array:
-    """Crossing of the joint axes; with the tilt taken out where it is small.
+    """Crossing of the joint axes, without a small tilt.
 
-    A link that leans by bending would put the crossing aside by lean times height. Within 5° the
-    lean is not told from a tilt of the frame, so only yaw is kept of the rotation.
+    A link that leans by bending would shift the crossing sideways by lean times height. Within 5°
+    the lean cannot be separated from a tilt of the frame, so only yaw is kept of the rotation.
     """
     if rotation[2, 2] < np.cos(np.radians(5.0)):
         return shift
@@ -155,7 +152,7 @@ def _origin_m(measured: Array, nominal: Array, rotation: Array, shift: Array) ->
 
 
 def _about_z(rotation: Array) -> Array:
-    """Part of a rotation about the vertical."""
+    """Yaw of a rotation, as a rotation about the vertical."""
     yaw = np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1])
     return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
 
@@ -163,10 +160,10 @@ def _about_z(rotation: Array) -> Array:
 def _mirrored(
     upright: Array, order: Order, layout: MarkerLayout, turn: Array, measured: Array
 ) -> Array | None:
-    """Axis of the reflection that an order of the names is; None if it is none."""
+    """Axis of the reflection that an order of the names amounts to; None if it is none."""
     if layout.rows == 1:
         return None
-    if (upright[order, 2] != upright[:, 2]).any():  # rows: mirrored if the link is then below
+    if (upright[order, 2] != upright[:, 2]).any():  # rows: mirrored if the link is below zero
         return turn[:, 2] if measured[:, 2].max() < 0 else None
     named, placed = upright[:, :2], upright[order, :2]
     u, _, vt = np.linalg.svd(placed.T @ named)
@@ -186,11 +183,12 @@ def _misfit(measured: Array, nominal: Array) -> float:
 def _order(
     names: Sequence[str], measured: Array, nominal: Array, layout: MarkerLayout
 ) -> tuple[Order, str]:
-    """Order of the nominal places that fits the measured ones, and its name.
+    """Order of the nominal places that fits the measured ones, and its description.
 
-    Tried in turn: single markers exchanged, corners exchanged in one row, corners in all rows and
-    rows exchanged. The first that brings the misfit down to a third is taken. Reversed rows look
-    like mirrored corners of a link upside down: of two that fit alike, that with the smaller turn.
+    Candidates are single markers exchanged, then corners exchanged in one row, then corners in all
+    rows and rows exchanged. The first kind that reduces the misfit to a third is accepted. Reversed
+    rows resemble mirrored corners of a link upside down: of equally good fits, the smaller turn is
+    chosen.
     """
     same = np.arange(len(names))
     rotation, shift = fit_rigid_motion(nominal, measured)
@@ -211,7 +209,7 @@ def _order(
                 if moved is None:
                     continue
                 now = _misfit(measured, nominal[moved])
-                # Corners turned all together are a yaw, which the rigid motion tells.
+                # Corners that are all turned are a yaw, which the rigid motion contains.
                 if kind == "corner" and misfit - now < 1e-3:
                     continue
                 if now < _BETTER * misfit and now < _FAR_M:
@@ -234,7 +232,7 @@ def _turn_rad(measured: Array, nominal: Array) -> float:
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:
-    """Other orders of rows or corners: all of a few, of many the turned and the reversed ones."""
+    """Other orders of rows or corners: all if there are few, else cyclic and reversed ones."""
     same = tuple(range(count))
     if count <= MOST_PERMUTED:
         yield from (order for order in permutations(same) if order != same)
@@ -268,7 +266,7 @@ def _permuted(
 def _exchanged_pairs(
     names: Sequence[str], measured: Array, nominal: Array, misfit: float, layout: MarkerLayout
 ) -> tuple[Order, str] | None:
-    """Up to three pairs of exchanged names; none if they mirror the link with a pair per row."""
+    """Up to three pairs of exchanged names; None if they mirror the link with a pair per row."""
     order, now = np.arange(len(names)), misfit
     said: list[str] = []
     for _ in range(3):
@@ -291,7 +289,7 @@ def _exchanged_pairs(
 
 
 def _is_in_all_rows(names: Sequence[str], order: Order, layout: MarkerLayout) -> bool:
-    """Whether names are exchanged alike in each of several rows, as a left-handed file has them."""
+    """Whether names are exchanged in the same way in every row, as in a left-handed file."""
     places = np.array([layout.names.index(name) for name in names])
     row, corner = np.divmod(places, layout.corners)
     changed = order != np.arange(len(names))

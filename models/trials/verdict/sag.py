@@ -1,8 +1,9 @@
-"""Sag of a link under its weight at rest: of a nominal link of its size (Timoshenko beam).
+"""Sag of a nominal link of given size under its weight at rest (Timoshenko beam).
 
-A root patch of stiffness k, bending stiffness EI and shear stiffness kGA (docs/sources.md, "The
-link") under the weight F of payload and hardware at the tip and the own weight q per length, as far
-as they act across the link, displace a point at height z above the base plate by
+The weight F of payload and hardware at the tip, and the link's weight q per length, act by their
+components across the link. With a root patch of stiffness k, bending stiffness EI and shear
+stiffness kGA (docs/sources.md, "The link") they displace a point at height z above the base plate
+by
 
     w(z) = (F L + q L² / 2) z / k + F z / kGA + F (L z² / 2 - z³ / 6) / EI
            + q z² (6 L² - 4 L z + z²) / (24 EI).
@@ -22,10 +23,7 @@ from models.trials.trial import Array, TrialMeta
 
 
 def nominal_sag_m(meta: TrialMeta, turn: Array) -> Array:
-    """Displacement of each marker of a nominal link by the weight, world frame, shape (k, 3).
-
-    Shapes: `turn` (3, 3).
-    """
+    """Displacement of each marker of a nominal link by weight, in the world frame, shape (k, 3)."""
     axis = turn[:, 2]
     gravity = np.array(meta.gravity)
     across = gravity - (gravity @ axis) * axis
@@ -51,5 +49,5 @@ def nominal_sag_m(meta: TrialMeta, turn: Array) -> Array:
     z = places[:, 2] - meta.base_offset_m
     slope = (displaced(z + 1e-4) - displaced(z - 1e-4)) / 2e-4
     in_section = (places * [1.0, 1.0, 0.0]) @ turn.T
-    sunk = np.outer(displaced(z), direction)  # and the section turns with the link
+    sunk = np.outer(displaced(z), direction)  # the section also turns with the link
     return np.asarray(sunk - np.outer(slope * (in_section @ direction), axis))

@@ -1,4 +1,4 @@
-"""Findings on the signals of a file: its times and step, one signal twice, stuck angles, clock."""
+"""Findings on the signals of a file: times and step, duplicated signals, stuck angles, clock."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
 from models.trials.verdict.whole_run.encoder_findings import judge_encoders
 
 EVEN_STEP: Final = 0.05
-"""Largest deviation from the usual step, relative to it, of nine steps in ten of an even file."""
+"""Largest relative deviation from the median step of nine steps in ten, in an even file."""
 FINE_STEP: Final = 0.1
-"""Step, relative to the trial's, up to which a held goal is exact enough."""
+"""Largest step, relative to the trial's, at which a held goal is accurate enough."""
 SAME_SIGNAL: Final = 0.01
-"""Difference of one signal in two files, relative to its range, in one sample of twenty."""
+"""Difference of a signal between two files, relative to its range, in one sample of twenty."""
 
 
 def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
@@ -47,7 +47,7 @@ def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
 
 
 def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on goals with an even step that is not the trial's, where the map names no step."""
+    """Findings on goals with an even step other than the trial's, if the map names no step."""
     if mapping.step_named:
         return []
     for s in (s for s in series if any(mapping.is_goal(name) for name in s.columns)):
@@ -70,7 +70,7 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
 
 
 def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> list[ImportFinding]:
-    """Findings on signals that both files hold and that differ: the servo's are used."""
+    """Findings on signals in both files that differ; those of the servo are used."""
     differing: dict[str, tuple[Series, Series, float]] = {}
     columns = {name: s for s in mocap for name in s.columns}
     for own, name in ((s, n) for s in servo for n in s.columns if n in columns):
@@ -98,7 +98,7 @@ def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> li
 
 
 def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
-    """Findings on signals that hold the same values, and on angles that jump or stand still."""
+    """Findings on signals with identical values, and on angles that jump or do not move."""
     encoders, wrapped = judge_encoders(series, dof)
     return [*_doubled(series, dof), *encoders, *_stuck(series, dof, wrapped)]
 
@@ -122,7 +122,7 @@ def _doubled(series: Sequence[Series], dof: int) -> list[ImportFinding]:
 
 
 def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
-    """Findings on goals and angles that the map takes from one column, without saying so."""
+    """Findings on goals and angles that the map takes from one column without a note."""
     if mapping.trial.get("notes"):
         return []
     for columns in (mapping.columns, mapping.servo_columns):
@@ -141,7 +141,7 @@ def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
 
 
 def _stuck(series: Sequence[Series], dof: int, wrapped: set[int]) -> list[ImportFinding]:
-    """Findings on angles that stand still while their goal, sampled with them, moves."""
+    """Findings on angles that do not move while their goal, sampled with them, moves."""
     found = []
     for s in series:
         for j in (j for j in range(1, dof + 1) if j not in wrapped):
@@ -164,7 +164,7 @@ def _stuck(series: Sequence[Series], dof: int, wrapped: set[int]) -> list[Import
 
 
 def _longest_hold(angle: Array, goal: Array) -> tuple[float, int, int]:
-    """Largest change of the goal over rows of one and the same angle, with first and last row."""
+    """Largest change of the goal over rows of constant angle, with first and last row."""
     starts = np.flatnonzero(np.concatenate([[True], np.diff(angle) != 0]))
     ends = np.append(starts[1:], len(angle)) - 1
     low, high = np.minimum.reduceat(goal, starts), np.maximum.reduceat(goal, starts)
@@ -175,10 +175,7 @@ def _longest_hold(angle: Array, goal: Array) -> tuple[float, int, int]:
 def check_common_clock(
     series: list[Series], meta: TrialMeta, verdict: ImportVerdict, remedy: str
 ) -> None:
-    """Add the clock, and a finding where the markers are late or early, to a verdict.
-
-    `remedy`: what to do about a clock that is late or early.
-    """
+    """Add the clock to a verdict, and a finding if the markers lag or lead the angles."""
     angles = [s for s in series if "angle_1_rad" in s.columns]
     if not angles or not any("m01_x_m" in s.columns for s in series):
         return
@@ -187,7 +184,7 @@ def check_common_clock(
     try:
         clock = synchronise(angles, series, meta)
     except InputError:
-        return  # the checks of the motion tell signs and joints apart
+        return  # the checks of the motion report signs and joints
     verdict.clock = clock
     level = level_of(clock.offset_s, COMMON_CLOCK_S)
     if level and abs(clock.offset_s) > clock.error_s:

@@ -1,4 +1,4 @@
-"""Checks of trials that exist already: each against the nominal link, and all together."""
+"""Checks of existing trials: each against the nominal link, and all together."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity"
 """Conditions that all trials of one link share."""
 
 ONE_PRESSURE_FRACTION: Final = 0.05
-"""Difference of pressures that are taken for one: the link is 5 % stiffer [assumed]."""
+"""Largest difference of pressures that count as equal: the link is 5 % stiffer [assumed]."""
 COLLINEAR: Final = 0.98
-"""Correlation of two angles from which their effects cannot be told apart."""
+"""Correlation of two angles above which their effects cannot be separated."""
 
 CLOCK_REMEDY: Final = (
     "import the recordings again, the angles as a second file with --servo; models gap names an "
@@ -83,7 +83,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
 
 
 def check_trials(trials: TrialSet) -> list[ImportFinding]:
-    """Findings on trials that are fitted together: sizes, held-out trials, joints."""
+    """Findings on trials that are fitted together: links, pressures, payloads, held-out trials."""
     found = [*_judge_links(trials), *judge_pressures(trials)]
     found += [*judge_doubled(trials), *judge_payloads(list(trials)), *judge_not_fitted(trials)]
     _, held_out = trials.split()
@@ -116,10 +116,7 @@ def refuse_mixed_links(trials: Sequence[Trial]) -> None:
 
 
 def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Finding on trials of several pressures.
-
-    `trials`: that are used together; a pressure of 0 is unknown.
-    """
+    """Finding on trials of several pressures that are used together; a pressure of 0 is unknown."""
     known = sorted({t.meta.pressure_pa for t in trials if t.meta.pressure_pa > 0})
     if not known or known[-1] <= (1 + ONE_PRESSURE_FRACTION) * known[0]:
         return []
@@ -134,9 +131,7 @@ def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
 
 
 def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Findings on trials of one recording, or with the same angles: they are no test of each
-    other.
-    """
+    """Findings on trials of one recording, or with the same angles: a copy is no test."""
     of_angles: dict[bytes, Trial] = {}
     of_recording: dict[str, Trial] = {}
     found = []
@@ -161,7 +156,7 @@ def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
 
 
 def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
-    """Finding on payloads that only trials to test on have: nothing is fitted to these."""
+    """Finding on payloads of held-out trials only: nothing is fitted to them."""
     fitted, held_out = trials.split()
     known = {t.meta.payload_kg for t in fitted}
     missing = sorted({t.meta.payload_kg for t in held_out} - known)

@@ -1,6 +1,6 @@
-"""Drawings of a verdict as SVG: rest pose from two sides, clocks, what is left between them.
+"""Drawings of a verdict as SVG: rest pose from two sides, clocks and their residual.
 
-Written directly, without a plotting library: an import draws in milliseconds.
+They are written directly, without a plotting library, so an import draws in milliseconds.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ WIDTH: Final = 420
 HEIGHT: Final = 300
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 10, 12, 40
 _POINTS: Final = 600
-"""Most points of a curve: more than there are pixels."""
+"""Most points of a curve: more than it has pixels."""
 
 
 _ROW_M: Final = 0.05
-"""Heights that share one line of names: the letters are about as high [assumed]."""
+"""Difference in height of markers with one label: about the height of its letters [assumed]."""
 
 
 class Curve(NamedTuple):
-    """Points joined by a line, or dots where `dots` is true."""
+    """Points joined by a line, or dots if `dots` is true."""
 
     x: Array
     y: Array
@@ -36,7 +36,7 @@ class Curve(NamedTuple):
 
 
 def chart(curves: Sequence[Curve], x_label: str, y_label: str, equal: bool = False) -> str:
-    """A chart of curves with axes."""
+    """Draw a chart of curves with axes."""
     shown = [c for c in curves if np.isfinite(c.x + c.y).any()]
     low_x, high_x = _range([c.x for c in shown])
     low_y, high_y = _range([c.y for c in shown])
@@ -68,13 +68,12 @@ def chart(curves: Sequence[Curve], x_label: str, y_label: str, equal: bool = Fal
 
 
 def side_view(measured_m: Array, nominal_m: Array, axis: int, labels: Sequence[str]) -> str:
-    """The markers at rest from one side, measured ones as dots and nominal ones as rings.
+    """Draw the markers at rest from one side, measured ones as dots and nominal ones as rings.
 
-    Shapes: `measured_m`, `nominal_m` (k, 3).
-    `labels`: names of those that are far from their place; "" for the others.
+    Shapes: `measured_m`, `nominal_m` (k, 3). `labels` are the names of misplaced markers, else "".
     """
     far = np.array([bool(label) for label in labels])
-    rows: dict[int, list[int]] = {}  # names of one height would cover each other
+    rows: dict[int, list[int]] = {}  # names at one height would overlap
     for k in np.flatnonzero(far & np.isfinite(measured_m[:, 2])).tolist():
         rows.setdefault(round(float(measured_m[k, 2]) / _ROW_M), []).append(k)
     words = dict.fromkeys(range(len(labels)), "")

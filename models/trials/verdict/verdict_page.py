@@ -1,4 +1,4 @@
-"""Page of the verdict on an import: findings, measures, pictures."""
+"""Page of the verdict on an import: findings, measurements, pictures."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
 
 
 def verdict_sections(verdict: ImportVerdict) -> list[Section]:
-    """Sections of the page of a verdict: findings, measures, pictures."""
+    """Sections of the page of a verdict: findings, measurements, pictures."""
     found = [(f.level, f.text, f.remedy) for f in verdict.findings]
     parts: list[Any] = [
         Table("", ("Level", "What", "Remedy"), found) if found else Paragraph("Every check passed.")

@@ -1,1 +1,1 @@
-"""Drives: one file each, their interface and their registry."""
+"""Drives: one file for each, their interface and their registry."""

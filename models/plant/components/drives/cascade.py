@@ -29,13 +29,11 @@ _SERVO: Final = STUDY_LINK.preset
 FEEDFORWARD: Final = "velocity_feedforward_{j}"
 POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
 SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
-"""Parameters of what a servo may have beside the cascade."""
+"""Parameters of extensions of the cascade that some servos have."""
 
 
 def extension_parameters(joint: int) -> list[Parameter]:
-    """Feed-forward of the rate, integral of the position error and set-point weight; none at
-    first.
-    """
+    """Rate feed-forward, position integral and set-point weight; absent by default."""
     source = 'docs/sources.md, "Control tables": {}; 0 is none'
     return [
         Parameter(name=FEEDFORWARD.format(j=joint), unit="1", value=0.0, low=0.0, high=1.5,
@@ -53,18 +51,16 @@ def extension_parameters(joint: int) -> list[Parameter]:
 class Cascade:
     """P position → PI velocity → current, as the Dynamixel PRO runs it.
 
-    docs/sources.md, "The servo".
-
-    With w = k_p (goal − q) + k_i S + k_f ġ the rate that is asked, Ṡ = goal − q and ġ the rate of
-    the goal::
+    docs/sources.md, "The servo". The set-point of the rate is w = k_p (goal − q) + k_i S + k_f ġ,
+    with Ṡ = goal − q and ġ the rate of the goal::
 
         i = k_v (b w − q̇ + I / T_i),   İ = w − q̇,   τ = k_t i
 
-    the current clipped to its limit, and I held back while it is (back-calculation). The sample of
-    the current within a step is clipped to the same limit. A servo without feed-forward, position
-    integral and set-point weight has k_f = k_i = 0 and b = 1. One with a derivative of the position
-    error, or with a PID straight to the current, is the same law with other gains (Åström and
-    Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
+    The current is clipped to its limit, and back-calculation limits I meanwhile. The sample of the
+    current within a step is clipped to the same limit. A servo without feed-forward, position
+    integral and set-point weight has k_f = k_i = 0 and b = 1. A servo with a derivative of the
+    position error, or with a PID from position to current, has the same law with other gains
+    (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
     """
 
     kind: ClassVar[str] = "cascade"
@@ -74,7 +70,7 @@ class Cascade:
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Gains, torque constant, inertia and limit of each joint."""
+        """Return gains, torque constant, inertia and limit of each joint."""
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
@@ -105,7 +101,7 @@ class Cascade:
         return tuple(result)
 
     def declare(self, scope: Scope) -> None:
-        """Add goals with their shape, and the integral of the velocity error as a state."""
+        """Add shaped goals, and the integral of the velocity error as a state."""
         for j in scope.joints:
             declare_shaped_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
@@ -115,7 +111,7 @@ class Cascade:
                 scope.state(Variable(f"position_integral_{j}_rad_s", "rad.s", nominal=0.01))
 
     def apply_control(self, scope: Scope) -> None:
-        """Set torque by both loops, and the current as it is sampled."""
+        """Set the torque by both loops, and the current as it is sampled."""
         for j in scope.joints:
             integral = scope.states[f"velocity_integral_{j}_rad"]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
@@ -140,7 +136,7 @@ class Cascade:
             scope.current[j] = current
 
     def _asked_rate(self, scope: Scope, joint: int) -> Expr:
-        """Rate that the position loop asks of the velocity loop."""
+        """Set-point of the rate, from the position loop."""
         lag = scope.goal[joint] - scope.measured_angle(joint)
         asked = self._position_gain(scope, joint) * lag
         if FEEDFORWARD.format(j=joint) not in scope.absent:
@@ -152,21 +148,21 @@ class Cascade:
         return asked
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Rotor inertia times gear ratio squared."""
+        """Return the rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Torque constant at the output."""
+        """Return the torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current as it is sampled; the staircase of the goal makes the current a saw-tooth.
+        """Return the current as it is sampled; a goal in steps gives it a saw-tooth.
 
-        The goal jumps by (1 − λ) ġh in each step. The joint lags behind it,
-        k_p (goal − q) = q̇ − k_f ġ, so that ġ = q̇ + (1 − k_f) q̈ / k_p; a held goal is late by half
-        a step, and its last jump by one and a half. Sampled at the end, the current is below its
+        The goal jumps by (1 − λ) ġh in each step. The joint lags the goal by
+        k_p (goal − q) = q̇ − k_f ġ, so ġ = q̇ + (1 − k_f) q̈ / k_p. A held goal is late by half a
+        step, and its last jump by one and a half. At the end of the step the current is below its
         mean in proportion to ġ, like negative viscous friction and inertia. Feed-forward jumps by
-        k_f g̈h, whatever the goal does within the step. The position integral is too slow to count.
+        k_f g̈h, whatever the goal does within the step. The position integral is too slow to matter.
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint) * scope.p(SETPOINT_WEIGHT, joint)
         follow_per_s = self._position_gain(scope, joint)
@@ -182,7 +178,7 @@ class Cascade:
         )
 
     def _position_gain(self, scope: Scope, joint: int) -> Expr:
-        """Rate asked per error of the position."""
+        """Set-point of the rate per position error."""
         return scope.position_gain_scale[joint] * scope.p("position_gain_{j}_per_s", joint)
 
     def _decay_s(self, scope: Scope, joint: int) -> Expr:

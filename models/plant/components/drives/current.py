@@ -19,8 +19,8 @@ from models.plant.step_model import Variable
 class Current:
     """Motor behind a gear whose measured current is the input: τ = k_t i.
 
-    The loop that commands the current is left out. The joint is not held, so its simulated
-    coordinate drifts by every error of the torque.
+    The loop that commands the current is not modelled. Nothing holds the joint, so its simulated
+    coordinate drifts with every error of the torque.
     """
 
     kind: ClassVar[str] = "current"
@@ -28,7 +28,7 @@ class Current:
     has_presliding: ClassVar[bool] = True
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Torque constant and inertia at the output, and the motion at the start."""
+        """Return torque constant and inertia at the output, and the motion at the start."""
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
@@ -61,13 +61,13 @@ class Current:
             scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Rotor inertia times gear ratio squared."""
+        """Return the rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Torque constant at the output."""
+        """Return the torque constant at the output."""
         return scope.p("torque_constant_{j}_nm_a", joint) * scope.torque_scale[joint]
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Measured current: the input."""
+        """Return the measured current, the input."""
         return ca.SX(scope.goal[joint])

@@ -1,7 +1,7 @@
 """Interface of a drive: torque on a joint and motor current from a goal or a command.
 
 Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
-of drive, each with parameters of its own.
+of drive, but each has its own parameters.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
 
 
 class Drive(Protocol):
-    """Interface of a drive.
+    """Drive of the joints: control law, motor and reflected inertia.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Drive(Protocol):
     has_presliding: ClassVar[bool]
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Parameters for the joints of `scope`."""
+        """Return the parameters for the joints of `scope`."""
         ...
 
     def declare(self, scope: Scope) -> None:
@@ -45,20 +45,20 @@ class Drive(Protocol):
         ...
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Inertia of the drive seen from the joint."""
+        """Return the inertia of the drive, reflected to the joint."""
         ...
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Torque at the joint per ampere."""
+        """Return the torque at the joint per ampere."""
         ...
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step whose mean current is `scope.current`.
+        """Return the current at the end of a step whose mean current is `scope.current`.
 
         Parameters
         ----------
         scope : Scope
-            With `current` set.
+            Symbols of the composition, with `current` set.
         joint : int
             Number of the joint.
         step_s : SX
@@ -68,7 +68,7 @@ class Drive(Protocol):
 
 
 def current_limit(scope: Scope, joint: int) -> Expr:
-    """Largest current of a drive that has a limit, less what effects take from it."""
+    """Current limit of a drive, reduced by effects."""
     return scope.p("current_limit_{j}_a", joint) - scope.current_limit_reduction[joint]
 
 
@@ -85,7 +85,7 @@ def declare_goal(scope: Scope, joint: int) -> None:
 
 
 def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
-    """Return the offset of the first position, for a joint without a stiff position loop."""
+    """Offset of the first position, for a joint without a stiff position loop."""
     angle = scope.suffix["angle"]
     return Parameter(
         name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
@@ -96,7 +96,7 @@ def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
 
 
 def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
-    """Return the rate at the start, for a joint whose trial may begin in motion."""
+    """Rate at the start, for a joint whose trial may begin in motion."""
     angle = scope.suffix["angle"]
     return Parameter(
         name=f"start_joint_rate_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
@@ -106,7 +106,7 @@ def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
 
 
 def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
-    """Return the speed that regularises the dry friction of a drive."""
+    """Speed that regularises the dry friction of a drive."""
     angle = scope.suffix["angle"]
     return Parameter(
         name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",

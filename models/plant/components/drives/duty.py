@@ -17,12 +17,13 @@ from models.plant.step_model import Variable
 
 
 class Duty:
-    """DC motor with a proportional duty cycle, the position control of small Dynamixels.
+    """DC motor whose duty cycle is proportional to the position error, as in small Dynamixels.
 
         d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
-    The supply voltage V is an input: a drop of it resembles friction (README of the data). With
-    torque disabled (`enabled` is 0) the winding is open: no current, hence no braking. Source: BAM
+    The supply voltage V is an input, because a voltage drop resembles friction (README of the
+    data). With torque disabled (`enabled` is 0) the winding is open: no current, hence no braking.
+    Source: BAM
     (docs/sources.md, "Real recordings").
     """
 
@@ -31,7 +32,7 @@ class Duty:
     has_presliding: ClassVar[bool] = True
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Duty per error, winding and inertia of each joint."""
+        """Return duty per error, winding and inertia of each joint."""
         result: list[Parameter] = []
         for j in scope.joints:
             result += [
@@ -80,13 +81,13 @@ class Duty:
             scope.motor_torque[j] = constant * scope.current[j]
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Rotor inertia times gear ratio squared."""
+        """Return the rotor inertia times gear ratio squared."""
         return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Torque constant at the output."""
+        """Return the torque constant at the output."""
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Mean current of the step: without a velocity loop there is no saw-tooth."""
+        """Return the mean current of the step: without a velocity loop there is no saw-tooth."""
         return scope.current[joint]

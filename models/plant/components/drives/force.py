@@ -18,7 +18,7 @@ from models.plant.step_model import Variable
 
 
 class Force:
-    """Force in proportion to a commanded voltage: F = k u.
+    """Force proportional to a commanded voltage: F = k u.
 
     Source: EMPS (docs/sources.md, "Real recordings").
     """
@@ -28,7 +28,7 @@ class Force:
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Force (or torque) per volt of each joint, and the motion at the start."""
+        """Return force (or torque) per volt of each joint, and the motion at the start."""
         torque = scope.suffix["torque"]
         result: list[Parameter] = []
         for j in scope.joints:
@@ -52,18 +52,18 @@ class Force:
             scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
     def apply_control(self, scope: Scope) -> None:
-        """Set the force in proportion to the command; no current is measured."""
+        """Set the force; there is no measured current."""
         for j in scope.joints:
             scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """None: the moving mass is the load's."""
+        """Return zero: the moving mass is the load's."""
         return ca.SX(0)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Force per volt; the command takes the place of the current."""
+        """Return the force per volt: the command replaces the current."""
         return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Mean current of the step: without a velocity loop there is no saw-tooth."""
+        """Return the mean current of the step: without a velocity loop there is no saw-tooth."""
         return scope.current[joint]

@@ -1,10 +1,10 @@
-"""Trapezoidal profile of a goal: its change in one step under limits of speed and acceleration.
+"""Trapezoidal profile of a goal: one step of the set-point, limited in speed and acceleration.
 
 A profiling servo accelerates its set-point to the speed limit, holds that speed, and decelerates so
-that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans anew when the next
-goal arrives. With the way e left, the speed v towards the goal and the acceleration a, the
-set-point accelerates until v² = 2 a (way left): up to the speed √(v²/2 + a e), or to the limit.
-A goal that moves at the speed v is followed v / 2a late.
+that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans again when the next
+goal arrives. With the remaining distance e, the speed v towards the goal and the acceleration a,
+the set-point accelerates until v² = 2 a (remaining distance): up to the speed √(v²/2 + a e), or to
+the limit. A goal that moves at the speed v is followed v / 2a late.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ LEAST_SQUARED_SPEED: Final = 1e-12
 def profiled_change(
     left: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
 ) -> tuple[Expr, Expr]:
-    """Change of the set-point in one step, and its rate at the end."""
+    """Change of the set-point in one step, and its final rate; `left` is the distance to go."""
     towards = ca.if_else(left >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
     way, begun = towards * left, towards * rate
     squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED

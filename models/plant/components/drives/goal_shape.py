@@ -1,23 +1,23 @@
-"""Shape of the goal within a step: held, interpolated or profiled, and the current in it.
+"""Shape of the goal within a step: held, interpolated or profiled; and its effect on the current.
 
 A servo receives a goal once a step. With w(s) the fraction of the change that has taken effect at
 the phase s of the step, 0 to 1::
 
     g(s) = g_before + Δ w(s),   w(s) = 1 − λ + λ s
 
-λ = 0 holds the goal (a staircase), λ = 1 interpolates linearly from the goal before, which delays
-it by half a step more than a held one. Δ is the whole change, or what a profile of limited speed
-and acceleration makes of it in one step (`models.plant.components.drives.goal_profile`); the rest
-is made in the next steps. A profile that ends within the step is a λ between 0 and 1.
+λ = 0 holds the goal (a staircase). λ = 1 interpolates linearly from the previous goal, which delays
+it by half a step more than holding it. Δ is the whole change, or the part that a profile of limited
+speed and acceleration completes in one step (`models.plant.components.drives.goal_profile`); the
+rest follows in the next steps. A profile that ends within the step has a λ between 0 and 1.
 
 The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which decays with the velocity loop,
-τ = J / (k_t k_v); a steady motion adds the jumps of the earlier steps. Sampled at the phase φ, the
-current is above its value at the end of the step by the jump times (e^{−φh/τ} − r) / (1 − r), and
-above its mean by the jump times e^{−φh/τ} / (1 − r) − τ/h, with r = e^{−h/τ}.
+τ = J / (k_t k_v). In a steady motion the jumps of the earlier steps add up. Sampled at the phase φ,
+the current is above its value at the end of the step by the jump times (e^{−φh/τ} − r) / (1 − r),
+and above its mean by the jump times e^{−φh/τ} / (1 − r) − τ/h, with r = e^{−h/τ}.
 
 A dead time of the goal moves the jumps within the step, and hardly any filter delays a staircase
-without smoothing it. So the goal without its staircase is delayed, and the saw-tooth of the current
-is added to its mean (`DelayedStaircase`).
+without smoothing it. So the goal is delayed without its staircase, and the saw-tooth is added to
+the mean current (`DelayedStaircase`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ STEP_STATE = "step_s"
 
 
 def goal_shape_parameters(joint: int) -> list[Parameter]:
-    """Interpolation and speed of the goal, and the phase at which the current is sampled."""
+    """Interpolation, delay and profile of the goal, and the phase of the current's sample."""
     j = joint
     return [
         Parameter(name=f"goal_interpolation_{j}", unit="1", value=0.0, low=0.0, high=1.0,
@@ -63,7 +63,7 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
 
 
 def declare_step_length(scope: Scope) -> Expr:
-    """Add the length of the step as a state where there is none yet; returns its symbol."""
+    """Add the length of the step as a state if there is none yet; return its symbol."""
     if STEP_STATE not in scope.states:
         symbol = scope.state(Variable(STEP_STATE, "s", nominal=0.017), 1.0)
         scope.states[STEP_STATE].begin = scope.step_s
@@ -96,7 +96,7 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
 
 
 def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Change of the goal in a step, times the sampled current above that of the twin per jump."""
+    """Change of the goal in a step times the current's sample above the twin's, per jump."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
@@ -109,14 +109,14 @@ def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
 
 
 def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
-    """Current as sampled, above that at the end of the step, per jump of the current."""
+    """Sampled current minus that at the end of the step, per jump of the current."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
     return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
 
 
 def declare_goal_rate_change(scope: Scope, joint: int) -> None:
-    """Add the change of the goal's rate from the step before as a state, for `goal_rate_change`."""
+    """Add the goal's change of rate since the previous step as a state, for `goal_rate_change`."""
     angle = scope.suffix["angle"]
     name = f"goal_rate_change_{joint}_{angle}_s"
     scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
@@ -139,9 +139,9 @@ def goal_rate(scope: Scope, joint: int) -> Expr:
 
 
 def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
-    """Phase at which the current is sampled, from the last jump of the goal on, above 0 to 1.
+    """Phase in (0, 1] of the current's sample, counted from the last jump of the goal.
 
-    A sample taken before the delayed jump lies behind that of a step before.
+    A sample taken before the delayed jump follows the jump of the previous step.
     """
     delay_s = scope.p("goal_delay_{j}_s", joint)
     phase = scope.p("current_phase_{j}", joint) - delay_s / step_s
@@ -149,16 +149,16 @@ def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
 
 
 def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
-    """Current at a phase of the step above its mean, per jump of the current.
+    """Difference of the current at a phase of the step from its mean, per jump of the current.
 
-    `step_s`, `decay_s`: length of the step; time constant of the velocity loop.
+    `decay_s` is the time constant of the velocity loop.
     """
     left = ca.exp(-step_s / decay_s)
     return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
 
 
 def _without_staircase(scope: Scope, joint: int) -> Expr:
-    """Goal with the line through the middles of its steps in place of the staircase."""
+    """Goal that follows the line through the middles of its steps instead of the staircase."""
     if PHASE_STATE not in scope.states:
         scope.state(Variable(PHASE_STATE, "1"), 0.0)
         scope.states[PHASE_STATE].begin = ca.SX(0.0)

@@ -1,4 +1,4 @@
-"""Drive whose joint moves as measured: the coordinate is an input, the torque an output."""
+"""Drive of a joint that moves as measured: the coordinate is an input, the torque an output."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from models.plant.scope import Expr, Scope
 
 
 class Measured:
-    """Joint that moves as its encoder shows, whatever drives it.
+    """Joint that moves as its encoder measures, whatever drives it.
 
-    Only the load has equations of motion, so that a wrong servo loop cannot hide a wrong load. The
-    torque that the motion needs, friction included, is an output: a test bench that imposes a
-    displacement and measures force is described by the same drive.
+    Only the load has equations of motion, so a wrong servo loop cannot hide a wrong load. The
+    torque that the motion needs, with friction, is an output. The drive also describes a test bench
+    that imposes a displacement and measures force.
     """
 
     kind: ClassVar[str] = "measured"
@@ -27,7 +27,7 @@ class Measured:
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Inertia on the joint's side, bandwidth of the motion, rate at the start."""
+        """Return inertia on the joint's side, bandwidth of the motion, rate at the start."""
         rotary = scope.suffix["angle"] == "rad"
         result = [
             Parameter(name="follow_rate_per_s", unit="1/s", value=200.0, low=20.0, high=2000.0,
@@ -52,14 +52,14 @@ class Measured:
         """Set nothing: there is no control law."""
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Inertia on the joint's side."""
+        """Return the inertia on the joint's side."""
         rotary = scope.suffix["angle"] == "rad"
         return scope.p("rotor_inertia_{j}_kg_m2" if rotary else "rotor_mass_{j}_kg", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """One: the output is the torque itself."""
+        """Return one: the output is the torque itself."""
         return ca.SX(1)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Torque at the end of the step."""
+        """Return the torque at the end of the step."""
         return scope.current[joint]

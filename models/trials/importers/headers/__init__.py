@@ -1,1 +1,1 @@
-"""Headers of text exports of motion capture that precede their columns."""
+"""Headers above the columns in text exports of motion capture."""

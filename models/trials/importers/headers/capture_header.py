@@ -1,8 +1,9 @@
 """Header of a marker export as text: QTM's TSV, and the TRC of OpenSim and other programs.
 
-Both are tables below rows of facts. QTM writes `KEY<tab>value`, with the names in `MARKER_NAMES`,
-and may leave out the columns `Frame` and `Time` and their header row. TRC has five header rows, the
-names over every third column. The columns are called `Frame`, `Time`, `NAME X`, `NAME Y`, `NAME Z`.
+Both are tables below rows of metadata. QTM writes `KEY<tab>value`, with the names in
+`MARKER_NAMES`, and may omit the columns `Frame` and `Time` and their header row. TRC has five
+header rows, with a name over every third column. The columns become `Frame`, `Time`, `NAME X`,
+`NAME Y`, `NAME Z`.
 """
 
 from __future__ import annotations
@@ -23,28 +24,27 @@ from models.trials.trial_columns import MOST_COLUMNS
 
 _KEY: Final = re.compile(r"[A-Z_]+")
 _MOST_FACTS: Final = 100
-"""Rows in which the facts of QTM end; it writes ten to twelve."""
+"""Most rows of metadata in QTM's header; it writes ten to twelve."""
 _TIMES: Final = ("Frame", "Time")
 
 
 class CaptureHeader(NamedTuple):
-    """What precedes the samples of a marker export."""
+    """Header of a marker export."""
 
-    markers: tuple[str, ...]
-    unit: str
-    rows: int
-    rate_hz: float | None = None  # Rate of rows without a time; None where they have one
+    markers: tuple[str, ...]  # Names in the file
+    unit: str  # Unit of length
+    rows: int  # Number of header rows
+    rate_hz: float | None = None  # Rate of rows without a time; None if rows have a time
 
     @property
     def columns(self) -> list[str]:
-        """Names of all columns."""
         return [*_TIMES, *(f"{name} {axis}" for name in self.markers for axis in "XYZ")]
 
 
 def without_capture_header(path: Path, lines: Iterator[str]) -> tuple[Iterator[str], int]:
-    """Lines of a table with one header row, and how many rows stood above it.
+    """Lines of a table with a single header row, and the number of rows above it.
 
-    `lines`: of a text file; those of another table are returned as they are.
+    Lines of a table that is no marker export are unchanged.
     """
     header, lines = _header(path, lines)
     if header is None:
@@ -54,9 +54,9 @@ def without_capture_header(path: Path, lines: Iterator[str]) -> tuple[Iterator[s
 
 
 def with_capture_columns(path: Path, mapping: RecordingMap) -> RecordingMap:
-    """Map in which time and `[markers]` of a marker export have their columns and unit.
+    """Add columns and unit of time and `[markers]` to the map of a marker export.
 
-    `path`: text file; for any other table the map is returned as it is.
+    The map of any other table is unchanged.
     """
     header, _ = _header(path, read_lines(path, "name an existing table"))
     if header is None:
@@ -71,7 +71,7 @@ def with_capture_columns(path: Path, mapping: RecordingMap) -> RecordingMap:
 
 
 def _header(path: Path, lines: Iterator[str]) -> tuple[CaptureHeader | None, Iterator[str]]:
-    """Header of a marker export, or None, and the lines after it."""
+    """Header of a marker export, or None, and the lines after the header."""
     first = next(lines, "")
     cells = _cells(first)
     if cells[0] == "NO_OF_FRAMES":
@@ -128,7 +128,7 @@ def _trc(path: Path, lines: Iterator[str]) -> CaptureHeader:
 
 
 def _rows(header: CaptureHeader, lines: Iterator[str]) -> Iterator[str]:
-    """Rows with a time, without empty cells beyond the header's."""
+    """Add the time to rows without one; remove empty cells beyond the header's."""
     width, number = len(header.columns), 0
     for line in lines:
         cells = line.rstrip("\r\n").split("\t")

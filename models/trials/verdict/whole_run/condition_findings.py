@@ -13,24 +13,23 @@ from models.trials.verdict.finding import ImportFinding
 from models.trials.verdict.motion_findings import MOVING_RAD_S
 
 GRAVITY_M_S2: Final = (9.7, 9.9)
-"""Gravity on the ground, 9.76 to 9.83 m/s², with some room; a balloon carries part of it."""
+"""Gravity on the ground, 9.76 to 9.83 m/s², with a margin; a balloon carries part of it."""
 STANDARD_M_S2: Final = 9.81
 _FAST: Final = 0.5
-"""Inertia over weight up to which the current of a motion shows the direction of the weight."""
+"""Largest ratio of inertia to weight at which the current indicates the weight's direction."""
 _CLEAR: Final = 0.5
-"""Part of the current that the weight must take to show its direction."""
+"""Smallest fraction of the current due to the weight that indicates its direction."""
 _LEAST_LEVER: Final = 0.1
-"""Root mean square of the lever along an axis, over the link's, from which that axis is told."""
+"""Smallest root mean square lever along an axis, relative to the link's, that resolves the axis."""
 _ALONG: Final = 0.5
-"""Cosine of the angle between the weight shown and gravity as stated: less is another direction."""
+"""Smallest cosine of the angle between the estimated weight and the stated gravity."""
 _STEP_RAD: Final = 1e-4
 
 
 def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[ImportFinding]:
-    """Findings on conditions of a trial of the link; those of another plant have none.
+    """Findings on conditions of a trial of the link; none for another plant.
 
-    `is_described`: whether gravity is that of a link's file, which says how much of the weight is
-    left.
+    `is_described` says that gravity comes from a link's file, which states the effective weight.
     """
     if not trial.meta.link_length_m:
         return []
@@ -39,7 +38,7 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
 
 
 def judge_undeclared(trial: Trial) -> list[ImportFinding]:
-    """Finding on `[conditions]` of a trial of the link, whose plants declare none."""
+    """Finding on `[conditions]` of a trial of the link, whose plants do not declare any."""
     names = list(trial.meta.conditions)
     if not names or not trial.meta.link_length_m:
         return []
@@ -55,7 +54,7 @@ def judge_undeclared(trial: Trial) -> list[ImportFinding]:
 
 
 def _size(trial: Trial) -> list[ImportFinding]:
-    """Finding on a size of gravity that a whole link on the ground does not have."""
+    """Finding on a magnitude of gravity that is wrong unless a balloon carries part of the link."""
     size = math.hypot(*trial.meta.gravity)
     low, high = GRAVITY_M_S2
     if low <= size <= high:
@@ -76,11 +75,11 @@ def _size(trial: Trial) -> list[ImportFinding]:
 
 
 def _direction(trial: Trial) -> list[ImportFinding]:
-    """Finding where the currents hold a weight that does not pull along the stated gravity.
+    """Finding if the currents hold a weight in another direction than the stated gravity.
 
-    A joint holds what gravity g does on the direction u of the link: its current is in proportion
-    to -g·∂u/∂angle, and friction adds its own sign. Friction must take its current along the
-    motion: else the sign of the current is in doubt, which `judge_motion` tells.
+    A joint holds the torque of gravity g on the link with direction u: its current is in proportion
+    to -g·∂u/∂angle, and friction adds a term with its sign. The friction term must be along the
+    motion; otherwise the current's sign is in doubt, which `judge_motion` reports.
     """
     stated = np.array(trial.meta.gravity)
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m

@@ -1,4 +1,4 @@
-"""Findings on single samples of a servo: a count that starts again, a wrong angle or current."""
+"""Findings on single samples of a servo: an angle that wraps, a wrong angle or current."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from models.trials.verdict.finding import ImportFinding
 from models.trials.verdict.motion_findings import LARGEST_RAD
 
 WRAP_RAD: Final = 0.5
-"""How far a jump between two samples may be from a turn to be the start of a new count."""
+"""Largest difference of a jump between two samples from one turn that counts as a wrap."""
 SPIKE_RAD: Final = 0.02
-"""Least jump there and back that is a spike: thirteen steps of a coarse encoder."""
+"""Smallest jump there and back of a spike: thirteen steps of a coarse encoder."""
 SPIKE_RAD_S2: Final = 300.0
-"""Acceleration that no joint with the link reaches: five times the limit of the goals."""
+"""Acceleration that no joint with the link reaches: five times the goals' limit."""
 SPIKE_NOISE: Final = 20.0
-"""How many times its usual change of rate an angle must change its rate in a spike."""
+"""Smallest change of rate in a spike, relative to the median change."""
 SPIKE_A: Final = 0.1
-"""Least jump of a current there and back that is a spike."""
+"""Smallest jump there and back of a spike of the current."""
 SPIKE_PART: Final = 0.25
 """The same, relative to the range of all other samples: at most 0.02 on the recordings of three
-machines (docs/sources.md), 0.7 where a rig's current is nothing but noise."""
+machines (docs/sources.md), 0.7 where a rig's current is only noise."""
 SPIKE_TIMES: Final = 5.0
-"""How many times the jumps there and back of one sample in twenty: 2.4 where there is but noise."""
+"""Smallest jump of a spike, relative to the 95th percentile of jumps: 2.4 for noise only."""
 SETTLED_S: Final = 0.1
-"""Time after a step of the goal in which a current may jump as well."""
+"""Time after a step of the goal during which a current may jump too."""
 MOST_NAMED: Final = 3
 
 
 def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFinding], set[int]]:
-    """Findings on angles and goals that start a new count, on spikes of angles and currents."""
+    """Findings on angles and goals that wrap, and on spikes; with the joints that wrap."""
     found: list[ImportFinding] = []
     wrapped: set[int] = set()
     for s in series:
@@ -55,7 +55,7 @@ def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFindi
 
 
 def _wrap(series: Series, name: str) -> ImportFinding | None:
-    """Finding where a column jumps by a turn from one sample to the next."""
+    """Finding if a column jumps by a turn between two samples."""
     jumps = np.diff(series.columns[name])
     at = np.flatnonzero(np.abs(np.abs(jumps) - 2 * np.pi) < WRAP_RAD)
     if not len(at):
@@ -71,14 +71,14 @@ def _wrap(series: Series, name: str) -> ImportFinding | None:
 
 
 def _spikes(series: Series, name: str) -> list[ImportFinding]:
-    """Finding on samples that an angle leaves and comes back from faster than a joint can turn."""
+    """Finding on samples with an angle that jumps and returns faster than a joint can turn."""
     angle, time_s = series.columns[name], series.time_s
     there, back = np.diff(angle)[:-1], np.diff(angle)[1:]
     step_s = 0.5 * (time_s[2:] - time_s[:-2])
     size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
     turn = np.abs(back - there)
     limit = np.maximum(SPIKE_RAD_S2 * step_s**2, SPIKE_NOISE * _usual(turn))
-    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else the sample beside it
+    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else it is an adjacent sample
     at = np.flatnonzero((size > SPIKE_RAD) & (turn > limit) & alike) + 1
     if not len(at):
         return []
@@ -93,13 +93,13 @@ def _spikes(series: Series, name: str) -> list[ImportFinding]:
 
 
 def _step_times_s(series: Sequence[Series], joint: int) -> Array:
-    """Times at which a goal steps: a servo answers with a current of one or two samples."""
+    """Times at which a goal steps: the servo's current responds for one or two samples."""
     name, times = f"goal_{joint}_rad", [np.zeros(0)]
     for s in (s for s in series if name in s.columns):
         changes = np.diff(s.columns[name])
         at = np.flatnonzero(np.abs(changes) > 0)
         size, time_s = np.abs(changes[at]), s.time_s[at + 1]
-        beside = np.zeros(len(at))  # changes just before and after: a goal in motion has them
+        beside = np.zeros(len(at))  # changes just before and after, as in a moving goal
         close = np.diff(time_s) < SETTLED_S
         beside[1:] = np.where(close, size[:-1], 0.0)
         beside[:-1] = np.maximum(beside[:-1], np.where(close, size[1:], 0.0))
@@ -108,16 +108,16 @@ def _step_times_s(series: Sequence[Series], joint: int) -> Array:
 
 
 def _current_spikes(series: Series, name: str, steps_s: Array) -> list[ImportFinding]:
-    """Finding on samples that a current leaves and comes back from, far beyond all others.
+    """Finding on samples with a current that jumps and returns, far beyond all others.
 
-    Friction that turns round is a step, and goals that are held give small jumps again and again.
+    Reversing friction is a step without return, and held goals cause small jumps repeatedly.
     """
     current, time_s = series.columns[name], series.time_s
     if not np.isfinite(current).all() or len(current) < 8:
         return []
     there, back = np.diff(current)[:-1], np.diff(current)[1:]
     size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else the sample beside it
+    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else it is an adjacent sample
     beyond = (size > SPIKE_TIMES * np.percentile(size, 95)) & alike & (size > SPIKE_A)
     others = np.delete(current, np.flatnonzero(beyond) + 1)
     at = np.flatnonzero(beyond & (size > SPIKE_PART * np.ptp(others))) + 1

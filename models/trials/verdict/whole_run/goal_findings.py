@@ -1,4 +1,4 @@
-"""Findings on goals against their angles and conditions: still, cut, or of another period."""
+"""Findings on goals against their angles and conditions: not moving, cut, or of another period."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from models.trials.verdict.motion_findings import LARGEST_RAD, LEAST_MOTION_RAD
 from models.trials.verdict.whole_run.sinusoid_fit import find_leap, fit_period, fit_sine
 
 REPEATING: Final = 0.5
-"""Part of a sinusoid's goals that a sine of the declared period must give."""
+"""Smallest fraction of the variance of a sinusoid's goals with the declared period."""
 PERIOD: Final = 0.005
-"""Relative difference of the goals' period and the declared one that is warned of."""
+"""Relative difference of the goals' period from the declared one that causes a warning."""
 LEAST_STEPS: Final = 4
-"""Steps of the shortest period that samples show."""
+"""Fewest steps per period that samples resolve."""
 GLIDE_S: Final = 1.2
-"""Time at the end in which a motion may return to zero."""
+"""Time at the end during which a motion may return to zero."""
 LEAP_RAD: Final = 0.06
-"""Leap of the goals' phase that is warned of: two to three rows of the study's motion."""
+"""Jump of the goals' phase that causes a warning: two to three rows of the study's motion."""
 UNLIKE: Final = 3.0
-"""How many times less another period must leave to be the right one."""
+"""Factor by which another period must reduce the residual to be accepted."""
 STILL_RAD: Final = 0.2
-"""Motion of an angle, beyond its goal's, that no servo makes while it holds a goal."""
+"""Motion of an angle, beyond its goal's, that is impossible while a servo holds a goal."""
 JUMP_RAD: Final = 0.02
-"""Least jump of goal and angle in one row that is a gap: thirteen steps of a coarse encoder."""
+"""Smallest simultaneous jump of goal and angle at a gap: thirteen steps of a coarse encoder."""
 JUMP_NOISE: Final = 20.0
-"""How many times its usual change of rate a signal must jump."""
+"""Smallest jump of a signal, relative to the median change of its rate."""
 LONGEST_STEP_S: Final = 0.05
-"""Step from which an angle may follow a step of its goal within one row."""
+"""Longest step at which an angle cannot follow a step of its goal within one row."""
 
 
 def judge_goals(trial: Trial) -> list[ImportFinding]:
@@ -44,11 +44,10 @@ def judge_goals(trial: Trial) -> list[ImportFinding]:
 
 
 def judge_standing_goals(trial: Trial) -> list[ImportFinding]:
-    """Findings on goals that stand still though the conditions say that they move.
+    """Findings on goals that do not move although the conditions state an amplitude.
 
-    Where a joint was moved by hand the goals do stand: such a trial has `amplitude_rad = 0`.
-
-    `trial`: of any plant; of another than the link nothing is said.
+    Goals do not move if a joint was moved by hand; such a trial has `amplitude_rad = 0`. There are
+    no findings on a trial of a plant that is not the link.
     """
     declared = trial.meta.amplitude_rad
     if not trial.meta.link_length_m > 0 or not declared > LEAST_MOTION_RAD:
@@ -77,7 +76,7 @@ def judge_standing_goals(trial: Trial) -> list[ImportFinding]:
 
 
 def _jump(trial: Trial) -> list[ImportFinding]:
-    """Finding on a row in which goal and angle jump together: an angle follows its goal later."""
+    """Finding on a row in which goal and angle jump together, as an angle lags its goal."""
     if trial.step_s > LONGEST_STEP_S or len(trial) < 8:
         return []
     for j in range(trial.meta.dof):
@@ -98,26 +97,26 @@ def _jump(trial: Trial) -> list[ImportFinding]:
 
 
 def _jumps(values: Array) -> Array:
-    """Changes from row to row, shape (n - 1,), where they are far from those beside; else zero."""
+    """Changes from row to row, (n - 1,), that differ much from adjacent ones; else zero."""
     change = np.diff(values)
     apart = np.abs(np.diff(change))
     limit = max(JUMP_RAD, JUMP_NOISE * float(np.median(apart)))
     padded = np.pad(np.abs(change), 2, mode="edge")
     count = len(change)
     beside = np.max([padded[k : k + count] for k in (0, 1, 3, 4)], axis=0)
-    turned = np.abs(np.abs(change) - 2 * np.pi) < 0.5  # a count that starts again
+    turned = np.abs(np.abs(change) - 2 * np.pi) < 0.5  # a wrapped angle
     jumps = (np.abs(change) - 1.5 * beside > limit) & ~turned
     return np.asarray(np.where(jumps, change, 0.0))
 
 
 def _period(trial: Trial) -> list[ImportFinding]:
-    """Finding on the period of a sinusoid, on a leap of its phase, and on the motion's name."""
+    """Finding on the period of a sinusoid, on a jump of its phase, and on the motion's name."""
     meta, rest = trial.meta, trial.meta.rest_samples
     goal, time_s = trial.goal_rad[rest:, 0], trial.time_s[rest:]
     if meta.motion not in KINDS or len(goal) < 8 or goal.std() < LEAST_MOTION_RAD:
         return []
     whole_s, period_s = float(time_s[-1] - time_s[0]), meta.period_s
-    # A motion may end with a return to zero, or go on at rest.
+    # A motion may end with a return to zero, or continue at rest.
     ends_s = [whole_s, whole_s - GLIDE_S, *((2 * period_s,) if 2 * period_s < whole_s else ())]
     kept = [time_s <= time_s[0] + end_s for end_s in ends_s if end_s >= 0.95 * period_s]
     parts = [
@@ -147,7 +146,7 @@ def _period(trial: Trial) -> list[ImportFinding]:
 def _other_motion(
     trial: Trial, time_s: Array, goal: Array, period_s: float, left: float
 ) -> list[ImportFinding]:
-    """Finding on a sinusoid under another name; less than a period and a half may be either."""
+    """Finding on a sinusoid under another name; below one and a half periods it may be either."""
     if time_s[-1] - time_s[0] < 1.5 * period_s:
         return []
     return [
@@ -162,7 +161,7 @@ def _other_motion(
 def _other_period(
     trial: Trial, time_s: Array, goal: Array, period_s: float, left: float
 ) -> list[ImportFinding]:
-    """Finding on a sinusoid of another period than the conditions say."""
+    """Finding on a sinusoid whose period differs from the conditions."""
     declared_s = trial.meta.period_s
     off = period_s / declared_s - 1
     first = time_s <= time_s[0] + 10 * declared_s
@@ -180,7 +179,7 @@ def _other_period(
 
 
 def _leap(trial: Trial, windows: list[tuple[Array, Array]]) -> list[ImportFinding]:
-    """Finding on a sinusoid that leaps in phase."""
+    """Finding on a sinusoid whose phase jumps."""
     if trial.meta.motion != "sinusoid":
         return []
     period_s, rest = trial.meta.period_s, trial.meta.rest_samples

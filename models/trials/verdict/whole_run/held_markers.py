@@ -1,4 +1,4 @@
-"""Markers that hold their position exactly for a while, although the link carries them on."""
+"""Markers whose position is constant for a while although the link moves."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from models.shared.kinematics import base_rotation
 from models.trials.trial import Array, Trial
 
 SAME_M: Final = 1e-9
-"""Change of a position from one row to the next that is none: rounding of a turned frame."""
+"""Largest change of a constant position between rows: rounding of a rotated frame."""
 LEAST_ROWS: Final = 5
 LEAST_S: Final = 0.1
-"""Shortest hold that is told; a capture at 10 Hz, held to the step of the trial, is shorter."""
+"""Shortest hold that is reported; a capture at 10 Hz, held to the trial's step, is shorter."""
 MOVED_M: Final = 0.02
-"""Way of the neighbours, and of this marker on a rigid link, from which a hold is wrong; a clock
-that is off by 20 ms moves the tip of the study's motion by 14 mm."""
+"""Travel of the neighbours, and of the marker on a rigid link, above which a hold is wrong; a clock
+error of 20 ms moves the tip of the study's motion by 14 mm."""
 ALL_MOVED_M: Final = 0.06
-"""The same, by the joint angles alone, where every marker holds its position."""
+"""The same, from the joint angles alone, if every marker holds its position."""
 NEIGHBOURS: Final = 3
 MOST_RUNS: Final = 100
-"""Longest holds of a marker that are looked at."""
+"""Number of the longest holds of a marker that are checked."""
 
 
 class HeldMarkers(NamedTuple):
     """Markers that hold their positions over the same rows."""
 
-    places: tuple[int, ...]
-    first: int  # Rows of the trial
+    places: tuple[int, ...]  # Indices of the markers in the layout
+    first: int  # First and last row in the trial
     last: int
-    moved_m: float  # Way of the neighbours meanwhile, or that of the markers by the joint angles
+    moved_m: float  # Travel of the neighbours meanwhile, or of the markers by the joint angles
 
 
 def held_markers(trial: Trial) -> list[HeldMarkers]:
-    """Holds of markers that the link cannot make, in the order of the rows."""
+    """Holds of markers that contradict the link's motion, in the order of the rows."""
     markers_m, time_s = trial.markers_m, trial.time_s
     same = np.all(np.abs(np.diff(markers_m, axis=0)) <= SAME_M, axis=2)
     found: dict[tuple[int, int], list[int]] = {}
@@ -60,7 +60,7 @@ def _runs(same: Array, time_s: Array) -> list[tuple[int, int]]:
 
 
 def _way_m(trial: Trial, markers_m: Array, same: Array, place: int, run: tuple[int, int]) -> float:
-    """Way that a marker should have made during a hold; 0 where it may have stood still."""
+    """Travel of a marker that is expected during a hold; 0 if it may have been at rest."""
     first, last = run
     rows = slice(first, last + 1)
     turn = base_rotation(trial.angle_rad[rows])

@@ -1,8 +1,8 @@
-"""Distances of markers in a section and to the next one, against their values at rest.
+"""Distances between markers in a section and to the next one, compared with those at rest.
 
-A section of the link keeps its shape and its neighbours bend by little. On every rig, with each
-effect and a load that nearly folds the link, distances change by less than 3 % (7 % on a link with
-a payload of its own); two exchanged markers of a square section change them by 29 % and more.
+A section of the link keeps its shape, and the bend to its neighbours is small. On every rig, with
+each effect and a load that nearly folds the link, distances change by less than 3 % (7 % on a link
+with another payload). Two exchanged markers of a square section change them by 29 % and more.
 """
 
 from __future__ import annotations
@@ -19,39 +19,39 @@ from models.trials.trial import Array
 Rows = NDArray[np.intp]
 
 IN_SECTION: Final = 0.15
-"""Relative change of a distance within a section that is wrong: ten times the rigs' largest."""
+"""Relative change above which a distance within a section is wrong: ten times the rigs' largest."""
 TO_NEXT: Final = 0.25
 """The same between neighbouring sections: a bend of half a radian in a quarter of the link."""
 LEAST_M: Final = 0.01
-"""Change below which no distance is wrong."""
+"""Change of a distance that is never wrong."""
 JOINED_ROWS: Final = 5
-"""Right rows between wrong ones that belong to one stretch."""
+"""Most correct rows between wrong ones of one stretch."""
 SAMPLED_ROWS: Final = 15
-"""Rows of a stretch by which an exchange is told."""
+"""Rows of a stretch that are sampled to detect an exchange."""
 MOST_CANDIDATES: Final = 20
-"""Markers of which every exchange is tried."""
+"""Most markers of which every exchange is tried."""
 MOST_EXCHANGES: Final = 4
 RIGHT_AGAIN: Final = 0.9
-"""Fraction of the sampled rows that an exchange must bring right."""
+"""Fraction of the sampled rows that an exchange must correct."""
 PRESENT: Final = 0.2
 """Fraction of a stretch in which a marker must be wrong to be named."""
 MOST_STRETCHES: Final = 50
-"""Longest stretches that are looked at one by one; the rows of all others are told together."""
+"""Number of the longest stretches that are checked one by one; all others form one finding."""
 _CELLS: Final = 200_000
-"""Distances that are held at once."""
+"""Most distances in memory at once."""
 
 
 class Misplaced(NamedTuple):
-    """Markers that are not where they belong, over a stretch of rows."""
+    """Markers at a wrong position over a stretch of rows."""
 
-    places: tuple[int, ...]  # Of the markers in the layout; of an exchange two
+    places: tuple[int, ...]  # Indices of the markers in the layout; two for an exchange
     exchanged: bool  # Whether the two have each other's position
     rows: Rows  # Rows of the trial in which distances are wrong
     off_m: float  # Largest change of a distance
 
 
 class _Distances:
-    """Pairs of markers, their distances at rest and how far these may change."""
+    """Pairs of markers, their distances at rest and the limits of change."""
 
     def __init__(self, markers_m: Array, layout: MarkerLayout, rest: int) -> None:
         pairs = [
@@ -70,24 +70,21 @@ class _Distances:
         self.limit_m = np.maximum(np.where(same, IN_SECTION, TO_NEXT) * self.rest_m, LEAST_M)
 
     def of(self, markers_m: Array) -> Array:
-        """Distances, shape (n, pairs); NaN where a marker is unseen."""
+        """Distances, shape (n, pairs); NaN if a marker is occluded."""
         apart_m = markers_m[:, self.first] - markers_m[:, self.second]
         return np.asarray(np.linalg.norm(apart_m, axis=2))
 
     def off_m(self, markers_m: Array) -> Array:
-        """Changes of the distances, shape (n, pairs); 0 where a marker is unseen."""
+        """Changes of the distances, shape (n, pairs); 0 if a marker is occluded."""
         return np.asarray(np.nan_to_num(np.abs(self.of(markers_m) - self.rest_m)))
 
     def chunks(self, rows: Rows) -> list[Rows]:
-        """Rows in parts of which the distances are held at once."""
+        """Split rows into parts whose distances fit into memory."""
         return np.array_split(rows, len(rows) // self.chunk + 1)
 
 
 def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list[Misplaced]:
-    """Markers whose distances to their neighbours are wrong, by stretches of rows.
-
-    Shapes: `markers_m` (n, markers, 3).
-    """
+    """Markers, (n, markers, 3), whose distances to neighbours are wrong, by stretches of rows."""
     distances = _Distances(markers_m, layout, rest)
     wrong = np.concatenate(
         [
@@ -115,7 +112,7 @@ def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list
 def _exchanges(
     distances: _Distances, markers_m: Array, stretch: Rows, before_m: Array
 ) -> list[Misplaced]:
-    """Exchanges of two markers that bring the distances of a stretch right again, or none."""
+    """Exchanges of two markers that correct the distances of a stretch, or none."""
     sample = stretch[np.linspace(0, len(stretch) - 1, min(len(stretch), SAMPLED_ROWS)).astype(int)]
     sampled_m, start_m = markers_m[sample], markers_m[stretch[0]]
     off_m = distances.off_m(sampled_m)
@@ -126,7 +123,7 @@ def _exchanges(
     order, swaps = np.arange(markers_m.shape[1]), []
 
     def cost(trial_order: Rows) -> float:
-        """Changes of the distances; the jump at the start decides between mirrored exchanges."""
+        """Sum of distance changes; the jump at the start decides between mirrored exchanges."""
         jump_m = np.nansum(np.linalg.norm(start_m[trial_order] - before_m, axis=1))
         return float(distances.off_m(sampled_m[:, trial_order]).mean(axis=0).sum() + jump_m)
 
@@ -149,7 +146,7 @@ def _exchanges(
 
 
 def _out_of_place(distances: _Distances, markers_m: Array, stretch: Rows) -> Misplaced:
-    """Markers of a stretch without which no distance is wrong; of two alike both."""
+    """Markers of a stretch without which no distance is wrong; both of two equal candidates."""
     named, most_m, count = np.zeros(markers_m.shape[1]), 0.0, markers_m.shape[1]
     for rows in distances.chunks(stretch):
         off_m = distances.off_m(markers_m[rows])

@@ -17,11 +17,11 @@ from models.trials.verdict.whole_run.held_markers import held_markers
 from models.trials.verdict.whole_run.marker_distances import misplaced_markers
 
 MOST_NAMED: Final = 4
-"""Findings of one kind that are told one by one."""
+"""Most findings of one kind that are listed one by one."""
 PHASE_RAD: Final = 0.3
-"""Difference of the goals' phase and the declared one that is warned of."""
+"""Difference of the goals' phase from the declared one that causes a warning."""
 SINUSOIDAL: Final = 0.9
-"""Part of a goal that a sine of the period must give for its phase to be known."""
+"""Smallest fraction of a goal's variance in a sine of the period that defines its phase."""
 
 
 def judge_run(trial: Trial) -> list[ImportFinding]:
@@ -85,7 +85,7 @@ def _rows(rows: NDArray[np.intp], time_s: Array) -> str:
 
 
 def _phase(trial: Trial) -> list[ImportFinding]:
-    """Finding where joint 2 leads joint 1 by another phase than the conditions say."""
+    """Finding if joint 2 leads joint 1 by another phase than the conditions state."""
     meta = trial.meta
     if meta.dof != 2 or meta.motion != "sinusoid":
         return []

@@ -1,4 +1,4 @@
-"""Sinusoids that goals follow: with a period that is found, or with a leap of the phase."""
+"""Sinusoids fitted to goals: with a free period, or with a jump of the phase."""
 
 from __future__ import annotations
 
@@ -10,47 +10,44 @@ from scipy.optimize import minimize_scalar
 from models.trials.trial import Array
 
 PERIOD_FRACTION: Final = 0.3
-"""Largest difference of the found period from the declared one, relative to it."""
+"""Largest relative difference of the fitted period from the declared one."""
 CLEAN: Final = 0.01
-"""Root mean square beside a sinusoid, relative to its amplitude, up to which goals are one; the
-steps of a small servo give 0.001 at 30°."""
+"""Largest root mean square residual of a sinusoid, relative to its amplitude; the steps of a small
+servo give 0.001 at 30°."""
 CLEAN_RAD: Final = 1e-3
-"""The same where the amplitude is small: two thirds of a servo's step."""
+"""The same for a small amplitude: two thirds of a servo's step."""
 LEAST_CYCLES: Final = 0.15
-"""Shortest stretch on each side of a leap, in periods: a shorter one fits any phase."""
+"""Shortest stretch on each side of a jump, in periods: a shorter one fits any phase."""
 MOST_CYCLES: Final = 10
-"""Periods that are looked at: they give the period to 1e-4."""
+"""Most periods in a fit: they determine the period to 1e-4."""
 MOST_ROWS: Final = 2000
-"""Rows that are fitted; of more every nth is taken."""
+"""Most rows in a fit; of more rows every nth is used."""
 ALIKE: Final = 0.05
-"""Relative difference of the amplitudes on the two sides of a leap."""
+"""Largest relative difference between the amplitudes before and after a jump."""
 
 
 class SineFit(NamedTuple):
-    """Sinusoid through samples."""
+    """Sinusoid fitted to samples."""
 
     period_s: float
-    amplitude: float  # Its amplitude, in the unit of the samples
-    left: float  # Root mean square of what it leaves, in that unit
+    amplitude: float  # Amplitude, in the unit of the samples
+    left: float  # Root mean square residual, in that unit
 
     @property
     def clean(self) -> bool:
-        """Whether the samples are this sinusoid but for the resolution of a servo."""
+        """Whether the samples are this sinusoid up to the resolution of a servo."""
         return self.left <= max(CLEAN * self.amplitude, CLEAN_RAD)
 
 
 class PhaseLeap(NamedTuple):
-    """Place at which a sinusoid goes on with another phase."""
+    """Row at which a sinusoid continues with another phase."""
 
-    row: int  # First row behind it
-    lead_s: float  # Time by which the phase leaps ahead; negative where it falls back
+    row: int  # First row after the jump
+    lead_s: float  # Time by which the phase jumps ahead; negative if it falls back
 
 
 def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
-    """Sinusoid of a given period through goals.
-
-    Shapes: `time_s`, `goal_rad` (n,).
-    """
+    """Fit a sinusoid with a given period to goals (n,)."""
     phase = 2 * np.pi * (time_s - time_s[0]) / period_s
     design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
     terms, *_ = np.linalg.lstsq(design, goal_rad, rcond=None)
@@ -59,10 +56,9 @@ def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
 
 
 def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
-    """Best sinusoid through goals, with a period near the declared one.
+    """Fit a sinusoid with a period near the declared one to goals (n,).
 
-    Shapes: `time_s`, `goal_rad` (n,).
-    `time_s`, `goal_rad`: samples, at least one period of them; the first `MOST_CYCLES` are used.
+    The goals last at least one period; the first `MOST_CYCLES` periods are used.
     """
     first = time_s < time_s[0] + MOST_CYCLES * period_s
     time_s, goal_rad = time_s[first], goal_rad[first]
@@ -81,10 +77,9 @@ def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
 
 
 def find_leap(time_s: Array, goal_rad: Array, period_s: float) -> PhaseLeap | None:
-    """Place at which goals leap in phase: before and behind it they are one and the same sinusoid.
+    """Row at which the phase of goals (n,) jumps within an otherwise unchanged sinusoid.
 
-    Shapes: `time_s`, `goal_rad` (n,).
-    Returns None where there is no such place, or the goals are no sinusoid on either side.
+    None if there is no such row, or if the goals are no sinusoid on either side.
     """
     phase = 2 * np.pi * (time_s - time_s[0]) / period_s
     design = np.column_stack([np.ones_like(phase), np.sin(phase), np.cos(phase)])
@@ -93,7 +88,7 @@ def find_leap(time_s: Array, goal_rad: Array, period_s: float) -> PhaseLeap | No
         return None
 
     def sides(row: int) -> tuple[Array, Array, float]:
-        """Terms before and behind a row, and the squares that both leave."""
+        """Coefficients before and after a row, and the residual sum of squares of both."""
         parts = [(design[:row], goal_rad[:row]), (design[row:], goal_rad[row:])]
         terms = [np.linalg.lstsq(d, g, rcond=None)[0] for d, g in parts]
         left = sum(np.sum((g - d @ t) ** 2) for (d, g), t in zip(parts, terms, strict=True))

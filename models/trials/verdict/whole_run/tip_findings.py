@@ -1,7 +1,7 @@
 """Findings on the tip: its distance from the centre of the last marker row, and single jumps.
 
-The tip is defined as the centre of the last marker row (docs/trials.md). A recording may name
-another point for it: in Motive the pivot of a rigid body lies anywhere, and an asset may be the
+The tip is defined as the centre of the last marker row (docs/trials.md). A recording may use its
+name for another point: in Motive the pivot of a rigid body may be anywhere, and an asset may be the
 wrong one.
 """
 
@@ -20,26 +20,26 @@ from models.trials.trial import Array, Trial
 from models.trials.verdict.finding import SHAPE_M, ImportFinding, level_of
 
 REFUSED_ROWS: Final = 0.1
-"""Part of the rows in which a tip beyond the limit is no outlier [assumed]."""
+"""Fraction of rows above which a tip beyond the limit is more than outliers [assumed]."""
 ROW_SHAPE_M: Final = 0.01
-"""Change of a distance within the last row from which its centre is not trusted in a sample."""
+"""Change of a distance within the last row above which its centre is not used in a sample."""
 FEWEST_SEEN: Final = 3
-"""Markers of a row that must be seen, or all of a smaller row."""
+"""Fewest visible markers of a row, or all of a smaller row."""
 REACH: Final = (0.5, 1.3)
-"""Distance of the tip from the joint axes, over that of a straight link: one bent to a half circle
-keeps 0.64; a longer one has another unit or origin."""
+"""Distance of the tip from the joint axes, relative to a straight link's: a link bent to a half
+circle has 0.64; a larger distance means another unit or origin."""
 UNITS: Final = (("mm", 1e3), ("cm", 1e2), ("inches", 39.37), ("feet", 3.281), ("km", 1e-3))
-"""Units in which a tip may have been left, and how many of them are 1 m."""
+"""Units in which a tip may be, and how many of them are 1 m."""
 SAME_UNIT: Final = 0.05
-"""Relative error of the distance from the joint axes with which a unit is still recognised."""
+"""Largest relative error of the distance from the joint axes at which a unit is recognised."""
 CONSTANT: Final = 0.1
-"""Change of an offset, over its size, up to which it is one."""
+"""Largest change of a constant offset, relative to its length."""
 SAME_PLACE_M: Final = 1e-3
-"""Distance within which the tip is at a marker."""
+"""Largest distance between tip and marker at the same place."""
 JUMP_M: Final = 0.02
-"""Least distance from the middle of its neighbours at which a sample of the tip is a jump."""
+"""Smallest distance from the midpoint of the adjacent samples at which the tip jumps."""
 JUMP_NOISE: Final = 20.0
-"""How many times the usual such distance a jump must be."""
+"""Smallest jump, relative to the median of that distance."""
 _TURNED: Final = (
     ("x is negated", (0, 1, 2), (-1, 1, 1)),
     ("y is negated", (0, 1, 2), (1, -1, 1)),
@@ -56,8 +56,8 @@ Rows = NDArray[np.intp]
 def judge_tip(trial: Trial) -> list[ImportFinding]:
     """Findings on the tip of a trial of the link.
 
-    It is compared with the centre of the last marker row where that is seen, and with the reach of
-    the link. A trial without a tip, or of another plant, has none.
+    It is compared with the centre of the last marker row where that is visible, and with the reach
+    of the link. A trial without a tip, or of another plant, has no findings.
     """
     if not trial.meta.link_length_m or "tip_x_m" not in trial.columns:
         return []
@@ -85,7 +85,7 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
 
 
 def _reach(trial: Trial, tip_m: Array) -> list[ImportFinding]:
-    """Finding on a tip that is nowhere near the link."""
+    """Finding on a tip far from the link."""
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
     size_m = float(np.median(np.linalg.norm(tip_m, axis=1)))
     low, high = REACH
@@ -106,7 +106,7 @@ def _reach(trial: Trial, tip_m: Array) -> list[ImportFinding]:
 
 
 def _apart(trial: Trial) -> tuple[Rows, Array]:
-    """Rows in which the last marker row is seen as it is, and the tip's place from its centre."""
+    """Rows in which the last marker row is valid, and the tip's place from its centre."""
     none = np.empty(0, dtype=np.intp), np.empty((0, 3))
     layout = trial.meta.layout
     if f"{layout.names[-1]}_x_m" not in trial.columns:
@@ -119,7 +119,7 @@ def _apart(trial: Trial) -> tuple[Rows, Array]:
     usual_m = np.zeros(len(first))
     usual_m[known] = np.nanmedian(distance_m[:, known], axis=0)
     if len(first) and usual_m.max() < SAME_PLACE_M:
-        return none  # all in one place: these are no markers
+        return none  # all in one place, so these are no markers
     changed = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
     apart_m = trial.tip_m - row_centre_m(np.moveaxis(row_m, 1, 0), layout.corners_m)
     kept = (seen.sum(axis=1) >= min(FEWEST_SEEN, layout.corners)) & (changed < ROW_SHAPE_M)
@@ -128,7 +128,7 @@ def _apart(trial: Trial) -> tuple[Rows, Array]:
 
 
 def _beside_row(trial: Trial, rows: Rows, apart_m: Array) -> list[ImportFinding]:
-    """Finding on a tip that is not the centre of the last marker row over the run."""
+    """Finding on a tip that is not the centre of the last marker row in the whole run."""
     off_m = np.linalg.norm(apart_m, axis=1)
     usual_m, most_m = float(np.median(off_m)), float(np.quantile(off_m, 1 - REFUSED_ROWS))
     level = "refused" if most_m > SHAPE_M[1] else level_of(usual_m, SHAPE_M)
@@ -150,7 +150,7 @@ def _beside_row(trial: Trial, rows: Rows, apart_m: Array) -> list[ImportFinding]
 
 
 def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
-    """What the tip is instead, in words."""
+    """Probable cause of the tip's distance, in words."""
     tip_m, off_m = trial.tip_m[rows], np.linalg.norm(apart_m, axis=1)
     marker = _marker_at(trial, rows)
     if marker:
@@ -172,7 +172,7 @@ def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
 
 
 def _marker_at(trial: Trial, rows: Rows) -> str:
-    """Name of the marker that is in the tip's place, empty for none."""
+    """Name of the marker at the tip's place, empty for none."""
     if not len(rows):
         return ""
     distance_m = np.linalg.norm(trial.markers_m[rows] - trial.tip_m[rows, None], axis=2)
@@ -184,7 +184,7 @@ def _marker_at(trial: Trial, rows: Rows) -> str:
 
 
 def _jumps(trial: Trial, seen: Rows) -> Rows:
-    """Rows in which the tip leaves the middle of its neighbours, or the reach of the link."""
+    """Rows in which the tip jumps from the adjacent samples, or leaves the reach of the link."""
     tip_m = trial.tip_m[seen]
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
     beyond = np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m

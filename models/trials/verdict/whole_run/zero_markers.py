@@ -15,11 +15,9 @@ from models.trials.verdict.finding import ImportFinding
 def without_zeros(
     series: list[Series], names: Iterable[str], zero_m: Array, remedy: str
 ) -> tuple[list[Series], list[ImportFinding]]:
-    """Series with NaN where a marker is exactly at zero, and a finding that counts these samples.
+    """Set markers at exactly zero (`zero_m`, shape (3,)) to NaN, with a finding that counts them.
 
-    A marker that is never elsewhere is kept as it is.
-
-    Shapes: `zero_m` (3,).
+    A marker that is never elsewhere is unchanged.
     """
     counts: dict[str, int] = {}
     times_s: list[Array] = []
