@@ -152,8 +152,8 @@ def effect_fit_parameters(
     """Fit parameters of one effect: its strength first, then others that may be fitted.
 
     A servo's effect has one strength for all joints, except offsets (`Effect.of_each_joint`). A
-    bending effect may differ by plane and has a strength for each. The shape of the goals (`goal
-    shape`) may be wrong in each joint separately.
+    bending effect may differ by plane and has a strength for each. The assumed staircase of the
+    goals (`goal shape`) may be wrong in each joint separately.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
