@@ -41,8 +41,7 @@ EXAMPLE = (
 
 RECOMMENDED_TORQUE: Final = 0.2
 """Part of the torque at the current limit that a steady load should not exceed: the e-Manual's note
-on stall torque, a fifth.
-"""
+on stall torque, a fifth."""
 PAYLOAD_STEP_KG: Final = 0.05
 
 

@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    ModelBundle.load(args.bundle)  # nobody signs what the robot would refuse
+    ModelBundle.load(args.bundle)  # refuses what the robot would refuse
     key = make_key(args.key) if args.new_key else read_key(args.key)
     public = sign_bundle(args.bundle, key)
     manifest = content_of(args.bundle / MANIFEST)

@@ -206,7 +206,7 @@ def diagnose(
     residuals = Residuals(plant, trials.trials, parameters, settings)
     given_floor, floor = floor, floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
-    with threadpool_limits(limits=1, user_api="blas"):  # the simulations take both processors
+    with threadpool_limits(limits=1, user_api="blas"):  # the simulations use both processors
         whole = len(recorded) == len(trials)
         odd = disturbed_trials(search.first, search.nuisance_fit, floor) if whole else ()
         if odd:

@@ -19,7 +19,7 @@ class Inclusion:
     least: float  # Least d′ that they need
     # Fall of the cost on held-out trials and of the nuisance's prior, in squared noise floors
     held_out_gain: float
-    held_out_error: float  # What this fall must exceed
+    held_out_error: float  # Value that `held_out_gain` must exceed
     look_alikes: tuple[LookAlike, ...]  # Effects that these trials cannot tell from them
 
 

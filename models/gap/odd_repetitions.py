@@ -29,8 +29,7 @@ FEWEST: Final = 3
 """Fewest trials of a motion of which one may be left out."""
 RELATIVE: Final = ("pressure", "friction")
 """Kinds of variation that are fractions of a value. A hidden friction that all trials share is
-first absorbed as their median: what varies is a fraction of the larger value.
-"""
+first absorbed as their median: what varies is a fraction of the larger value."""
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,11 @@ COVERAGE: Final = 0.95
 """Nominal coverage of the prediction interval."""
 LEVERAGE_RIDGE: Final = 1e-6
 """Ridge λ of the leverage's normal equation, relative to its mean squares [assumed]. It bounds the
-leverage in a direction without training data, like angle 1 less angle 2 of a motion in phase.
-"""
+leverage in a direction without training data, like angle 1 less angle 2 of a motion in phase."""
 EDGE: Final = 1e-9
 """Fraction by which the training box is wider than its rows: the DI of a link at rest is the
 smallest, and the robot computes it with another rounding (1e-14 of it), in every tick before a
-motion.
-"""
+motion."""
 
 
 def polynomial_pipeline(degree: int) -> Pipeline:

@@ -19,16 +19,13 @@ from models.plan.recorded_plan_run import RecordedRun
 Array = NDArray[np.float64]
 PAYLOAD_REACH_KG: Final = 1.0
 """Distance in payload over which a change fades: correlation length of the learned
-goals [assumed].
-"""
+goals [assumed]."""
 SCATTER: Final = 0.25
 """RMS difference of two runs of a plan over the plant's error. Measured on the rig, circle of 6 s
-with 1.8 kg: runs differ by a quarter.
-"""
+with 1.8 kg: runs differ by a quarter."""
 UNTOLD: Final = 1e-3
 """Part of the plant's squared error that remains at the payload of a run [assumed]: without it
-several runs at one payload make the equations singular.
-"""
+several runs at one payload make the equations singular."""
 
 
 def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:

@@ -60,7 +60,7 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     table = np.array(rows)
     at_s = np.arange(table[0, 0], table[-1, 0] + 0.5 * period_s, period_s)
     tip = _at(table, at_s)
-    # The way back takes over the speed at the end: a last place that stands still would halve it.
+    # The way back starts at the speed of the end: a last row at rest would halve it.
     end_s = table[-1, 0]
     end, before = _at(table, np.array([end_s, end_s - period_s]))
     tip[-1] += max(0.0, at_s[-1] - end_s) * (end - before) / period_s

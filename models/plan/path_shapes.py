@@ -27,8 +27,7 @@ CORNER_RAD: Final = 0.9
 """Turn of a stroke above which the tip stops at the corner [assumed]."""
 TIME_EXPONENT: Final = 0.6
 """Exponent of the length of a piece of a stroke in its share of the time: between equal speeds (1)
-and equal accelerations (1/2) [assumed].
-"""
+and equal accelerations (1/2) [assumed]."""
 DEFAULT_SIZE_M: Final = 0.3
 
 SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")

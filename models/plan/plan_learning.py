@@ -49,8 +49,7 @@ from models.plant.plant import Plant
 Array = NDArray[np.float64]
 CHANGE_M_S2: Final = 1e-4
 """Tip error that 1 rad/s² of a change's acceleration outweighs: ten times the weight of planning,
-because a measured tip has noise and the twin is least accurate where it hardly moves [assumed].
-"""
+because a measured tip has noise and the twin is least accurate where it hardly moves [assumed]."""
 STEPS: Final = 3
 """Gauss–Newton steps with the same derivatives [assumed]."""
 WORSE: Final = 1.3

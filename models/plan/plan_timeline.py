@@ -15,8 +15,7 @@ REST_S: Final = 1.0
 """Rest before the motion: that of `[motion]`, the reference of the Deformation Index."""
 LEAD_S: Final = 0.4
 """Time before the way in which the goals may already move, because the arm follows them late.
-Measured on the twin of the demo, circle of 0.4 m in 8 s: without it 6.6 mm at the start.
-"""
+Measured on the twin of the demo, circle of 0.4 m in 8 s: without it 6.6 mm at the start."""
 SETTLE_S: Final = 1.0
 """Rest after the way back, in which the goals return to zero [assumed]."""
 LEAST_WAY_S: Final = 1.5
@@ -59,7 +58,8 @@ def _speed(pair: Array, period_s: float) -> Array:
 
 
 def _way(start: Array, end: Array, speed: Array, period_s: float) -> Array:
-    """Quintic from rest at a place to a speed at another, which is left out, without acceleration.
+    """Quintic from rest at a place to a speed at another, without acceleration; the end is left
+    out.
 
     Coefficients from the conditions at both ends, e.g. Spong, Hutchinson and Vidyasagar, *Robot
     Modeling and Control* (2006), section 5.5.2.

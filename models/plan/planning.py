@@ -32,19 +32,16 @@ Array = NDArray[np.float64]
 PAYLOADS_KG: Final = STUDY_LINK.payloads_kg
 """Grid of payloads: the study's range. Between two of them the goals are nearly linear in the
 payload. Measured on the twin of the demo, circle of 0.4 m in 8 s: interpolated goals leave 0.73 mm
-with 0.25 kg, where those of the grid leave 0.66 and 0.71 mm.
-"""
+with 0.25 kg, where those of the grid leave 0.66 and 0.71 mm."""
 PAYLOAD_RATE_KG_S: Final = 0.5
 """Largest rate of the payload that goals are interpolated at [assumed]: the whole grid in four
-seconds.
-"""
+seconds."""
 STILL: Final = 1e-7
 """Change in a period below which goals (rad) or the desired tip (m) count as at rest [assumed]."""
 MOVE_S: Final = (0.2, 4.0)
 MOVE_STEP: Final = 0.06
 """Range in which the shortest move is searched, in s, and the resolution of the search
-[assumed].
-"""
+[assumed]."""
 FINE_M: Final = 2e-3
 """Largest RMS error of a shortest move on the twin [assumed]."""
 Method = Literal["inverse", "rigid", "zvd"]
@@ -206,7 +203,7 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
         return all(own.residual_rms_m < FINE_M for own in plan.payloads)
 
     if not keeps(high):
-        plan_path(path_of(high), tried)  # says which limit
+        plan_path(path_of(high), tried)  # names the limit
         raise InputError("--fastest", f"finds no move within {high:g} s", "make the path smaller")
     while high > (1.0 + MOVE_STEP) * low:
         middle = math.sqrt(low * high)

@@ -65,7 +65,7 @@ def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Li
                 for unit in np.eye(twin.dof)
             ]
         )
-        # Within the limits: a joint at its limit leaves the other one to come as near as it can.
+        # Bounded by the limits: if one joint is at its limit, the other comes as near as it can.
         step = lsq_linear(slope, wanted_m - tip, (low - goal - TINY, high - goal + TINY)).x
         goal = np.clip(goal + step, low, high)
         tip = twin.resting_tip_m(goal, payload_kg)

@@ -31,12 +31,10 @@ from models.trials.trial_files import read_trial
 Array = NDArray[np.float64]
 ALIKE: Final = 0.15
 """Largest RMS difference of the goals sent from those of the plan, over the RMS of the latter, at
-which a recording counts as a run of it [assumed]: goals for payloads 2 kg apart differ by 0.1.
-"""
+which a recording counts as a run of it [assumed]: goals for payloads 2 kg apart differ by 0.1."""
 VALLEY: Final = 0.02
 """Squared difference over the squared goals, above the smallest, that still belongs to a run of the
-plan: a shift by some rows causes that much [assumed].
-"""
+plan: a shift by some rows causes that much [assumed]."""
 MOST: Final = 1e6
 """Largest goal, angle or place, in radians and metres: far beyond any robot [assumed]."""
 LEAST_FRESH: Final = 0.9
@@ -45,8 +43,7 @@ LEAST_FRESH: Final = 0.9
 
 CORRECTED_KG: Final = 0.25
 """Distance from the mass at the tip within which corrections, not another payload, explain the
-goals of a trial [assumed]: half the step of the default grid.
-"""
+goals of a trial [assumed]: half the step of the default grid."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +125,7 @@ def _goals_payload_kg(
         return float(np.clip(went_by_kg, low, high))
     if payload_kg is None:
         return fitting_kg
-    # The robot of a trial may have estimated the mass at the tip, far from what it was.
+    # The robot of a trial may have estimated the mass at the tip, with a large error.
     told_kg = float(np.clip(payload_kg, low, high))
     return told_kg if abs(fitting_kg - told_kg) <= CORRECTED_KG else fitting_kg
 
@@ -211,7 +208,7 @@ def _start_row(goals: Array, plan: TipPlan) -> int:
         total += power[plan.rows :] - power[:starts] + np.sum(own**2)
         total -= 2.0 * np.fft.irfft(both, size)[:starts]
     near = total <= total.min() + VALLEY * float(np.sum(wanted**2))
-    last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose bottom is the start
+    last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose minimum is the start
     low = max(0, last - plan.rows // 2)
     return low + int(np.argmin(total[low : last + 1]))
 

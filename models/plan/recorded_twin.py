@@ -30,8 +30,7 @@ DAMPING_SD: Final = 0.5
 """Standard deviations of the logarithms of both factors [assumed]."""
 NOISE_M: Final = 2e-3
 """Standard deviation of the tip about the fitted twin: the error of the demo's plant on trials that
-it was not fitted to.
-"""
+it was not fitted to."""
 CORRELATED_S: Final = 0.5
 """Time over which that error counts once: about a period of the first mode."""
 STEPS: Final = 6

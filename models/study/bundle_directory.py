@@ -54,7 +54,7 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(
         prefix=f".{directory.name}.", dir=place, ignore_cleanup_errors=True
     ) as scratch:
-        fresh = Path(scratch) / "bundle"  # the scratch directory itself is closed to other users
+        fresh = Path(scratch) / "bundle"  # only the scratch directory is closed to other users
         fresh.mkdir()
         yield fresh
         if directory.exists():

@@ -22,8 +22,7 @@ PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
 """Degree of least distance by dof, as reported in the paper."""
 NOISE_FACTOR: Final = 3.0
 """Width of a DI loop, relative to the width from marker noise alone, above which it counts as
-hysteresis [assumed].
-"""
+hysteresis [assumed]."""
 MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
 ANGLE_BINS: Final = 12

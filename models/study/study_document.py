@@ -53,10 +53,10 @@ class FoldErrors(
     """Mean Euclidean distance of a cross-validation and its standard deviation over the folds."""
 
     blocks_m: float  # Blocks of time left out
-    blocks_fold_std_m: float
+    blocks_fold_std_m: float  # Standard deviation over the folds
     # Payloads left out; absent if the training has one payload
     leave_one_payload_out_m: float | None = None
-    leave_one_payload_out_fold_std_m: float | None = None
+    leave_one_payload_out_fold_std_m: float | None = None  # Standard deviation over the folds
     # Distance by which the degree is chosen: payloads left out if there are several
     selection_m: float
 
@@ -168,7 +168,8 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     # Held-out errors on the training trials alone
     cross_validation: dict[Variant, dict[Degree, FoldErrors]]
     mean_di: dict[Payload, float]  # Mean DI over the moving rows, by payload (paper, Fig. 11)
-    mean_di_other_dof: dict[Payload, float]  # The same for the other dof
+    # Mean DI over the moving rows with the other dof, by payload
+    mean_di_other_dof: dict[Payload, float]
     chosen_degree: int  # Degree of the least `selection_m` of estimated_di
     tests: dict[Test, TrialsSummary]
     mean_euclidean_distance_m: dict[Test, DistanceTable]
@@ -177,7 +178,7 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     baselines: dict[Test, BaselineErrors]  # Distances without a polynomial
     deployed: dict[Test, DeployedScores]  # Scores of the robot's predictor
     series: StudyCurves
-    findings: tuple[StudyFinding, ...]
+    findings: tuple[StudyFinding, ...]  # Findings of the paper, tested on these trials
 
 
 def read_study(path: Path) -> StudyDocument:

@@ -22,12 +22,10 @@ __all__ = ["GuardedTip"]
 
 MARGIN: Final = 0.25
 """Distance by which a signal may leave its training range and still be trusted, as a fraction of
-the range [assumed]: the observer extrapolates by its equations, the correction is clipped.
-"""
+the range [assumed]: the observer extrapolates by its equations, the correction is clipped."""
 TRUSTED_M: Final = 0.015
 """Largest half width of the interval that counts as a prediction: 1.5 % of the link
-(requirement).
-"""
+(requirement)."""
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ __all__ = ["InnovationBound"]
 
 FACTOR: Final = 1.5
 """Bound as a multiple of the largest innovation in training rows that move. Chosen on nine rigs for
-tuning: 1.25 rejects rows of the right plant, 2 lets errors of 40 mm pass.
-"""
+tuning: 1.25 rejects rows of the right plant, 2 lets errors of 40 mm pass."""
 NONE_A: Final = float(np.sqrt(np.finfo(float).max))
 """Bound that nothing exceeds."""
 
@@ -61,7 +60,7 @@ class InnovationBound:
         sums = graph.constant("bounded_sums", _sums(self.names, dof))
         total = graph.temporary("MatMul", [square, sums], "bounded_total")
         above = graph.bits(total, self._thresholds(), "above")
-        # Only the moving bit and one more are above dof.
+        # The sum exceeds dof only with the moving bit and at least one other.
         votes = graph.constant("above_votes", np.array([[1.0]] * dof + [[float(dof)]]))
         count = graph.temporary("MatMul", [above, votes], "above_count")
         return graph.bits(count, np.array([dof + 0.5]), "exceeded")

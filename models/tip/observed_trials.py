@@ -18,15 +18,13 @@ __all__ = ["ASKEW_RAD", "WRONG_STIFFNESS", "askew_shifts_m", "observe", "wrong_s
 
 WRONG_STIFFNESS: Final = (0.8, 1.2)
 """Factors on the stiffness of the observer's plant, for the calibration of the interval: the
-largest error of a plant that must be detected.
-"""
+largest error of a plant that must be detected."""
 
 
 ASKEW_RAD: Final = 0.005
 """Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
 the tip [assumed] for a link that is taken off and mounted again by hand. `models train --askew-deg`
-sets another; 0 ignores this error, which the servos cannot measure.
-"""
+sets another; 0 ignores this error, which the servos cannot measure."""
 
 
 def observe(

@@ -22,9 +22,9 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Errors of a predictor on some rows."""
 
     rows: int
-    mean_m: float  # Euclidean distance of predicted and measured tip: mean
-    p95_m: float  # 95 % quantile
-    max_m: float  # Largest
+    mean_m: float  # Mean Euclidean distance of predicted and measured tip
+    p95_m: float  # 95 % quantile of this distance
+    max_m: float  # Largest distance
     coverage: float  # Fraction of rows inside the 95 % interval, mean over the axes that move
     half_width_m: float  # Mean half width over rows and axes
     in_range: float  # Fraction of rows in range

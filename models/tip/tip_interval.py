@@ -232,8 +232,7 @@ def _kinds(names: Sequence[str], inputs: Array, usual: float) -> NDArray[np.intp
 _STANDING: Final = [0, 2]
 """Classes of joints that stand. Training has few rows of them, mostly of a link at rest that hardly
 bends; if a link swings while the joints stand, a wrong plant errs as much as in motion. Their q is
-therefore no less than that of `_MOVING`.
-"""
+therefore no less than that of `_MOVING`."""
 _MOVING: Final = [1, 3]
 """Classes of joints that move, in the same order."""
 

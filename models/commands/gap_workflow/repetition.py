@@ -82,7 +82,7 @@ def write_own_trial(trial: Trial, directory: Path) -> None:
         record = "".join(f"{_sha256(p)}  {p.name}\n" for p in files)
         for old in _own_files(directory):
             old.unlink()
-        # Known as one's own before they are there: a run that is stopped leaves none unknown.
+        # Recorded before they are moved here: an interrupted run leaves no unrecorded files.
         write_whole(directory / WRITTEN, record.encode())
         for path in files:
             path.replace(directory / path.name)

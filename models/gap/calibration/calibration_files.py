@@ -10,8 +10,7 @@ from models.gap.estimation.model_discrepancy import ModelDiscrepancy, read_patte
 
 FINGERPRINT: Final = "fingerprint.txt"
 """File with the hash of the work that the files were measured in and, below it, that of
-the plant.
-"""
+the plant."""
 
 OWN_FILES: Final = (
     FINGERPRINT, "own_error_*.npz", "patterns.npz", "patterns.part.npz", "patterns.svg",

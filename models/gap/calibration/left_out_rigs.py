@@ -20,8 +20,7 @@ REPEATS: Final = 2
 
 MotionErrors = Sequence[Mapping[str, Array]]
 """Measured errors on each rig with one motion, see
-`models.gap.calibration.pattern_measurement.own_errors_of`.
-"""
+`models.gap.calibration.pattern_measurement.own_errors_of`."""
 
 
 def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
@@ -50,7 +49,7 @@ def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
 def pattern_sentence(rigs: MotionErrors) -> str:
     """Sentence on the error that the patterns leave on held-out rigs."""
     parts, links = [], sum(len(r["rows"]) for r in rigs)
-    most = links - max(len(r["rows"]) for r in rigs)  # no more than links that they are learned on
+    most = links - max(len(r["rows"]) for r in rigs)  # at most the number of links in training
     for count in (0, min(DEFAULT_SETTINGS.discrepancy_patterns, most)):
         left = left_out_residuals(rigs, count)
         parts.append(f"{np.median(left):.2f} (90 %: {np.quantile(left, 0.9):.2f}) with {count}")

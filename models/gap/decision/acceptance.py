@@ -211,7 +211,9 @@ class Acceptance:
         return self._refits[key]
 
     def _refuses_values(self) -> bool:
-        """Refuse a value or a sum, and its effect with it; return whether one was refused."""
+        """Refuse a value or a sum: it is not written, or its effect is not named. Returns whether
+        it did.
+        """
         point, free = self._point_as_fitted()
         plant, parameters = self.residuals.plant, self.search.fit_parameters
         rows: list[tuple[RefusalKind, OffendingValue]] = [
@@ -241,9 +243,7 @@ class Acceptance:
         return True
 
     def _refuses_inconsistent(self) -> bool:
-        """Refuse a further effect for its strength and refit the rest; return whether one was
-        refused.
-        """
+        """Refuse a further effect for its strength, and refit the rest. Returns whether it did."""
         if len(self.result.named) < 2 or not self.search.learned:
             return False
         consistency = consistencies_of_named(self.search, self.result)

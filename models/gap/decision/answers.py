@@ -38,8 +38,7 @@ OF_A_GAP: Final = ("clearness", "further", "servo", "tip")
 
 WRONG_NAME_COST: Final = 2.0
 """Cost of a wrong name, relative to any other mistake: somebody looks for an effect that is not
-there, and the plant that is written has it [assumed].
-"""
+there, and the plant that is written has it [assumed]."""
 
 
 class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -72,8 +71,7 @@ class Answers(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 CATALOGUE_ONLY: Final = Answers(0.0, 1.0, 0.0)
 """Without a learned noise floor, noise cannot be separated from something outside of
-the catalogue.
-"""
+the catalogue."""
 
 
 class Regression(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,5 +1,4 @@
-"""Decision on a search: which effects are named, the verdict, and the alternatives to a failed
-choice.
+"""Decision on a search: the named effects, the verdict, and the alternatives to a failed choice.
 
 The evidence for the effects that pass the tests gives the probability that they are what is
 missing, that nothing is, or that something outside of the catalogue is

@@ -52,7 +52,9 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     # Logarithm of the mean squared residual of the servos' currents with the nuisance refitted
     # alone, in noise floors. None in tests of names that do not need it.
     servo: float | None = None
-    tip: float | None = None  # The same of the tip
+    # Logarithm of the mean squared residual of the tip with the nuisance refitted alone, in noise
+    # floors
+    tip: float | None = None
 
 
 def consistencies_of_named(

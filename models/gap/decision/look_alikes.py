@@ -18,8 +18,7 @@ from models.gap.search.candidate import SearchResult
 
 HELD_PROBABILITY: Final = 0.95
 """Probability that a set of hypotheses holds together: a name and its look-alikes, or the
-hypotheses that remain after an experiment (requirement).
-"""
+hypotheses that remain after an experiment (requirement)."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class Hypothesis:
     effects: tuple[str, ...]  # Empty where nothing is missing
     probability: float
     squared_separation: float  # d′², the fall of twice the cost from the fit of the nuisance alone
-    squared_least: float  # What it must reach
+    squared_least: float  # Value that `squared_separation` must reach
     values: Array  # (p,), all fit parameters where they were fitted
     free: Array  # (p,), fit parameters that were fitted
 

@@ -16,8 +16,7 @@ from models.gap.search.refused_effect import RefusedEffect, refusals
 UNEXCITED: Final = "not excited by these trials"
 SHOWN_SEPARATION: Final = 1.0
 """d′ above which an effect that does not show at small strengths shows at a large one: its standard
-deviation by noise alone.
-"""
+deviation by noise alone."""
 IMPROBABLE: Final = "its probability is {:.0%} only; "
 STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
 NOTHING_MISSING: Final = IMPROBABLE + "with {:.0%} nothing is missing"
@@ -31,7 +30,7 @@ class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     effect: str
     separation: float  # d′ in the first round
-    least: float  # Least d′ that it needs
+    least: float  # Least d′ that it needs to be named
     reason: str
 
 

@@ -28,8 +28,7 @@ from models.trials.trial import Trial
 
 SLOW_HZ: Final = 2.0
 """Frequency below which a heavy payload makes two trials differ
-(`models.gap.estimation.payload_ratios`).
-"""
+(`models.gap.estimation.payload_ratios`)."""
 
 
 def flat_floor(

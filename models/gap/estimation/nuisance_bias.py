@@ -25,8 +25,7 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 CHANGES_WITH_LINK: Final = frozenset({"pressure"})
 """Kinds that are tested on an unchanged link only: a changed link shifts them in all trials alike.
-On a link that was 20 % stiffer throughout z of the pressure was 11.
-"""
+On a link that was 20 % stiffer throughout z of the pressure was 11."""
 
 
 def nuisance_biases(

@@ -46,16 +46,13 @@ SHRINKING: Final = 0.3
 """Fraction of a limit's violation by which a starting motion is reduced in each turn [assumed]."""
 CORRECTION: Final = 0.015
 """Fraction by which a step that exceeds a limit of the twin is reduced, up to three times
-[assumed].
-"""
+[assumed]."""
 NEAR_A_LIMIT: Final = 0.4
 """Distance from a limit, as a fraction of it, below which a row enters a linear programme
-[assumed].
-"""
+[assumed]."""
 RADIUS_GROWTH: Final = 1.5
 """Growth of the trust region after a step that raised the score; any other step halves it
-[assumed].
-"""
+[assumed]."""
 TOLERATED_EXCESS: Final = 0.01
 """Violation that is tolerated during the search; the result has none [assumed]."""
 RANDOM_STARTS: Final = 4

@@ -22,8 +22,7 @@ GOAL_MARGIN: Final = 0.97
 """Fraction of a limit of the goals that is used [assumed]."""
 TWIN_MARGIN: Final = 0.85
 """Fraction of a limit of current and following error that the twin may use; the rest covers the
-difference between twin and robot [assumed].
-"""
+difference between twin and robot [assumed]."""
 TIP_MARGIN: Final = 0.98
 """The same for the tip, where this difference is some millimetres [assumed]."""
 ROW_STEP: Final = 3

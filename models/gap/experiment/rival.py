@@ -20,8 +20,7 @@ MOST_RIVALS: Final = 6
 """Most hypotheses that a motion is designed for, the most probable first; 15 pairs [assumed]."""
 RIVAL_PROBABILITY: Final = 0.02
 """Least probability of a hypothesis that counts; the two most probable always do. With 0.95 at the
-first, the others together would be less than what a set that holds 0.95 leaves out [assumed].
-"""
+first, the others together would be less than what a set that holds 0.95 leaves out [assumed]."""
 BOUND_SLACK: Final = 1e-6
 """Fraction of a bound by which a value may exceed it [numerical]."""
 

@@ -23,8 +23,7 @@ TOLERANCES: Final[dict[Condition, float]] = {
     "pressure_pa": 0.01,
 }
 """Differences that do not count: of payloads in kg, of the others as a fraction. Rows of a trial
-are uniform within the same fraction; pressure varies by 1 % between trials [assumed].
-"""
+are uniform within the same fraction; pressure varies by 1 % between trials [assumed]."""
 
 UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressure_pa": "Pa"}
 
@@ -32,7 +31,7 @@ UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressu
 class ChangedCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Condition with values that no trial of the plant has."""
 
-    condition: Condition  # Time between two rows, payload, or pressure
+    condition: Condition  # Step (time between two rows), payload, or pressure
     unit: str
     plant: tuple[float, ...]  # Values in the trials of the plant
     trials: tuple[float, ...]  # Values in the diagnosed trials that no trial of the plant has

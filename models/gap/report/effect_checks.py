@@ -68,8 +68,7 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
     "directional_friction": "Compare the force forwards with that backwards at the same rate.",
 }  # fmt: skip
 """Check by effect of `models.shared.catalogue.EVERY_EFFECT`. A sentence that states an observation
-describes what you see if the effect is there.
-"""
+describes what you see if the effect is there."""
 
 MOST_CHECKS: Final = 5
 """Most effects that are listed."""

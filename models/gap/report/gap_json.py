@@ -134,7 +134,7 @@ class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     least: float  # Least d′ that it needs to be named
     # Fall of the cost on held-out trials and of the nuisance's prior, in squared noise floors
     held_out_gain: float | None
-    held_out_error: float | None  # What this fall must exceed
+    held_out_error: float | None  # Value that `held_out_gain` must exceed
     # Fraction by which the strength differs between payloads, signals and bands
     strength_standard_deviation: float
     strength_holds: bool  # Whether this difference is tolerable

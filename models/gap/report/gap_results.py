@@ -180,7 +180,7 @@ def errors_in_floors(
         compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))
     result = {}
     for signal, row in signal_errors(plant, compared).items():
-        if not np.isfinite(row.rms):  # never measured where the rows count
+        if not np.isfinite(row.rms):  # not measured in the rows that are used
             continue
         size = floor[signal].rms if signal in floor else np.nan
         result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size) if size > 0 else None)

@@ -85,9 +85,7 @@ def change_in_words(document: GapDocument) -> str:
 
 
 def _outside_in_words(document: GapDocument) -> str:
-    """What is missing where no effect is named: something else, or an effect that is
-    not certain.
-    """
+    """What is missing where no effect is named: something else, or an uncertain effect."""
     answers, effects = document.answers, document.effect_probabilities
     if answers is None:
         return "The missing effect is not in the catalogue."
@@ -140,7 +138,7 @@ def unexplained_in_words(document: GapDocument) -> str:
 
 
 def floor_in_words(document: GapDocument) -> str:
-    """What the errors are compared with: a learned noise floor, or else the residual's spectrum."""
+    """Reference of the errors: a learned noise floor, or else the residual's spectrum."""
     return "noise floor" if document.noise_floor.learned else "residual's own spectrum"
 
 

@@ -17,8 +17,7 @@ SHOWS_AS: Final[Mapping[str, str]] = {
     "frame_m": "marker_frame_tilt",
 }  # fmt: skip
 """Effect whose check reveals a variation that all trials share, by
-`GapSettings.nuisance_bias_kinds`.
-"""
+`GapSettings.nuisance_bias_kinds`."""
 
 
 def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:

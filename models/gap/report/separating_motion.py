@@ -50,7 +50,7 @@ def separating_motion(
         rest = found.settings.menu_rest_samples
         try:
             motion = motion_like(trials[0].meta, kind)
-        except InputError:  # the trials' amplitude or period are outside what a motion may have
+        except InputError:  # the trials' amplitude or period is out of range for a motion
             return NO_MOTION, {}
         planned = planned_trial(trials[0], motion, payload, rest)
         if _largest_rate_rad_s(planned) > UNWATCHED_RATE_RAD_S:

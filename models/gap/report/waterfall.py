@@ -16,8 +16,7 @@ from models.trials.trial import Trial, TrialSet
 
 
 def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:
-    """Error on held-out trials, in noise floors: before the fit, refitted, with each effect in
-    turn.
+    """Error on held-out trials, in noise floors: of the diagnosed plant, then after each fit.
 
     Common fit parameters are fitted to the trials of the study's split and then fixed. On the
     held-out trials only the variation between trials is fitted, within its prior. It starts from

@@ -24,8 +24,7 @@ LANES: Final = 4
 
 MOST_ROWS: Final = 40_000
 """Most rows of all trials of a batch, if it holds more than one: the derivatives of a row take 5 kB
-for the link with every effect and two joints [assumed].
-"""
+for the link with every effect and two joints [assumed]."""
 
 
 Result = TypeVar("Result")

@@ -21,8 +21,7 @@ SHARED_AS_NUISANCE: Final = ("sync_s",)
 
 KNOWN_FRACTION: Final = 0.01
 """Standard deviation of a mean that counts as known, over its standard deviation by chance
-[assumed]: small enough to hold the mean, large enough to keep matrices regular.
-"""
+[assumed]: small enough to hold the mean, large enough to keep matrices regular."""
 
 
 def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:

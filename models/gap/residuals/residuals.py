@@ -34,8 +34,7 @@ _FOLLOWED: Final = "goal_{j}_rad angle_{j}_rad current_{j}_a"
 
 LARGEST_DERIVATIVE: Final = 1e60
 """Largest derivative that counts: a simulation that diverges exceeds it, and its square would
-overflow [assumed].
-"""
+overflow [assumed]."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ class Candidate:
     predicted: float = 0.0  # Fall of the cost that derivatives predict
     # Fall of the cost on held-out trials and of the nuisance's prior; NaN before cross-validation
     held_out_gain: float = np.nan
-    held_out_error: float = np.nan  # What this fall must exceed; NaN before cross-validation
+    # Value that `held_out_gain` must exceed; NaN before cross-validation
+    held_out_error: float = np.nan
     # Its fit parameters that ended at a bound and keep the plant's value
     held: frozenset[int] = frozenset()
 

@@ -71,7 +71,7 @@ class EffectSearch:
     def nuisance_fit(self) -> FitPoint:
         """Fit of link and set-up; it widens the floor by a fraction of the remaining gap."""
         before = self.estimator.start()
-        for _ in range(self.settings.widening_rounds):  # the floor depends on the gap that is left
+        for _ in range(self.settings.widening_rounds):  # the floor depends on the remaining gap
             self._widen(before)
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         return before
@@ -142,9 +142,7 @@ class EffectSearch:
         return self.first.floor.learned
 
     def _most_refitted(self) -> int:
-        """Number of candidates that are refitted; all of them for a rigid load, which simulates
-        fast.
-        """
+        """Candidates to refit; all of them for a rigid load, whose simulation is fast."""
         few = self.learned or self.estimator.residuals.plant.load == "link"
         return self.settings.refitted_candidates if few else len(self.of)
 
@@ -227,7 +225,7 @@ class EffectSearch:
             fits = before, (bounded.point, self._free_of(bounded, found))
             bounded.held_out_gain, bounded.held_out_error = held_out_gain(self.estimator, *fits)
             gained = bounded.held_out_gain > bounded.held_out_error
-            if without is not None:  # simulated: what a linear model predicts does not count
+            if without is not None:  # by simulation; a linear prediction does not count
                 errors = self.held_out.errors(*fits[1])
                 if lowers_held_out_error(errors, without, self.learned, self.settings):
                     passed.append((errors.fraction_of(self.held_out.given), bounded))
@@ -291,9 +289,7 @@ class EffectSearch:
         return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), found)
 
     def _widen(self, point: FitPoint) -> None:
-        """Widen the floor by the scatter of repetitions, a fraction of the gap, and a
-        changed link.
-        """
+        """Widen the floor by the scatter of repetitions, a part of the gap, and a changed link."""
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values, self.settings)
         floor = replace(self.first.floor, link_change=change)
@@ -308,9 +304,7 @@ class EffectSearch:
         self.estimator = GaussNewton(residuals, wider)
 
     def _flatten(self, found: SearchResult) -> None:
-        """Fit in SI units: without a learned floor no spectrum separates noise after the first
-        effect.
-        """
+        """Fit in SI units after the first effect, when no learned floor separates noise."""
         residuals = self.estimator.residuals
         floor = flattened(self.first.floor, residuals.groups, found.after.rows)
         self.estimator = GaussNewton(residuals, floor)

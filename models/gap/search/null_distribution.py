@@ -32,8 +32,7 @@ PATH: Final = Path(__file__).with_name("null_distribution.json")
 OwnErrorKnown = Literal["patterns", "curves", "other_payloads", "nothing"]
 """What is known of the plant's own error on trials: also its variation from link to link
 (`models.gap.estimation.model_discrepancy`), its mean curves, these at other payloads alone, or
-nothing, where the plant was identified on other motions.
-"""
+nothing, where the plant was identified on other motions."""
 
 KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
     "patterns": "", "curves": " without patterns", "other_payloads": " at other payloads",
@@ -43,8 +42,7 @@ KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
 
 MIDDLE: Final = 0.5
 """Payload in kg of the distribution at other payloads, in the middle between two of `STUDY_KG`; the
-fraction of the error that is unknown is the same at all of its payloads.
-"""
+fraction of the error that is unknown is the same at all of its payloads."""
 STUDY_KG: Final = (0.0, 1.0, 2.0)
 """Payloads in kg that the plants of the calibration were identified with."""
 

@@ -116,8 +116,7 @@ RefusalKind = Literal[
 the effect does not lower the held-out error; some signal's held-out error would rise by more than
 `GapSettings.harm_fraction`; one of the last two, but the effect is probable enough to be named,
 though not written; the effect more probably stands in for something else; more probably nothing is
-missing.
-"""
+missing."""
 
 
 class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -6,10 +6,10 @@ The loop of a joint is filter, integrator, delay and twin::
 
 The integrator is the correction itself; one period of delay stands for the loop and the bus. F is a
 gain and a notch at the first mode of the link, whose frequency falls with the payload: without it
-the mode limits the gain. The estimate of the tip counts as exact: the observer is the twin's own
+the mode limits the gain. The estimate of the tip is assumed exact: the observer is the twin's own
 link, driven by the measured angles. Loop shaping with python-control: the gain is the highest with
-which all linearisations at that payload keep the margins, at rest and sliding, and with a link that
-is 20 % stiffer or softer than the plant says.
+which all linearisations at that payload keep the margins, at rest and sliding, and with a link 20 %
+stiffer or softer than the plant.
 """
 
 from __future__ import annotations
@@ -39,14 +39,13 @@ from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
 SIZE_RAD: Final = 0.03
-"""Largest correction [assumed]: 3 cm at the tip, half of what rigid kinematics leaves."""
+"""Largest correction [assumed]: 3 cm at the tip, half of the error of rigid kinematics."""
 RATE_RAD_S: Final = 0.16
 """Largest rate of a correction: the largest one fades out within 0.2 s."""
 INNOVATION_A: Final = 0.25
 """Innovation of a current above which the estimate is not trusted. Measured on the rig with 1.3 kg,
 circle of 0.45 m in 6 s: 0.05 A, 0.07 A where the link is a fifth stiffer than the plant, 0.34 A
-with 0.5 kg that the robot was not told of, whose tip is 10 mm off its path.
-"""
+with 0.5 kg that the robot has no information of, whose tip is 10 mm off its path."""
 SPARE_DB: Final = 0.5
 SPARE_RAD: Final = float(np.radians(3.0))
 """Margin beyond the required one, for payloads between those of the grid [assumed]."""
@@ -199,7 +198,7 @@ def _shaped(plants: list[Response], mode_rad_s: float, period_s: float) -> RateF
         if gain > 0.0 and (best is None or gain > best[0]):
             a, b, c, d = (_rows(m) for m in (own.A, own.B, gain * own.C, gain * own.D))
             best = gain, RateFilter(a=a, b=b, c=c, d=d)
-    if best is None:  # a plant without gain: no feedback at all keeps the margins
+    if best is None:  # a plant without gain: only zero feedback keeps the margins
         return RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((0.0,),))
     return best[1]
 

@@ -49,8 +49,7 @@ TONES: Final = (
 """The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
 have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
 stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
-motion are no more informative and leave 20 mm of swing after it instead of 6 mm.
-"""
+motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
@@ -59,8 +58,7 @@ STIFFER: Final = 0.3
 STIFFNESS_STEP: Final = 0.05
 PAYLOAD_STEP_KG: Final = 0.125
 """Range and steps of the grid [assumed]; its payloads are those of the plan and a step more. The
-step is that of the study's link, scaled to the largest payload of another link.
-"""
+step is that of the study's link, scaled to the largest payload of another link."""
 FEATURES: Final = 14
 """Number of features: further ones add at most 0.3 standard deviations on the grid."""
 NOISE_A: Final = 0.055
@@ -77,8 +75,7 @@ UNKNOWN: Final = {
     "hysteresis_share": 0.3, "creep_share": 0.3, "directional_stiffness": 0.3,
 }  # fmt: skip
 """Relative standard deviations of uncertain plant parameters, by prefix; names that end in `_` have
-one value for each joint [assumed].
-"""
+one value for each joint [assumed]."""
 UNKNOWN_DELAY_S: Final = 0.002
 UNKNOWN_BIAS_A: Final = 0.05
 """The same for the timing of the currents and a constant offset of each [assumed]."""

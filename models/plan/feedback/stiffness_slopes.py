@@ -19,8 +19,7 @@ from models.plant.step_model import names
 Array = NDArray[np.float64]
 STIFFER: Final = 0.2
 """Relative change of stiffness over which the differences are taken: the one a plan
-must tolerate.
-"""
+must tolerate."""
 MORE_FRICTION: Final = 0.2
 """The same for friction [assumed]."""
 DECIMALS: Final = 5

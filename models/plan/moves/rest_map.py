@@ -24,8 +24,7 @@ from models.plant.plant import Plant
 Array = NDArray[np.float64]
 PLACES: Final = {1: 41, 2: 25}
 """Places along an axis, by joints: between two of them, 54 mm apart, the goals of a rigid link
-curve by 0.3 mm of the tip (h²/8 · x/(1 - x²)^(3/2) at 0.5 m).
-"""
+curve by 0.3 mm of the tip (h²/8 · x/(1 - x²)^(3/2) at 0.5 m)."""
 LARGEST_RAD: Final = 0.8
 """Largest goal that is mapped: beyond any limit, so that the limit refuses it [assumed]."""
 CLOSE_M: Final = 2e-4
@@ -33,8 +32,7 @@ CLOSE_M: Final = 2e-4
 RAMP_S: Final = 4.0
 HOLD_S: Final = 10.0
 """Ramp and hold of the mapped approach [assumed]. Between 1 s and 60 s of holding, the tip of the
-demo's twin moves on by up to 1.5 mm without payload, 5 mm with 1 kg and 2.5 mm with 2 kg.
-"""
+demo's twin moves on by up to 1.5 mm without payload, 5 mm with 1 kg and 2.5 mm with 2 kg."""
 SPARSE: Final = (-1.0, -0.6, -0.17, 0.0, 0.17, 0.6, 1.0)
 """Places where the shortfall is measured, over the largest coordinate; denser near upright, where
 it begins. Measured on the twin of the demo, 2DOF, 2 kg: interpolation leaves 0.4 mm, 0.14 mm RMS.
@@ -126,7 +124,7 @@ def _relaxed_goals(twin: TipTwin, places: Array, slope: Array, payload_kg: float
     found = np.full((len(places),) * twin.dof + (twin.dof,), np.nan)
     zero = np.zeros(twin.dof)
     rest = twin.resting_tip_m(zero, payload_kg)
-    # From the middle outwards, each from the nearest that was found, with its slope.
+    # From the middle outwards, each from its nearest solved neighbours, with the slope there.
     order = sorted(
         product(range(len(places)), repeat=twin.dof),
         key=lambda k: float(np.hypot(*_two(places[list(k)]))),

@@ -22,8 +22,7 @@ SMALLEST_LEAF: Final = 40
 DECIMALS: Final = 9
 """Digits to which inputs are rounded before training, in SI units. Otherwise a split could lie
 between values that differ only by rounding, such as those of a joint at rest, and a graph from
-another compiler would take the other branch.
-"""
+another compiler would take the other branch."""
 
 
 class BoostedTrees:
@@ -54,7 +53,7 @@ class BoostedTrees:
             for axis in range(3)
         ]  # fmt: skip
         for trees in self._trees:
-            for (tree,) in trees._predictors:  # between two of the rounded values
+            for (tree,) in trees._predictors:  # move splits between two rounded values
                 tree.nodes["num_threshold"] += 0.5 * 10.0**-DECIMALS
         return self
 
