@@ -24,13 +24,11 @@ EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
     parser.add_argument("--plant", type=Path, required=True, metavar="PLANT", help="plant document")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare and print."""
     plant = read_plant(args.plant)
     trials = read_trial_directories([args.trials], plant.signals)
     refuse_other_links(plant, args.plant, trials)
@@ -42,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def evaluation_text(result: Evaluation) -> str:
-    """Tables for people: signals in SI units, end effector in mm."""
+    """Tables for the console: signals in SI units, end effector in mm."""
     lines = [f"{'signal':14s}{'rms':>12s}{'mean |error|':>14s}  unit"]
     lines += [
         f"{name:14s}{row.rms:12.4g}{row.mae:14.4g}  {row.unit}"

@@ -26,7 +26,6 @@ EXAMPLE = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("--plant", type=Path, required=True, metavar="PLANT", help="plant to invert at rest")
     add(
@@ -43,7 +42,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Map, write, report."""
     check_output_file(args.out, [args.plant])
     files = read_bundle_files(args.bundle)
     manifest = files.manifest

@@ -37,17 +37,16 @@ EXAMPLE = (
 )
 
 PLANT_SUFFIXES: Final = (".json", ".toml")
-"""Ends of the name of a plant's file: it is read as what its name says."""
+"""Suffixes of a plant's file: they decide its format."""
 
 USUAL_STEPS: Final = 130
-"""Runs of all trials that an identification takes; progress counts them [measured: 50 to 160]."""
+"""Usual number of runs of all trials in an identification, for progress [measured: 50 to 160]."""
 
 LEAST_LEFT: Final = 10
-"""Steps that progress says are left while it does not know better."""
+"""Least number of remaining steps that progress shows before the end is known."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
     parser.add_argument(
         "--plant", type=Path, required=True, metavar="PLANT", help="plant to start from"
@@ -61,7 +60,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, write, draw and print."""
     _check_out(args)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
@@ -122,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_out(args: argparse.Namespace) -> None:
-    """Refuse a name that no plant may have, and one that would replace a file that is read.
+    """Refuse a name that a plant cannot have, and one that would replace an input.
 
     The plant itself may be replaced: the fit starts from it.
     """

@@ -48,7 +48,6 @@ EXAMPLE = "dropstitch import take_001.csv --as motive --servo run.mcap --map map
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "file", type=Path, nargs="+", metavar="FILE", help="recordings to import, or their folder"
     )
@@ -72,7 +71,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import every take and check the written trials as any other."""
+    """Import every take and check the written trials like any others."""
     mapping = read_mapping(args.map)
     takes = find_takes(args.file, args.kind, mapping)
     single = args.name or takes[0].file.stem
@@ -105,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 def _check_replaced(
     args: argparse.Namespace, takes: list[Take], mapping: RecordingMap, names: list[str]
 ) -> None:
-    """Refuse, before any work, a place where a trial would replace a file that is read."""
+    """Refuse, before any work, an output that would replace an input."""
     beside = [mapping.link, mapping.plant, mapping.takes.table] if args.map else []
     inputs = [
         *(take.file for take in takes), *(take.servo for take in takes), args.servo, args.map,
@@ -118,7 +117,7 @@ def _check_replaced(
 
 
 def _file_key(path: Path | None) -> tuple[int, int] | None:
-    """Device and number of a file that is there, whatever link or spelling leads to it."""
+    """Device and inode of an existing file, whatever link or spelling leads to it."""
     try:
         found = os.stat(path or "")
     except (OSError, ValueError):
@@ -148,7 +147,7 @@ def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
 
 
 def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dict[str, Any]:
-    """Facts about the trial and the page that are written to `out`."""
+    """Write trial and page to `out`; returns the facts about them."""
     mapping, servo = take.mapping, args.servo or take.servo
     recording_sha256 = recording_hash(take.file)
     check_earlier_import(args.out, name, recording_sha256)
@@ -202,9 +201,9 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
 def _with_log(
     mapping: RecordingMap, path: Path, verdict: ImportVerdict
 ) -> tuple[RecordingMap, bool]:
-    """Map with the conditions of a log, and whether that is whole; its ticks are not kept.
+    """Map with the conditions of a log, and whether the log is complete.
 
-    What ended its motion early is added to the verdict.
+    An event that ended the motion early is added to the verdict.
     """
     log, end = motion_rows(read_recording(path))
     if end is not None:
@@ -231,7 +230,7 @@ def _described(result: dict[str, Any]) -> str:
 
 
 def _seconds_for(*paths: Path | None) -> float:
-    """Processor time for files of this size; what cannot be read is refused later."""
+    """Limit of the processor time for files of this size; unreadable files are refused later."""
     size = 0
     for path in filter(None, paths):
         with contextlib.suppress(OSError, ValueError):

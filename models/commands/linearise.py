@@ -35,11 +35,10 @@ EXAMPLE = (
 
 
 MOST_ANGLE_DEG: Final = 90.0
-"""Beyond a right angle the arm leans back over its mount [assumed]."""
+"""Largest angle: beyond a right angle the arm leans back over its mount [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("--plant", type=Path, required=True, metavar="PLANT", help="plant to linearise")
     add("--out", type=Path, required=True, metavar="FILE.json", help="file to write")
@@ -53,7 +52,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Linearise, write, report."""
     check_output_file(args.out, [args.plant])
     plant = read_plant(args.plant)
     angles_deg = args.angle_deg or [0.0] * args.dof

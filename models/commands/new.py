@@ -46,12 +46,12 @@ PAYLOAD_STEP_KG: Final = 0.05
 
 
 class _Question(NamedTuple):
-    """What is asked for one option."""
+    """Question for one option."""
 
     words: str
-    empty: Any  # What an empty answer takes, shown in brackets
+    empty: Any  # Value for an empty answer, shown in brackets
     kind: Callable[[str], Any] = float  # Converts an answer; raises ValueError
-    choices: tuple[Any, ...] = ()  # Answers that there are; empty for any
+    choices: tuple[Any, ...] = ()  # Allowed answers; empty for any
 
 
 _QUESTIONS: Final = {
@@ -70,11 +70,10 @@ _QUESTIONS: Final = {
     "servo": _Question("servo", STUDY_LINK.servo.model, str, tuple(PRESETS)),
     "largest_payload_kg": _Question("largest payload, kg", "what the servo carries"),
 }
-"""By option: what is asked for in a terminal."""
+"""Questions in the terminal, by option."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("link", type=Path, metavar="LINK.toml", help="file to write")
     add("--length", type=float, metavar="M", help="base plate to last marker row (0.95)")
@@ -99,7 +98,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask where nothing is given, check, write, and say what follows from it."""
+    """Ask for values if no option is set, check, write, and print the consequences."""
     if args.link.exists() and not args.force:
         raise InputError(args.link, "exists", "name another file, or add --force")
     given = any(getattr(args, key) is not None for key in _QUESTIONS)
@@ -131,7 +130,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace) -> None:
-    """Ask for every option; a wrong answer is told at once and asked for again."""
+    """Ask for every option; a wrong answer is reported and asked for again."""
     try:
         for key, question in _QUESTIONS.items():
             if key != "effective_weight" or args.mounting == "balloon":
@@ -200,7 +199,7 @@ def _described(args: argparse.Namespace) -> LinkDescription:
 
 
 def _corners_m(count: int, width_m: float) -> tuple[tuple[float, float], ...]:
-    """Places of the markers of a row: the corners, or two of them opposite, or a ring."""
+    """Positions of the markers of a row: the corners, or two opposite ones, or a ring."""
     square = square_corners_m(width_m)
     if count == 4:
         return square

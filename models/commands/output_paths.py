@@ -12,9 +12,7 @@ from firmware_py.errors import InputError
 def check_output_directory(
     path: Path, names: Iterable[str] = (), inputs: Iterable[Path] = ()
 ) -> None:
-    """Refuse a directory that cannot be written, or in which a file that is read would be
-    replaced.
-    """
+    """Refuse a directory that cannot be written, or in which an output would replace an input."""
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
     _check_place(path)
@@ -36,12 +34,12 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
 
 
 def is_same_file(a: Path, b: Path) -> bool:
-    """Whether two paths lead to one file or directory, also where a link or the case differs."""
+    """Whether two paths lead to one file or directory, also if a link or the case differs."""
     return a.resolve() == b.resolve() or (a.exists() and b.exists() and a.samefile(b))
 
 
 def _check_place(path: Path) -> None:
-    """Refuse a directory that is not there and cannot be made."""
+    """Refuse a directory that does not exist and cannot be created."""
     place = path.absolute()
     while not place.exists() and place != place.parent:
         place = place.parent

@@ -45,7 +45,6 @@ EXAMPLE = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add(
         "path",
@@ -90,7 +89,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plan, write, report."""
     if args.out.suffix == ".svg":
         raise InputError(
             args.out, "is the name of the picture", "end the name of the plan in .json"
@@ -130,7 +128,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _inputs(args: argparse.Namespace) -> list[Path]:
-    """Files that are read; a plan may take the place of the one that it improves."""
+    """Files that are read; an improved plan may replace the one that it improves."""
     read = [args.plant, args.config, args.improve]
     if args.improve is None and args.path.lower().endswith(".csv"):
         read.append(Path(args.path))
@@ -138,7 +136,7 @@ def _inputs(args: argparse.Namespace) -> list[Path]:
 
 
 def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
-    """Read a plan and a run of it, improve, write, report."""
+    """Improve a plan by a recorded run of it."""
     plan = read_tip_plan(Path(args.path))
     if plan.bundle_sha256 != files.manifest_sha256:
         raise InputError(
@@ -204,7 +202,7 @@ def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) ->
 
 
 def _method(args: argparse.Namespace, path: DesiredPath) -> Method:
-    """Method that the options name; those that contradict each other are refused."""
+    """Method selected by the options; contradictory options are refused."""
     if args.rigid and args.zvd:
         raise InputError("--zvd", "is given beside --rigid", "leave one out")
     if args.zvd and not path.moves:
@@ -242,7 +240,6 @@ def _result(plan: TipPlan, out: Path) -> dict[str, Any]:
 
 
 def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
-    """What a plan holds, as text."""
     lines = [
         f"{out}: {plan.path}, {plan.method}, {plan.duration_s:.1f} s with rest and ways, "
         f"{plan.dof}DOF",

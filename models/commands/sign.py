@@ -36,15 +36,13 @@ EXAMPLE = "dropstitch sign build/bundle_1dof --key ~/.dropstitch.pem"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("bundle", type=Path, metavar="BUNDLE", help="bundle to sign")
     parser.add_argument("--key", type=Path, required=True, help="private key, Ed25519")
     parser.add_argument("--new-key", action="store_true", help="make the private key first")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the bundle, sign its manifest, print the public key."""
-    ModelBundle.load(args.bundle)  # nobody signs what the robot would refuse
+    ModelBundle.load(args.bundle)  # refuses what the robot would refuse
     key = make_key(args.key) if args.new_key else read_key(args.key)
     public = sign_bundle(args.bundle, key)
     manifest = content_of(args.bundle / MANIFEST)
@@ -101,7 +99,7 @@ def _passphrase(path: Path) -> str:
 
 
 def read_key(path: Path) -> Ed25519PrivateKey:
-    """Read a private key; one that is encrypted asks for its passphrase."""
+    """Read a private key; asks for the passphrase of an encrypted one."""
     from cryptography.exceptions import UnsupportedAlgorithm
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import (

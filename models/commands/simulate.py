@@ -40,7 +40,6 @@ _LARGEST_TRIALS = 1000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("--out", type=Path, required=True, metavar="DIR", help="directory of the trials")
     add(
@@ -89,7 +88,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, write and draw the trials."""
     parameters = rig_named(args.rig)
     _complete_from_link(args, parameters.link)
     if parameters.link is not None:
@@ -125,9 +123,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _complete_from_link(args: argparse.Namespace, described: LinkDescription | None) -> None:
-    """Set the options that the link gives where the user does not.
+    """Set the options that the user omits from the link.
 
-    Joints that move together cannot be told apart; only the study's protocol has them so.
+    Joints that move together cannot be separated, so only the study's protocol has phase 0 by
+    default.
     """
     link = described or STUDY_LINK
     if args.dof is None:
@@ -143,7 +142,7 @@ def _complete_from_link(args: argparse.Namespace, described: LinkDescription | N
 
 
 def _warn_of_weight(link: LinkDescription, args: argparse.Namespace) -> None:
-    """Warn where the servo cannot hold the link: its trials would show a servo that gives way."""
+    """Warn if the servo cannot hold the link: its trials would show a servo that gives way."""
     loaded = LinkScale(msgspec.structs.replace(link, payload_kg=max(args.payloads)))
     if loaded.holding_of_limit > 1:
         print(

@@ -48,7 +48,6 @@ LARGEST_ASKEW_DEG: Final = 0.8
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("trials", type=Path, metavar="DIR", help="trials to train and test on")
     add("--dof", type=int, choices=(1, 2), required=True, help="driven joints")
@@ -85,7 +84,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the study, write the bundle, print the summary."""
     if not 0.0 <= args.askew_deg <= LARGEST_ASKEW_DEG:
         raise InputError(
             "--askew-deg", f"is {args.askew_deg:g}, not within 0 to {LARGEST_ASKEW_DEG:g}",
@@ -148,7 +146,7 @@ def run(args: argparse.Namespace) -> int:
 def _report(
     args: argparse.Namespace, document: StudyDocument, tip: TipTraining | None, data: dict[str, Any]
 ) -> None:
-    """Print figures of study and robot's predictor, and what is doubtful."""
+    """Print results of the study and of the robot's predictor, and warnings."""
     pooled = {name: of["pooled"] for name, of in document.mean_euclidean_distance_m.items()}
     data |= {"degree": document.chosen_degree, "mean_euclidean_distance_m": pooled}
     text = study_summary(args.out, document)
@@ -184,9 +182,8 @@ def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
 
 
 def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path) -> TrialSet:
-    """Return all 1DOF trials, and the 2DOF trials at the given phases of joint 2.
-
-    `phases_deg`: phases in degrees; None keeps every trial.
+    """All 1DOF trials, and the 2DOF trials at some phases of joint 2 in degrees; None keeps every
+    trial.
     """
     if not phases_deg:
         return trials
@@ -201,7 +198,7 @@ def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path)
 
 
 def phase_deg(trial: Trial) -> int:
-    """Return the lead of joint 2 in whole degrees."""
+    """Lead of joint 2 in whole degrees."""
     return round(math.degrees(trial.meta.phase_2_rad))
 
 
@@ -219,7 +216,7 @@ def refuse_mixed_steps(trials: Sequence[Trial]) -> None:
 def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, TrialSet]:
     """Sort held-out trials into named tests.
 
-    Returns "trial_2" (repetition of the training motion), "unseen_20deg" (another amplitude),
+    The names are "trial_2" (repetition of the training motion), "unseen_20deg" (another amplitude),
     "unseen_multisine_20deg" (another motion), "unseen_phase_45deg_30deg" (another phase).
     """
 
@@ -241,9 +238,9 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
 
 
 def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str, TrialSet]) -> None:
-    """Refuse an unseen trial that the plant, or a plant before it, was fitted to.
+    """Refuse an unseen trial that the plant, or one of its parents, was fitted to.
 
-    `tests`: as `name_tests` sorts them; those whose name begins with "unseen" are checked.
+    `tests`: as sorted by `name_tests`; those whose name begins with "unseen" are checked.
     """
     for name, trials in tests.items():
         for t in trials if name.startswith("unseen") else ():

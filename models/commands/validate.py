@@ -22,7 +22,6 @@ EXAMPLE = "dropstitch validate trials --out build/validated"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
     parser.add_argument(
         "--plant",
@@ -34,7 +33,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check every trial and print what was found."""
     signals = read_plant(args.plant).signals if args.plant else None
     trials = read_trials(args.trials, signals)
     if signals:

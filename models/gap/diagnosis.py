@@ -51,70 +51,71 @@ class Diagnosis:
     Attributes
     ----------
     plant, improved : Plant
-        As given, and with the named effects and the nuisance refitted.
+        The plant that was diagnosed, and the same with the named effects and the refitted nuisance.
     fitted : Plant
         With the named effects, also where they are not written into the improved plant.
     trials : TrialSet
-        That were looked at: blocks of time of a single one (`models.gap.residuals.time_blocks`).
+        Trials that were diagnosed; of a single trial its blocks of time
+        (`models.gap.residuals.time_blocks`).
     settings : GapSettings
         Tuned numbers of this run.
     verdict : str
         See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
-        Fraction of the gap's amplitude, in units of the noise floor, that is left.
+        Fraction of the gap's amplitude, in units of the noise floor, that remains.
     floor : NoiseFloor
-        Of the plant file, or of the nuisance fit.
+        Noise floor of the plant file, or of the nuisance fit.
     null_distribution : NullDistribution
-        What every effect needs to be named.
+        Distribution of d′ where nothing is missing; an effect must exceed it to be named.
     dispersion, residual_before, residual_after : float
         Mean squared residual in noise floors: of the nuisance fit, clipped to what noise explains;
         of the nuisance fit; with the named effects.
     nuisance_bias : dict of str to float
-        Kinds of variation in which all trials differ alike, in standard deviations.
+        Kinds of variation in which all trials differ in the same way, in standard deviations.
     goal_not_followed_at_row : dict of str to int
-        First row that does not count, by trial.
+        First row from which the joint does not follow its goal, by trial; later rows are not used.
     rows_fitted : dict of str to int
-        Rows that were fitted of each trial that is too long, see
-        `models.plant.simulation.long_trials`.
+        Rows that were fitted, for each trial that is too long to be fitted as a whole
+        (`models.plant.simulation.long_trials`).
     own_error : dict of str to tuple of str
-        By group of trials: how the plant's mean error and its patterns are known there, see
-        `models.gap.estimation.curve_transfer.Knowledge`.
+        By group of trials: how well the plant's mean error and its patterns are known there
+        (`models.gap.estimation.curve_transfer.Knowledge`).
     located, remaining : tuple of GapRegion
         Where the gap is after the nuisance fit, and with the named effects.
     named : tuple of str
-        Effects in order of inclusion, those deleted again left out.
+        Effects in order of inclusion, without those deleted again.
     inclusions : tuple of Inclusion
-        All of them.
+        All inclusions, also of effects that were taken out again.
     hypotheses : tuple of Hypothesis
         Sets of effects that may be missing, by their probability.
     tested : tuple of JudgedNames
-        Effects that were judged together, in turn; the last ones led to the verdict.
+        Sets of effects that were judged, in order; the last one led to the verdict.
     strength_consistency : dict of str to StrengthConsistency
         Of each named effect without a dead zone.
     screened, refitted : dict of str to float
         d′ of each effect in the first round: after one step, and of the best ones refitted alone.
     rejected : tuple of RejectedEffect
-        All others.
+        Effects that were never included.
     refused : tuple of RefusedEffect
         Effects that were taken out again, and refitted values that were undone.
     left_out : tuple of str
-        What was left out in turn.
+        What was left out in turn for the held-out errors, for example "payloads".
     held_out_given, held_out_improved : dict of str to float
-        Root mean square of each signal's error on what was left out, in its SI unit: of the plant
-        as given, and of the improved plant fitted to the rest.
+        Root mean square held-out error of each signal, in its SI unit: of the plant that was
+        diagnosed, and of the improved plant fitted to the rest.
     unexplained_fraction : float
-        Geometric mean of their ratios.
+        Geometric mean of the ratios of these two errors.
     fit_parameters : tuple of FitParameter
         Nuisance, variation of each trial, and effects.
     fitted_values : ndarray, shape (p,)
-        Of all of them with the named effects.
+        Their values with the named effects.
     link_change : float
-        See `models.gap.estimation.link_change`; of the nuisance fit.
+        Change of the link in the nuisance fit, see `models.gap.estimation.link_change`.
     amplification_power : dict of float to float
         Factor on the power of the floor by payload in kg, see
         `models.gap.estimation.measured_floor.with_amplified_scatter`.
     odd : tuple of OddTrial
-        Trials that were left out because they differ far more than comparable ones.
+        Outlier trials, which were left out because they differ far more than comparable ones.
     """
 
     plant: Plant
@@ -164,27 +165,30 @@ def diagnose(
     floor: NoiseFloor | None = None,
     patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Diagnosis:
-    """Find, name and add the effects that a plant lacks.
-
-    Long because every result is handed over once.
+    """Find and name the effects that a plant lacks, and add them to it.
 
     Parameters
     ----------
     plant : Plant
-        As identified; its provenance may carry the noise floor.
+        Identified plant; its provenance may carry the noise floor.
     trials : TrialSet
-        Of one number of joints.
+        Trials with the same number of joints.
     report : callable
-        Called after each part of the work.
+        Called after each part of the work with a phrase and the least number of parts to follow.
     leave_out : sequence of str
         Effects that may not be named.
     settings : GapSettings
         Tuned numbers.
     floor : NoiseFloor, optional
-        In place of the plant file's.
+        Noise floor to use instead of the plant file's.
     patterns : sequence of ModelDiscrepancy
-        Of the plant's own error on such trials, where they were measured
+        Patterns of the plant's own error on such trials, where they were measured
         (`models.gap.calibration`).
+
+    Returns
+    -------
+    Diagnosis
+        Missing effects with their evidence, and the improved plant.
 
     Raises
     ------
@@ -202,7 +206,7 @@ def diagnose(
     residuals = Residuals(plant, trials.trials, parameters, settings)
     given_floor, floor = floor, floor or noise_floor_for(residuals, patterns)
     search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
-    with threadpool_limits(limits=1, user_api="blas"):  # the simulations take both processors
+    with threadpool_limits(limits=1, user_api="blas"):  # the simulations use both processors
         whole = len(recorded) == len(trials)
         odd = disturbed_trials(search.first, search.nuisance_fit, floor) if whole else ()
         if odd:
@@ -289,9 +293,9 @@ def all_fit_parameters(
 
 
 def plant_is_known(plant: Plant, trials: TrialSet) -> bool:
-    """Whether a plant of another load than the link was identified, and on none of some trials.
+    """Whether a plant of another load than the link was identified on other trials only.
 
-    The values of the link may change from day to day, within priors of their own.
+    A link is excluded: its values may change from day to day, within priors of their own.
     """
     provenance = plant.provenance
     elsewhere = provenance.fitted_trials and not any(map(provenance.was_fitted_to, trials))
@@ -299,7 +303,7 @@ def plant_is_known(plant: Plant, trials: TrialSet) -> bool:
 
 
 def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:
-    """Effects that may be named."""
+    """Effects that may be named; an unknown name in `leave_out` raises InputError."""
     known = candidate_effects(plant)
     for name in leave_out:
         if name not in known:

@@ -1,4 +1,4 @@
-"""Fixed motions that may tell effects apart, and a trial of a motion before it is run."""
+"""Fixed motions that may tell effects apart, and planned trials of a motion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MENU: Final[dict[str, Kind]] = {
     "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
     "step and hold": "steps", "free decay": "decay",
 }  # fmt: skip
-"""Motions of the link, by the name that people read; a slow robot may not run all of them."""
+"""Motions of the link by their displayed name; a slow robot may not be able to run all of them."""
 
 
 def motion_like(meta: TrialMeta, kind: Kind) -> Motion:
@@ -25,7 +25,7 @@ def motion_like(meta: TrialMeta, kind: Kind) -> Motion:
 
 
 def planned_trial(like: Trial, motion: Motion, payload_kg: float, rest_samples: int) -> Trial:
-    """Trial of a motion before it is run: conditions and goals; the angles are the goals."""
+    """Trial of a motion before it is run: conditions and goals; the angles equal the goals."""
     goal_rad = motion.table_rad(rest_samples=rest_samples)
     columns: dict[str, Array] = {"time_s": PERIOD_S * np.arange(len(goal_rad), dtype=np.float64)}
     for j in range(motion.dof):

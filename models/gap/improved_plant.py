@@ -28,10 +28,10 @@ def improved_plant(
     free: Array,
     trials: TrialSet,
 ) -> Plant:
-    """Plant with the named effects and the refitted nuisance, its parentage in the provenance.
+    """Plant with the named effects and the refitted nuisance; its provenance names its parent.
 
-    Where nothing was named and the link did not change, or what was named may not be written, the
-    values stay as they are. Of several named effects those that were fitted there are written.
+    The values do not change where nothing was named on an unchanged link, or where no named effect
+    may be written. Of several named effects only those with free parameters are written.
 
     Shapes: `free` (p,).
     """
@@ -61,7 +61,7 @@ def improved_plant(
 def written_values(
     full: Plant, fit_parameters: Sequence[FitParameter], values: Array, free: Array
 ) -> dict[str, float]:
-    """Value of every parameter of a plant that was fitted for all trials.
+    """Values of the plant's parameters that were fitted for all trials.
 
     Shapes: `values` (p,), `free` (p,).
     """
@@ -76,7 +76,9 @@ def written_values(
 def _moved(
     full: Plant, fit_parameters: Sequence[FitParameter], free: Array
 ) -> Iterator[tuple[int, str, float]]:
-    """Number, name of a parameter of the plant, and weight of what was fitted for all trials."""
+    """Index of each fit parameter common to all trials, the plant parameter it moves, and its
+    weight.
+    """
     for k, direction in enumerate(fit_parameters):
         if direction.trial is None and free[k]:
             for name, weight in direction.parameters.items():
@@ -87,9 +89,10 @@ def _moved(
 def _standard_errors(
     full: Plant, search: EffectSearch, point: FitPoint, free: Array
 ) -> dict[str, float]:
-    """Standard error of every such parameter.
+    """Standard error of every plant parameter that was fitted.
 
-    An effect and a nuisance may move the same one: together they are known better than each.
+    An effect and a nuisance may move the same parameter: their sum is known better than each of
+    them.
     """
     values, equation_error = point.values, read_equation_error()
     fitted = np.flatnonzero(free)

@@ -1,4 +1,4 @@
-"""Inclusions of an effect search, as a diagnosis tells them."""
+"""Inclusions of an effect search, as reported by a diagnosis."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from models.gap.search.candidate import SearchResult
 
 @dataclass(frozen=True)
 class Inclusion:
-    """One turn of the effect search that included something."""
+    """One round of the effect search that included an effect or a pair."""
 
-    # One effect, or a pair; of a pair of which one was taken out again the other one
+    # One effect, or a pair; if one of a pair was taken out again, the other one
     effects: tuple[str, ...]
-    kept: bool  # Whether they are named in the end
-    separation: float  # Their d′, and the least that they need
-    least: float
-    # Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors, and
-    # what it must exceed
+    kept: bool  # Whether the effects are named in the end
+    separation: float  # Their d′
+    least: float  # Least d′ that they need
+    # Fall of the cost on held-out trials and of the nuisance's prior, in squared noise floors
     held_out_gain: float
-    held_out_error: float
+    held_out_error: float  # Value that `held_out_gain` must exceed
     look_alikes: tuple[LookAlike, ...]  # Effects that these trials cannot tell from them
 
 

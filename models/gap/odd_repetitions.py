@@ -1,9 +1,9 @@
-"""Repetitions whose variation differs far more than that of any two trials: one is disturbed.
+"""Outlier repetitions: trials whose variation differs far more than two repetitions usually do.
 
 The variation of a trial (friction, clock, place of the payload, …) is fitted within its prior, and
-takes up most of what one disturbed trial shows. Two repetitions of one robot differ in it by √2 of
-its standard deviation; a difference far beyond that is a matter of one of the two. It is the one
-without which the rest fits better.
+absorbs most of the error of a disturbed trial. Two repetitions of one robot differ in it by √2 of
+its standard deviation; a far larger difference means that one of the two is disturbed. The
+disturbed one is the one without which the rest fits better.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from models.shared.kinematics import Array
 from models.trials.trial import Trial, TrialSet
 
 FEWEST: Final = 3
-"""Trials of a motion of which one may be left out."""
+"""Fewest trials of a motion of which one may be left out."""
 RELATIVE: Final = ("pressure", "friction")
 """Kinds of variation that are fractions of a value. A hidden friction that all trials share is
-taken up as their median at first: what varies is a fraction of the larger value."""
+first absorbed as their median: what varies is a fraction of the larger value."""
 
 
 @dataclass(frozen=True)
@@ -38,25 +38,24 @@ class VariationDifference:
 
     trials: tuple[int, int]
     variation: str
-    standard_deviations: float  # Its size in standard deviations of such a difference
+    standard_deviations: float  # In standard deviations of such a difference
 
 
 def disturbed_trials(
     estimator: GaussNewton, point: FitPoint, floor: NoiseFloor
 ) -> tuple[OddTrial, ...]:
-    """Trials that are no matter of the robot: by what is left of them, else by how they vary.
+    """Outlier trials: by their residual, or else by their variation.
 
-    `floor`: of these trials, without what was added for the gap.
+    `floor`: noise floor of these trials, not widened by the gap.
     """
     odd = odd_trials(estimator, point)
     return odd or odd_repetitions(estimator.residuals, point.values, floor)
 
 
 def odd_repetitions(residuals: Residuals, values: Array, floor: NoiseFloor) -> tuple[OddTrial, ...]:
-    """Disturbed one of the two repetitions that differ most; none where all differ as usual.
+    """The disturbed one of the two repetitions that differ most; empty where none differs too much.
 
-    Shapes: `values` (p,).
-    `values`: of all fit parameters, with link, set-up and variation refitted.
+    `values` has shape (p,): all fit parameters, with link, set-up and variation refitted.
     """
     settings, trials = residuals.settings, residuals.trials
     found = differing_repetitions(residuals, values)
@@ -74,7 +73,7 @@ def odd_repetitions(residuals: Residuals, values: Array, floor: NoiseFloor) -> t
 
 
 def differing_repetitions(residuals: Residuals, values: Array) -> list[VariationDifference]:
-    """Largest difference of every two repetitions, the largest of all first."""
+    """Largest difference between every two repetitions, the largest first."""
     by_trial: list[dict[str, float]] = [{} for _ in residuals.trials]
     rows = list(zip(residuals.fit_parameters, values.tolist(), strict=True))
     for q, value in rows:
@@ -94,7 +93,7 @@ def differing_repetitions(residuals: Residuals, values: Array) -> list[Variation
 def _difference(
     pair: tuple[int, int], first: dict[str, float], second: dict[str, float]
 ) -> VariationDifference | None:
-    """Largest difference of two trials; None where nothing varies."""
+    """Largest difference between two trials; None where nothing varies."""
     sizes = {name: abs(first[name] - second[name]) / np.sqrt(2.0) for name in first}
     if not sizes:
         return None

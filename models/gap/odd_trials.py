@@ -1,8 +1,9 @@
-"""Trials that differ from the plant far more than comparable ones: disturbed or mislabelled.
+"""Outlier trials, which differ from the plant far more than comparable ones: disturbed or
+mislabelled.
 
 An effect shows alike in repetitions, and at a payload between two others no more than at these. A
-trial that lies far above comparable ones is a matter of this trial, not of the robot: no effect is
-to be named by it.
+trial whose residual lies far above that of comparable trials is faulty itself, so it must not lead
+to the name of an effect.
 """
 
 from __future__ import annotations
@@ -21,27 +22,28 @@ from models.trials.trial import TrialSet
 
 @dataclass(frozen=True)
 class OddTrial:
-    """A trial that is left out of a diagnosis."""
+    """Outlier trial that is left out of a diagnosis."""
 
     name: str
     path: str
-    payload_kg: float  # As its conditions say
-    # Root mean square of its difference from the plant in noise floors, and that of its
-    # repetitions, or of the other trials of its motion where there are none; 0 where its variation
-    # is odd
+    payload_kg: float  # Payload in the trial's conditions
+    # Root mean square difference from the plant, in noise floors; 0 where the variation is the
+    # outlier
     floors: float = 0.0
+    # The same of its repetitions, or of the other trials of its motion if it has none
     floors_of_comparable: float = 0.0
-    # Kind of variation in which it differs from its repetition, and by how many standard deviations
-    # (`models.gap.odd_repetitions`); none where its difference from the plant is odd
+    # Kind of variation in which it differs from its repetition (`models.gap.odd_repetitions`);
+    # empty where its difference from the plant is the outlier
     variation: str = ""
-    standard_deviations: float = 0.0
+    standard_deviations: float = 0.0  # Size of the difference in that variation
 
 
 def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
-    """Trials that lie far above comparable ones.
+    """Trials whose residual lies far above that of comparable trials.
 
-    By `GapSettings.odd_repetition_ratio` above their repetitions, else by `odd_trial_ratio`. At
-    most a third of a motion's trials can be odd; these are the ones that differ most.
+    The limit is `GapSettings.odd_repetition_ratio` times their repetitions, or `odd_trial_ratio`
+    times the others where there are none. At most a third of a motion's trials are returned, those
+    that differ most.
     """
     trials, settings = estimator.residuals.trials, estimator.settings
     found: list[OddTrial] = []
@@ -64,7 +66,7 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
 
 
 def without_odd(trials: TrialSet, odd: Collection[OddTrial]) -> TrialSet:
-    """Trials that are not among the odd ones."""
+    """Trials without the outliers."""
     left_out = {(o.name, o.path) for o in odd}
     return trials.where(lambda t: (t.name, str(t.path)) not in left_out)
 
@@ -73,7 +75,7 @@ def _levels(
     floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array,
     settings: GapSettings,
 ) -> Array:  # fmt: skip
-    """Root mean square of each trial's residual in noise floors; amplification left out."""
+    """Root mean square residual of each trial in noise floors; the floor is not amplified."""
     power = []
     for b, signal in enumerate(signals):
         if signal not in floor.noise:
@@ -98,8 +100,8 @@ def _level_of_comparable(
 ) -> tuple[float, float]:
     """Level of a trial's repetitions, else of all others, and the largest usual ratio to it.
 
-    An effect may show at the least or the largest payload alone: infinity where no others have
-    less and more load.
+    An effect may show at the smallest or the largest payload alone, so without repetitions the
+    level is infinite unless the payload lies between two others.
     """
     others = np.arange(len(levels)) != trial
     repeated = others & (payloads_kg == payloads_kg[trial])

@@ -1,4 +1,4 @@
-"""Coverage of an interval, counted on the axes on which it can miss."""
+"""Coverage of an interval, counted on the axes along which the tip moves."""
 
 from __future__ import annotations
 
@@ -22,20 +22,19 @@ COVERS: Final = "interval covers in %, mean / worst axis"
 class AxisCoverage(NamedTuple):
     """Fraction of the rows inside an interval."""
 
-    mean: float  # Over the axes that move
-    least: float  # On the worst of these axes
+    mean: float  # Mean over the axes that move
+    least: float  # On the worst of the axes that move
 
 
 def axis_coverage(inside: NDArray[np.bool_], dof: int) -> AxisCoverage:
-    """Return mean and least coverage over the axes that move.
+    """Mean and least coverage over the axes that move.
 
-    Shapes: `inside` (n, 3).
-    `inside`: whether each row is covered, by axis; at least one row.
+    `inside`, shape (n, 3): whether each row is covered, by axis; at least one row.
     """
     by_axis = inside[:, list(MOVING_AXES[dof])].mean(axis=0)
     return AxisCoverage(float(by_axis.mean()), float(by_axis.min()))
 
 
 def coverage_text(mean: float, least: float) -> str:
-    """Return both in %, as the tables show them."""
+    """Both values in %, as in the tables."""
     return f"{FRACTION.number(mean, 1)} / {FRACTION.number(least, 1)}"

@@ -18,7 +18,7 @@ OPSET: Final = 13
 
 
 class GraphWriter:
-    """Writer of nodes and constants into skl2onnx's container, under stable, unique names."""
+    """Writes nodes and constants into skl2onnx's container, under stable, unique names."""
 
     def __init__(self, scope: Any, container: Any) -> None:
         self.scope, self.container = scope, container
@@ -31,7 +31,7 @@ class GraphWriter:
         return unique
 
     def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        """Add an operator whose result has a given name; return that name."""
+        """Add an operator whose result is called `output`; return that name."""
         name = self.scope.get_unique_operator_name(f"{output}_{op}")
         self.container.add_node(
             op, list(inputs), [output], name=name, op_version=OPSET, **attributes
@@ -48,7 +48,7 @@ class GraphWriter:
         return self.temporary("Min", [raised, self.constant("upper", upper[None])], "clipped")
 
     def bits(self, source: str, thresholds: Array, stem: str) -> str:
-        """Return 1.0 where a row is above its thresholds, else 0.0; 0.0 for NaN."""
+        """1.0 where a row exceeds its thresholds, else 0.0; 0.0 for NaN."""
         above = self.temporary(
             "Greater", [source, self.constant(f"{stem}_threshold", thresholds[None])], stem
         )

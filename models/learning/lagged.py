@@ -1,8 +1,8 @@
 """Lagged regressor of DI: an estimate from the servo's measurements, without a model of the link.
 
-A quadratic in angles and currents now and up to 16 ticks (0.27 s) ago. On the motion that it was
-trained on it recovers most of what DI gains; on others less (docs/sources.md, "DI without motion
-capture"), which is why the bundle prefers the plant observer.
+It is a quadratic in angles and currents now and up to 16 ticks (0.27 s) ago. On the motion that it
+was trained on it recovers most of the benefit of DI, on others less (docs/sources.md, "DI without
+motion capture"), so the bundle prefers the plant observer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from models.trials.trial import Trial
 __all__ = ["LAG_TICKS", "LaggedRegressor", "lagged_features"]
 
 LAG_TICKS: Final = (0, 4, 8, 16)
-"""Lags in ticks, up to 0.27 s; assumed."""
+"""Lags in ticks, up to 0.27 s [assumed]."""
 DEGREE: Final = 2
 """Degree of the polynomial in the lagged features."""
 
@@ -29,13 +29,12 @@ DEGREE: Final = 2
 def lagged_features(
     angle_rad: Array, current_a: Array, lag_ticks: Sequence[int] = LAG_TICKS
 ) -> Array:
-    """Stack angles and currents of several lags as columns.
+    """Angles and currents at several lags as columns, the input of `lagged.onnx`.
+
+    The run must begin with its first sample, which also stands for the time before it. Returns
+    shape (n, len(lag_ticks) * 2 * dof): for each lag angles, then currents.
 
     Shapes: `angle_rad`, `current_a` (n, dof).
-    `angle_rad`, `current_a`: A run from its first sample on; that sample also stands for the time
-    before it.
-    Returns shape (n, len(lag_ticks) * 2 * dof), for each lag angles, then currents; the input of
-    `lagged.onnx`.
     """
     signals = np.hstack([angle_rad, current_a])
     row = np.arange(len(signals))
@@ -46,7 +45,7 @@ def lagged_features(
 class LaggedRegressor:
     """Fitted lagged regressor."""
 
-    pipeline: Pipeline  # Quadratic in the lagged features, output DI
+    pipeline: Pipeline  # Quadratic in the lagged features, with the output DI
     lower: Array  # Training box in SI units; inputs are clipped to it
     upper: Array
 
@@ -64,7 +63,7 @@ class LaggedRegressor:
         return cls(pipeline, features.min(axis=0), features.max(axis=0))
 
     def estimate(self, trial: Trial) -> Array:
-        """Return the estimated DI of every row of a trial, shape (n,)."""
+        """Estimated DI of every row of a trial, shape (n,)."""
         features = lagged_features(trial.angle_rad, trial.current_a)
         return predict(self.pipeline, np.clip(features, self.lower, self.upper))[:, 0]
 
@@ -74,5 +73,5 @@ class LaggedRegressor:
         return len(self.lower)
 
     def graph(self) -> PolynomialGraph:
-        """Return the model that `to_onnx` converts to `lagged.onnx`."""
+        """Model that `to_onnx` converts to `lagged.onnx`."""
         return PolynomialGraph(self.pipeline, "di", (self.lower, self.upper))

@@ -41,11 +41,11 @@ IR_VERSION: Final = 7
 
 @dataclass(frozen=True)
 class PolynomialGraph:
-    """Fitted `polynomial_pipeline` that is converted by itself."""
+    """Fitted `polynomial_pipeline` that is converted alone."""
 
     pipeline: Pipeline
     output: str  # Name of the graph's output
-    # (n,), lower and upper bounds that the inputs are clipped to; by default they are not clipped
+    # (n,) each, lower and upper bounds that the inputs are clipped to; none by default
     box: tuple[Array, Array] | None = None
 
 
@@ -92,7 +92,7 @@ def register_model(
     convert: Callable[[Any, Any, Any], None],
     outputs: Callable[[Any], Mapping[str, int]],
 ) -> None:
-    """Register a model with skl2onnx, so that `to_onnx` takes it."""
+    """Register a model with skl2onnx, so that `to_onnx` accepts it."""
 
     def parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
         operator = scope.declare_local_operator(f"Dropstitch{kind.__name__}", model)
@@ -108,7 +108,7 @@ def register_model(
 
 
 def _keep_shapes(operator: Any) -> None:
-    """Do nothing: the parser declares the shapes."""
+    """Do nothing, because the parser declares the shapes."""
 
 
 register_model(
@@ -133,11 +133,10 @@ def to_onnx(
     input_name: str = "features",
     metadata: Mapping[str, Any] | None = None,
 ) -> onnx.ModelProto:
-    """Convert a model to an ONNX graph.
+    """Convert a model to an ONNX graph; the same model gives the same bytes.
 
-    `metadata`: written to `metadata_props`, each value as JSON. onnxruntime exposes names, units
+    `metadata` is written to `metadata_props`, each value as JSON. onnxruntime exposes names, units
     and ranges in no other way.
-    Returns the same bytes for the same model.
     """
     graph = convert_sklearn(
         model,

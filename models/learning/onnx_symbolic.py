@@ -19,9 +19,9 @@ __all__ = ["predictor_function", "predictor_inputs"]
 
 
 def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
-    """Return the names of a graph's input columns, by its metadata.
+    """Names of a graph's input columns, from its metadata.
 
-    `dof`: number of joints; a graph that names nothing takes angles, currents and DI.
+    A graph without names takes angles, currents and DI of `dof` joints.
     """
     try:
         metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}

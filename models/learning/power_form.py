@@ -14,19 +14,19 @@ from models.learning.predictors import Array, Polynomial
 __all__ = ["power_form"]
 
 OVERSAMPLING: Final = 1.3
-"""Linear forms per monomial: with spare ones the weights stay small (docs/sources.md, "ONNX")."""
+"""Linear forms per monomial: with more than 1 the weights stay small (docs/sources.md, "ONNX")."""
 
 
 def power_form(polynomial: Polynomial) -> tuple[Array, Array, Array]:
     """Write a polynomial as a sum of powers of linear forms of the features in SI units.
 
-    Returns `rows` (n, forms); `bias` (forms,); `weights` (forms, outputs): y = ((x @ rows + bias)
-    ** degree) @ weights.
+    Returns `rows` (n, forms), `bias` (forms,) and `weights` (forms, outputs): y = ((x @ rows +
+    bias) ** degree) @ weights.
 
     With z0 = 1 in front every monomial has degree d, and (w·z)^d = Σ_α m_α w^α z^α with the
-    multinomial coefficients m_α. Comparing coefficients gives m_α Σ_r c_r w_r^α = β_α: M
-    equations for the weights of 1.3 M random unit vectors w_r, solved for the least norm in the
-    Bombieri scaling (rows divided by √m_α), which keeps rounding near 1e-14.
+    multinomial coefficients m_α. Comparing coefficients gives m_α Σ_r c_r w_r^α = β_α: M equations
+    for the weights of 1.3 M random unit vectors w_r, solved for the least norm in the Bombieri
+    scaling (rows divided by √m_α), which keeps rounding near 1e-14.
     """
     degree = polynomial.degree
     n = polynomial.exponents.shape[1]

@@ -36,15 +36,16 @@ DEGREES: Final = (1, 2, 3, 4, 5, 6)
 COVERAGE: Final = 0.95
 """Nominal coverage of the prediction interval."""
 LEVERAGE_RIDGE: Final = 1e-6
-"""Ridge λ of the leverage's normal equation, relative to its mean squares; assumed. It bounds the
+"""Ridge λ of the leverage's normal equation, relative to its mean squares [assumed]. It bounds the
 leverage in a direction without training data, like angle 1 less angle 2 of a motion in phase."""
 EDGE: Final = 1e-9
-"""Part by which the training box is wider than its rows: the DI of a link at rest is the smallest,
-and the robot computes it with another rounding (1e-14 of it), in every tick before a motion."""
+"""Fraction by which the training box is wider than its rows: the DI of a link at rest is the
+smallest, and the robot computes it with another rounding (1e-14 of it), in every tick before a
+motion."""
 
 
 def polynomial_pipeline(degree: int) -> Pipeline:
-    """Return an unfitted pipeline of scaling to [-1, 1]^n, monomials and least squares.
+    """Unfitted pipeline of scaling to [-1, 1]^n, monomials and least squares.
 
     The constant is the intercept of the regression, not a bias column: with a bias column skl2onnx
     writes a float64 graph that onnxruntime refuses (docs/sources.md, "ONNX").
@@ -59,7 +60,7 @@ def polynomial_pipeline(degree: int) -> Pipeline:
 
 
 def predict(pipeline: Pipeline, features: Array) -> Array:
-    """Return the outputs of a fitted pipeline, shape (n, outputs).
+    """Outputs of a fitted pipeline, shape (n, outputs).
 
     Shapes: `features` (n, inputs).
     """
@@ -69,9 +70,8 @@ def predict(pipeline: Pipeline, features: Array) -> Array:
 def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -> Array:
     """Fit on a fold's training rows and predict its test rows, shape (test rows, outputs).
 
-    Inputs are clipped to the box of the fold's training rows, as in the deployed predictor.
-    Without the clip a block that holds the only start of a motion is extrapolated, with errors of
-    metres.
+    Inputs are clipped to the box of the fold's training rows, as in the deployed predictor. Without
+    the clip a block that holds the only start of a motion is extrapolated, with errors of metres.
 
     Shapes: `features` (n, inputs), `targets` (n, outputs).
     """
@@ -87,13 +87,11 @@ class Polynomial:
 
     scale: Array  # (n,), map from features in SI units to the box [-1, 1]^n
     offset: Array
-    # (monomials, n), rows are the monomials; the first is the constant
-    exponents: NDArray[np.int64]
+    exponents: NDArray[np.int64]  # (monomials, n), one monomial per row; the first is the constant
     coefficients: Array  # (monomials, outputs)
 
     @property
     def degree(self) -> int:
-        """Total degree."""
         return int(self.exponents.sum(axis=1).max())
 
     @classmethod
@@ -108,21 +106,20 @@ class Polynomial:
         return cls(scaler.scale_, scaler.min_, exponents, coefficients)
 
     def monomials(self, features: Array) -> Array:
-        """Return the values of the monomials at features in SI units, shape (n, monomials)."""
+        """Values of the monomials at features in SI units, shape (n, monomials)."""
         z = features * self.scale + self.offset
         return np.asarray(np.prod(z[:, None, :] ** self.exponents, axis=2))
 
     def __call__(self, features: Array) -> Array:
-        """Return the values of the polynomial at features in SI units, shape (n, outputs)."""
+        """Values of the polynomial at features in SI units, shape (n, outputs)."""
         return self.monomials(features) @ self.coefficients
 
     def in_si_units(self) -> dict[tuple[int, ...], Array]:
-        """Return the coefficients of the features in SI units (the paper's β, eq. 2 and 3).
+        """Coefficients of the features in SI units (the paper's β, eq. 2 and 3), (outputs,) by
+        exponents.
 
-        They are for display. At high degree large coefficients of both signs cancel, so a
-        computation must use the scaled form.
-
-        Returns shape (outputs,), exponents to coefficients, by total degree.
+        They are for display, by total degree. At high degree large coefficients of both signs
+        cancel, so a computation must use the scaled form.
         """
         n = len(self.scale)
         factor = [_powers_of_affine(self.scale[i], self.offset[i], self.degree) for i in range(n)]
@@ -152,13 +149,13 @@ def _powers_of_affine(scale: float, offset: float, degree: int) -> list[Array]:
 class GuardedPredictor:
     """Predictor of the robot: polynomial, input guard and 95 % prediction interval.
 
-    The polynomial gets inputs clipped to the training box; `in_range` tells whether they lay in
-    it. The half width is q sqrt(1 + h(x)): h is the leverage of the quadratic model on the
-    *unclipped* input, a quartic polynomial whatever the predictor's degree (the leverage of a
-    degree-d model would have degree 2 d: 8008 monomials at 5 inputs and degree 5), so it grows
-    outside the training data. q is the quantile of the out-of-fold residuals divided by the same
-    root, per output: a cross-conformal interval, which assumes no distribution (Vovk, Ann. Math.
-    Artif. Intell. 74, 2015).
+    The polynomial gets inputs clipped to the training box; `in_range` is true if they lay in it.
+    The half width is q sqrt(1 + h(x)): h is the leverage of the quadratic model on the *unclipped*
+    input, a quartic polynomial whatever the predictor's degree (the leverage of a degree-d model
+    would have degree 2 d: 8008 monomials at 5 inputs and degree 5), so it grows outside the
+    training data. q is the quantile of the out-of-fold residuals divided by the same root, per
+    output: a cross-conformal interval, which assumes no distribution (Vovk, Ann. Math. Artif.
+    Intell. 74, 2015).
     """
 
     pipeline: Pipeline
@@ -173,9 +170,10 @@ class GuardedPredictor:
     ) -> GuardedPredictor:
         """Fit on all rows; the interval is calibrated on the rows that each fold holds out.
 
+        The folds must hold out whole runs, as those of `models.learning.validation.payload_folds`
+        do, because rows of one run are correlated.
+
         Shapes: `features` (n, inputs), `targets` (n, outputs).
-        `folds`: folds of whole runs, as `models.learning.validation.payload_folds` gives them: rows
-        of one run are correlated.
         """
         pipeline = polynomial_pipeline(degree).fit(features, targets)
         leverage = _leverage(features)
@@ -192,15 +190,15 @@ class GuardedPredictor:
         return cls(pipeline, lower - edge, upper + edge, leverage, quantile)
 
     def predict(self, features: Array) -> Array:
-        """Return the outputs at the clipped inputs, shape (n, outputs)."""
+        """Outputs at the clipped inputs, shape (n, outputs)."""
         return predict(self.pipeline, np.clip(features, self.lower, self.upper))
 
     def in_range(self, features: Array) -> NDArray[np.bool_]:
-        """Return where every input lies in the training box, bounds included, shape (n,)."""
+        """Whether every input lies in the training box, bounds included, shape (n,)."""
         return np.asarray(np.all((features >= self.lower) & (features <= self.upper), axis=1))
 
     def half_width(self, features: Array) -> Array:
-        """Return the half width of the 95 % prediction interval, shape (n, outputs)."""
+        """Half width of the 95 % prediction interval, shape (n, outputs)."""
         return self.quantile * np.sqrt(1.0 + self.leverage(features))
 
 

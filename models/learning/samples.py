@@ -1,4 +1,4 @@
-"""Samples: rows of trials with the features, the end effector and the origin of each."""
+"""Samples: rows of trials with features, end effector and trial of each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VARIANTS: Final[dict[str, Source]] = {
     "without_di": "none",
     "estimated_di": "observer",
 }
-"""The study's three predictors, and the source of DI that each is trained and tested on."""
+"""The study's three predictors, and the source of DI for the training and tests of each."""
 
 
 @dataclass(frozen=True)
@@ -35,37 +35,34 @@ class Samples:
     predictors are compared on the same rows.
     """
 
-    trials: tuple[Trial, ...]  # Trials that the rows come from
-    kept: tuple[NDArray[np.bool_], ...]  # Rows of each trial that are kept
-    run: NDArray[np.intp]  # (n,), number of the trial in `trials`
-    time_s: Array  # (n,), time in the trial; conditions
+    trials: tuple[Trial, ...]
+    kept: tuple[NDArray[np.bool_], ...]  # Rows of each trial that are used
+    run: NDArray[np.intp]  # (n,), index of the trial in `trials`
+    time_s: Array  # (n,), time in the trial
     payload_kg: Array
-    signals: Array  # (n, 2 * dof)
+    signals: Array  # (n, 2 * dof), angles and currents
     tip_m: Array  # (n, 3), end effector by motion capture
-    di: dict[str, Array]  # (n,)
+    di: dict[str, Array]  # (n,) each, DI by source
 
     def __len__(self) -> int:
         return len(self.run)
 
     def features(self, source: Source) -> Array:
-        """Return the inputs of a predictor: angles, currents and DI.
+        """Inputs of a predictor: angles, currents and DI.
 
-        `source`: source of DI. "none" leaves the column out, which fits the same functions as the
-        paper's DI = 0.
+        The source "none" leaves the column of DI out, which fits the same functions as the paper's
+        DI = 0.
         """
         if source == "none":
             return self.signals
         return np.column_stack([self.signals, self.di[source]])
 
     def rows_of(self, arrays: Sequence[Array]) -> Array:
-        """Return the kept rows of arrays, stacked.
-
-        `arrays`: one per trial, with one row per row of the trial.
-        """
+        """Used rows of arrays, stacked; one array per trial, with one row per row of the trial."""
         return _stack(arrays, self.kept)
 
     def parts(self) -> dict[str, NDArray[np.bool_]]:
-        """Return the rows of each part of a table (see `models.learning.validation.split_rows`)."""
+        """Rows of each part of a table (see `models.learning.validation.split_rows`)."""
         phases = np.array([t.meta.phase_2_rad for t in self.trials])
         return split_rows(self.payload_kg, phases[self.run])
 
@@ -78,7 +75,7 @@ class Samples:
 def collect_samples(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
     """Stack the moving rows of trials.
 
-    `di`: DI of every row, rest rows included; must hold "true".
+    `di`: by source, DI of every row of each trial, rest rows included; must contain "true".
     """
     kept = []
     for trial, true in zip(trials, di["true"], strict=True):

@@ -19,14 +19,14 @@ __all__ = [
 ]
 
 BLOCKS: Final = 5
-"""Blocks of each run."""
+"""Number of blocks of each run."""
 GAP_S: Final = 1.0
-"""Rows this close to a held-out block are not used in training; assumed. Rows 17 ms apart are
+"""Time around a held-out block whose rows are not used in training [assumed]. Rows 17 ms apart are
 nearly equal, so without a gap a block would be tested on its own training data."""
 
 
 def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
-    """Return folds of five contiguous blocks of each run, with 1 s gaps around the held-out block.
+    """Folds of five contiguous blocks of each run, with 1 s gaps around the held-out block.
 
     Shapes: `run` (n,), `time_s` (n,).
     """
@@ -47,7 +47,7 @@ def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
 
 
 def payload_folds(payload_kg: Array) -> list[Fold]:
-    """Return one fold per payload, which that fold holds out.
+    """One fold per payload, which that fold holds out.
 
     Shapes: `payload_kg` (n,).
     """
@@ -58,7 +58,7 @@ def payload_folds(payload_kg: Array) -> list[Fold]:
 
 
 def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
-    """Return the distance between end effectors in m, row by row (paper, eq. 4 to 7), shape (n,).
+    """Distance between end effectors in m, row by row (paper, eq. 4 to 7), shape (n,).
 
     Shapes: `actual_m`, `predicted_m` (n, 3).
     """
@@ -66,11 +66,12 @@ def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:
 
 
 def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bool_]]:
-    """Return the rows of each part of a table.
+    """Rows of each part of a table, shape (n,) each.
+
+    The parts are "pooled" for all rows; "0", "0.5", … for one payload in kg; "phase_90deg", … for
+    one phase of joint 2 if the rows have several.
 
     Shapes: `payload_kg`, `phase_2_rad` (n,).
-    Returns shape (n,), "pooled" for all; "0", "0.5", … for one payload in kg; "phase_90deg", … for
-    one phase of joint 2 where the rows hold several.
     """
     parts = {"pooled": np.ones(len(payload_kg), dtype=bool)}
     for kg in np.unique(payload_kg):
@@ -82,12 +83,12 @@ def split_rows(payload_kg: Array, phase_2_rad: Array) -> dict[str, NDArray[np.bo
 
 
 def payload_key(payload_kg: float) -> str:
-    """Return the key of a payload in kg in `study.json`: "0", "0.5", "1"."""
+    """Key of a payload in kg in `study.json`: "0", "0.5", "1"."""
     return f"{payload_kg:g}"
 
 
 def r_squared(actual: Array, estimate: Array) -> float:
-    """Return the coefficient of determination R²; negative where worse than the mean.
+    """Coefficient of determination R²; negative if worse than the mean.
 
     Shapes: `actual`, `estimate` (n,).
     """

@@ -1,9 +1,9 @@
-"""Expected error of a plan that has learned: what recorded runs leave unknown.
+"""Expected error of a plan that has learned, from the uncertainty that recorded runs leave.
 
 Over payloads the plant's error is a Gaussian process with the correlation by which changes of the
 goals are spread (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006, equation
-2.26). What the runs leave of it, and the scatter between runs, are independent. Runs that only the
-observer has seen tell nothing of the plant's error: it is in the observer too.
+2.26). Its posterior error and the scatter between runs are independent. Runs whose tip comes from
+the observer do not reduce the plant's error: the observer has it too.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from models.plan.recorded_plan_run import RecordedRun
 
 Array = NDArray[np.float64]
 PAYLOAD_REACH_KG: Final = 1.0
-"""Distance in payload over which a change fades: the correlation of the goals to be learned
-[assumed]."""
+"""Distance in payload over which a change fades: correlation length of the learned
+goals [assumed]."""
 SCATTER: Final = 0.25
 """RMS difference of two runs of a plan over the plant's error. Measured on the rig, circle of 6 s
 with 1.8 kg: runs differ by a quarter."""
 UNTOLD: Final = 1e-3
-"""Part of the plant's squared error that a run does not tell at its own payload [assumed]: without
-it several runs at one payload make the equations singular."""
+"""Part of the plant's squared error that remains at the payload of a run [assumed]: without it
+several runs at one payload make the equations singular."""
 
 
 def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:
-    """Correlation of goals and of the plant's error at payloads, shape (a, b)."""
+    """Correlation of goals and of the plant's error between payloads, shape (a, b)."""
     apart = np.subtract.outer(np.asarray(a_kg), np.asarray(b_kg)) / PAYLOAD_REACH_KG
     return np.asarray(np.exp(-0.5 * apart**2))
 
 
 def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> Array:
-    """RMS error at payloads that neither the twin nor the recorded runs tell, shape (p,).
+    """RMS error at payloads that neither the twin nor the recorded runs predict, shape (p,).
 
     Shapes: `payloads_kg` (p,).
     """

@@ -6,7 +6,7 @@ c minimise the squared distance of the tip from the path and, weakly, the goals'
     sum |tip(c) - desired|^2 + (WEIGHT * acceleration)^2
 
 Gauss–Newton with the exact derivatives of the twin. They change little from step to step and from
-payload to payload, so they are renewed only where a step with the old ones gains too little.
+payload to payload, so they are renewed only if a step with the old ones gains too little.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ WEIGHT_M_S2: Final = 1e-5
 """Tip error that 1 rad/s² of goal acceleration outweighs [assumed]: a hundredth of a millimetre."""
 MOST_STEPS: Final = 8
 MOST_DERIVATIVES: Final = 4
-"""Steps, and evaluations of the derivatives, for one payload [assumed]."""
+"""Most steps, and most evaluations of the derivatives, for one payload [assumed]."""
 GOOD_STEP: Final = 0.7
 """Cost after a step over that before, above which the derivatives are renewed [assumed]."""
 ENOUGH: Final = 0.97
-"""The same ratio above which the search ends, with the derivatives new [assumed]."""
+"""The same ratio above which the search ends, if the derivatives are new [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class Inverse:
 
     payload_kg: float
     goals_rad: Array  # (n, dof), one row per control period
-    outputs: Array  # (n, outputs), of the twin with these goals
+    outputs: Array  # (n, outputs), outputs of the twin with these goals
     residual_rms_m: float  # Distance of its tip from the path
 
 
 class Inverter:
     """Inversion of a twin along a timeline.
 
-    `reach_m`: length of the rigid link from the joint axes, for the start.
+    `reach_m`: length of the rigid link from the joint axes, used for the start.
     """
 
     def __init__(
@@ -81,10 +81,10 @@ class Inverter:
         return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
 
     def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
-        """Goals for each payload, in the order given.
+        """Goals for each payload, in the order of the payloads.
 
-        The search begins with the payload in the middle and goes outwards, each from what the
-        payloads before it found.
+        The search begins with the middle payload and goes outwards, each from the solutions for the
+        payloads before it.
         """
         middle = len(payloads_kg) // 2
         found: dict[int, Array] = {}
@@ -106,15 +106,15 @@ class Inverter:
         return [self.found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
 
     def on(self, twin: TipTwin) -> Inverter:
-        """Inversion of another twin of the same plant, with the derivatives that there are."""
+        """Inversion of another twin of the same plant, with the present derivatives."""
         other = copy.copy(self)
         other._twin = twin
         return other
 
     def invert_from(self, found: Inverse) -> Inverse:
-        """Goals for the payload of goals that nearly follow the path already.
+        """Goals for a payload, starting from goals that already nearly follow the path.
 
-        The derivatives are renewed once at most: a link that is a fifth stiffer needs no more.
+        The derivatives are renewed at most once: a link that is a fifth stiffer needs no more.
         """
         start = np.asarray(
             np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
@@ -126,7 +126,7 @@ class Inverter:
         return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)
 
     def found(self, goals_rad: Array, payload_kg: float) -> Inverse:
-        """What the twin does with given goals.
+        """Response of the twin to given goals, as an `Inverse`.
 
         Shapes: `goals_rad` (n, dof).
         """
@@ -170,7 +170,7 @@ class Inverter:
 
 
 def goal_splines(line: Timeline, period_s: float) -> tuple[Array, Array]:
-    """Cubic B-splines after the rest, and their second derivatives, shapes (n, count)."""
+    """Cubic B-splines after the rest, and their second derivatives, shape (n, count) each."""
     rows = len(line.desired_m)
     begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
     count = max(4, round((end_s - begin_s) / KNOT_S)) - 3

@@ -14,7 +14,7 @@ from models.plan.path_shapes import DesiredPath
 
 Array = NDArray[np.float64]
 FARTHEST_M: Final = 2.0
-"""Largest coordinate: that of built-in paths."""
+"""Largest coordinate, the same as for built-in paths."""
 LONGEST_S: Final = 600.0
 """Longest path [assumed]."""
 MOST_PATH_BYTES: Final = 10_000_000
@@ -24,8 +24,8 @@ MOST_PATH_BYTES: Final = 10_000_000
 def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     """Read a path: a line of names (time_s, x_m, and y_m with two joints), then rising times.
 
-    `period_s`: control period, to which the path is interpolated. Where the path ends between two
-    periods, the nearer one counts; past the end the tip goes on at its speed there.
+    The path is interpolated to the control period. If it ends between two periods, the nearer one
+    counts; past the end the tip continues at its last speed.
     """
     names = ["time_s", "x_m", "y_m"][: dof + 1]
     remedy = f"give the columns {','.join(names)} in s and m"
@@ -60,7 +60,7 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     table = np.array(rows)
     at_s = np.arange(table[0, 0], table[-1, 0] + 0.5 * period_s, period_s)
     tip = _at(table, at_s)
-    # The way back takes over the speed at the end: a last place that stands still would halve it.
+    # The way back starts at the speed of the end: a last row at rest would halve it.
     end_s = table[-1, 0]
     end, before = _at(table, np.array([end_s, end_s - period_s]))
     tip[-1] += max(0.0, at_s[-1] - end_s) * (end - before) / period_s
@@ -68,5 +68,5 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
 
 
 def _at(table: Array, at_s: Array) -> Array:
-    """Places of a table of time and place at times, shape (n, dof)."""
+    """Positions of a table of time and position at given times, shape (n, dof)."""
     return np.column_stack([np.interp(at_s, table[:, 0], column) for column in table.T[1:]])

@@ -1,4 +1,4 @@
-"""Built-in paths of the tip: shape over one turn, and the time in which it is passed.
+"""Built-in paths of the tip: their shape over one turn, and their timing.
 
 Every path starts and ends at rest. A closed curve is passed at constant speed between an eased
 start and an eased end; a polygon and a text stop at their corners, because the tip cannot turn at
@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 EASE_FRACTION: Final = 0.25
 """Part of the first and of the last turn in which the speed rises and falls [assumed]."""
 CORNER_RAD: Final = 0.9
-"""Turn of a stroke from which on the tip stops at the corner [assumed]."""
+"""Turn of a stroke above which the tip stops at the corner [assumed]."""
 TIME_EXPONENT: Final = 0.6
-"""Power of its length to which a piece of a stroke gets time: between equal speeds (1) and equal
-accelerations (1/2) [assumed]."""
+"""Exponent of the length of a piece of a stroke in its share of the time: between equal speeds (1)
+and equal accelerations (1/2) [assumed]."""
 DEFAULT_SIZE_M: Final = 0.3
 
 SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")
@@ -41,8 +41,8 @@ class DesiredPath:
 
     name: str
     tip_m: Array  # (n, dof), desired tip: x, and y with two joints
-    drawn: tuple[tuple[int, int], ...]  # Rows that are drawn, first and after the last
-    # Moves from rest to rest: first row, and the row after the rest that follows
+    drawn: tuple[tuple[int, int], ...]  # Rows that are drawn: first row, and first row after
+    # Moves from rest to rest: first row, and first row after the rest that follows
     moves: tuple[tuple[int, int], ...] = ()
 
 
@@ -52,10 +52,10 @@ class PathOptions:
 
     size_m: float = DEFAULT_SIZE_M  # Half of the largest extent
     centre_m: tuple[float, ...] = ()
-    seconds: float = 8.0  # Duration of one turn, of a text the whole
-    turns: int = 1  # Times that it is passed
+    seconds: float = 8.0  # Duration of one turn, or of a whole text
+    turns: int = 1  # Number of turns
     angle_rad: float = 0.0  # Direction of a line in the plane, from x towards y
-    move_s: float = 0.0  # Duration of a move of `point_to_point`; 0 is a quarter of a turn
+    move_s: float = 0.0  # Duration of a move of `point_to_point`; 0 means a quarter of a turn
 
 
 def quintic(x: Array) -> Array:
@@ -121,7 +121,7 @@ def _check_options(options: PathOptions, dof: int) -> None:
 
 
 def _check_use(options: PathOptions, name: str, dof: int) -> None:
-    """Refuse options that would change nothing."""
+    """Refuse options that would have no effect."""
     text = name.startswith("text:")
     for option, given, used, what in (
         ("--turns", options.turns != 1, not text, "a text is written once"),
@@ -134,7 +134,9 @@ def _check_use(options: PathOptions, name: str, dof: int) -> None:
 
 
 def _eased(fraction: Array, ease: float) -> Array:
-    """Way over time, from 0 to 1, whose speed rises and falls in a part of the time each."""
+    """Distance over time, from 0 to 1, with a rise and a fall of the speed that take a part `ease`
+    each.
+    """
     ease = min(ease, 0.5)
     fine = np.linspace(0.0, 1.0, 4001)
     speed = quintic(np.minimum(fine, 1.0 - fine) / ease)
@@ -161,7 +163,7 @@ _CURVES: Final[dict[str, Callable[[Array, Array], Array]]] = {
 
 
 def _points(name: str, fraction: Array, turns: int, part: float) -> Array:
-    """Place along the way: held, or moved to the other side and back, each in a part of a turn."""
+    """Position over time: held, or moved to the other side and back, each in a part of a turn."""
     if name == "hold":
         return np.ones_like(fraction)
     at = fraction * turns % 1.0
@@ -170,7 +172,7 @@ def _points(name: str, fraction: Array, turns: int, part: float) -> Array:
 
 
 def _polygon(name: str) -> Array:
-    """Corners of size 1, the first again at the end."""
+    """Corners of size 1, the first repeated at the end."""
     count, skip, first = {"square": (4, 1, 0.25 * np.pi), "star": (5, 2, 0.5 * np.pi)}[name]
     turn = first + 2.0 * np.pi * skip / count * np.arange(count + 1)
     corners = np.column_stack([np.cos(turn), np.sin(turn)])
@@ -180,7 +182,7 @@ def _polygon(name: str) -> Array:
 def _along(
     strokes: Sequence[Array], fraction: Array, *, joined: bool
 ) -> tuple[Array, tuple[tuple[int, int], ...]]:
-    """Points along strokes and the ways between them, and the rows of each stroke."""
+    """Points along strokes and the connections between them, and the rows of each stroke."""
     pieces: list[tuple[Array, int]] = []  # points, number of the stroke or -1
     for number, stroke in enumerate(strokes):
         if number and not np.allclose(strokes[number - 1][-1], stroke[0]):

@@ -5,23 +5,23 @@ With the goals u sent and the tip y measured, the next goals u + B c minimise::
     |desired - y - S c|^2 + (CHANGE * acceleration of B c)^2
 
 S are the exact derivatives of the twin's tip along the goals sent, B the splines of the plan. The
-twin takes the stiffness and damping that the recording tells (`models.plan.recorded_twin`). What it
-still has wrong and repeats from run to run is in y and need not be known (Amann, Owens and
-Rogers, *IEE Proc. Control Theory Appl.* 143, 1996; Bristow, Tharayil and Alleyne, *IEEE Control
-Systems* 26, 2006). The step is taken as far as the twin itself, moved to the recorded run, says
-that it helps. The k-th run at a payload counts with 2 / (k + 1), because runs differ and learning
-is to average them. After a run that was worse than the best one at its payload, learning goes back
-to the best one and takes half the step.
+twin gets the stiffness and damping that are estimated from the recording
+(`models.plan.recorded_twin`). Its remaining error that repeats from run to run is contained in y
+and need not be known (Amann, Owens and Rogers, *IEE Proc. Control Theory Appl.* 143, 1996; Bristow,
+Tharayil and Alleyne, *IEEE Control Systems* 26, 2006). The step is taken as far as the twin itself,
+shifted to the recorded run, predicts that it helps. The k-th run at a payload counts with 2 / (k +
+1), so that learning averages runs that differ. After a run that was worse than the best one at its
+payload, learning goes back to the best one and takes half the step.
 
 Goals for other payloads get a part of the change that falls with the distance in payload, so that
 the goals for the recorded payload change by exactly B c and all others as little as is smooth.
 
-Feedback of the tip drives the tip of the observer onto the path, and so would undo what motion
-capture has told. A plan that learns from motion capture therefore loses its corrections: its goals
-hold those of the recorded run.
+Feedback of the tip drives the tip of the observer onto the path, and so would undo what was learned
+from motion capture. A plan that learns from motion capture therefore loses its corrections: its
+goals contain those of the recorded run.
 
-Joints that follow their goals later or earlier than the twin's do so with every payload: that delay
-is measured on the recorded angles, and all goals are moved ahead by it.
+If joints follow their goals later or earlier than the twin's do, they do so with every payload:
+that delay is measured on the recorded angles, and all goals are advanced by it.
 """
 
 from __future__ import annotations
@@ -49,22 +49,22 @@ from models.plant.plant import Plant
 Array = NDArray[np.float64]
 CHANGE_M_S2: Final = 1e-4
 """Tip error that 1 rad/s² of a change's acceleration outweighs: ten times the weight of planning,
-because a measured tip has noise and the twin is wrong most where it hardly moves [assumed]."""
+because a measured tip has noise and the twin is least accurate where it hardly moves [assumed]."""
 STEPS: Final = 3
 """Gauss–Newton steps with the same derivatives [assumed]."""
 WORSE: Final = 1.3
 """RMS of a run over that of the best at its payload, above which learning goes back. Measured on
 the rig, circle of 6 s with 1.8 kg: runs of one plan differ by a quarter."""
 NEAR_KG: Final = 0.1
-"""Payloads that count as one [assumed]."""
+"""Difference below which two payloads count as one [assumed]."""
 LONGEST_DELAY_PERIODS: Final = 3.0
 LEAST_DELAY_PERIODS: Final = 0.25
-"""Delays of the joints that are looked for, and that are made up for [assumed]."""
+"""Range of the delays of the joints, and the least delay that is compensated [assumed]."""
 
 
 @dataclass(frozen=True)
 class Improvement:
-    """Improved plan, and what it was made of."""
+    """Improved plan, and the run that it learned from."""
 
     plan: TipPlan
     run: LearnedRun
@@ -74,7 +74,7 @@ class Improvement:
 def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) -> Improvement:
     """Improve a plan by a recorded run of it.
 
-    `plant`: its twin gives the derivatives; it may be another than that which was inverted.
+    The twin of `plant` gives the derivatives; it may differ from the plant that was inverted.
     """
     _check(plan, run, plant)
     if run.source == "mocap":
@@ -113,7 +113,7 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
 
 
 def _check(plan: TipPlan, run: RecordedRun, plant: Plant) -> None:
-    """Refuse a run that tells nothing new, or less than is known."""
+    """Refuse a run that adds nothing new, or is less accurate than an earlier one."""
     if any(run.sha256 == known.sha256 for known in plan.learned):
         raise InputError(
             "--improve", "names a recording that the plan was improved by already",
@@ -176,7 +176,7 @@ class _Step:
 
     @functools.cached_property
     def _solved(self) -> Array:
-        """Coefficients of the change, as far as the moved twin says that it helps."""
+        """Coefficients of the change, as far as the shifted twin predicts that it helps."""
         slopes = self._twin.slopes(self._sent, self._late(self._basis), self._run.payload_kg)
         slopes = slopes.reshape(-1, slopes.shape[2])
         normal = slopes.T @ slopes + self._rough
@@ -198,7 +198,7 @@ class _Step:
         return c
 
     def _predicted(self, goals_rad: Array) -> Array:
-        """Tip of the recorded run with other goals: what the twin adds to what was measured."""
+        """Tip of the recorded run with other goals: the measured tip plus the twin's change."""
         outputs = self._twin.run(self._late(goals_rad), self._run.payload_kg)
         return self._run.tip_m + self._twin.tip_m(outputs) - self._own_tip
 
@@ -209,7 +209,7 @@ class _Step:
         return self._moved(table, -self.delay_s)
 
     def _moved(self, table: Array, lead_s: float) -> Array:
-        """Table whose rows come earlier by a time that need not be whole periods."""
+        """Table advanced by a time that need not be whole periods."""
         if lead_s == 0.0:
             return table
         rows = np.arange(len(table), dtype=np.float64)
@@ -218,7 +218,7 @@ class _Step:
 
 
 def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
-    """Time by which measured angles follow later than those of the twin; 0 where it is small."""
+    """Delay of measured angles behind those of the twin; 0 if it is small."""
     rows = np.arange(len(twin_rad), dtype=np.float64)
 
     def distance(periods: float) -> float:
@@ -235,7 +235,7 @@ def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
 def _next(
     own: PayloadPlan, goals: Array, tip: Array, current: Array, left_m: float, off_m: float
 ) -> PayloadPlan:
-    """Plan for one payload, after a part of a change, and with what nothing tells."""
+    """Plan for one payload after a part of a change, with the expected remaining error."""
     return msgspec.structs.replace(
         own, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
         current_a=as_columns(current, 4), residual_rms_m=left_m,
@@ -246,7 +246,7 @@ def _next(
 def _start(
     plan: TipPlan, run: RecordedRun, measured_m: float
 ) -> tuple[RecordedRun, float, BestRun | None]:
-    """Run to start from, fraction of the step, and the best run before at this payload."""
+    """Run to start from, fraction of the step, and the best earlier run at this payload."""
     near = [r for r in plan.learned if _alike(r, run)]
     gain = 2.0 / (len(near) + 2.0)
     alike = [b for b in plan.best if _alike(plan.learned[b.run], run)]
@@ -263,12 +263,14 @@ def _start(
 
 
 def _alike(known: LearnedRun, run: RecordedRun) -> bool:
-    """Whether errors of two runs compare: at one payload, the tip measured alike."""
+    """Whether errors of two runs are comparable: same payload, and same source of the tip."""
     return known.source == run.source and abs(known.payload_kg - run.payload_kg) < NEAR_KG
 
 
 def _without_corrections(plan: TipPlan) -> TipPlan:
-    """Plan without feedback; with a probing motion, which needs it, its corrections are zero."""
+    """Plan without feedback; with a probing motion, which needs it, the corrections are set to
+    zero.
+    """
     if plan.feedback is None:
         return plan
     if plan.probe is not None:

@@ -1,6 +1,6 @@
 """Picture of a plan: path and predicted tip, error over time, goals for every payload.
 
-A probing motion stands before time 0.
+A probing motion lies before time 0.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from models.shared.palette import INK, MUTED, SERIES
 from models.shared.svg_drawing import FILE_STYLE
 
 FLATTEST: Final = 0.3
-"""Least height of the picture of a path over its width: a line along an axis has none."""
+"""Least height of the picture of a path over its width: a line along an axis would have none."""
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
@@ -66,7 +66,9 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
 
 
 def _draw_path(ax: Any, plan: TipPlan, colours: Any) -> None:
-    """Path and predicted tips: in the plane, of two joints, without the ways of the tips."""
+    """Draw path and predicted tips: for two joints in the plane, without the tips' way there and
+    back.
+    """
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     both = plan.dof == 2
     drawn = plan.drawn if both else ((0, plan.rows),)

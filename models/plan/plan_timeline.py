@@ -14,10 +14,10 @@ Array = NDArray[np.float64]
 REST_S: Final = 1.0
 """Rest before the motion: that of `[motion]`, the reference of the Deformation Index."""
 LEAD_S: Final = 0.4
-"""Time before the way in which the goals may move already, because the arm follows them late.
+"""Time before the way in which the goals may already move, because the arm follows them late.
 Measured on the twin of the demo, circle of 0.4 m in 8 s: without it 6.6 mm at the start."""
 SETTLE_S: Final = 1.0
-"""Rest after it, in which the goals come back to zero [assumed]."""
+"""Rest after the way back, in which the goals return to zero [assumed]."""
 LEAST_WAY_S: Final = 1.5
 """Shortest time of the way to the path and back [assumed]."""
 WAY_SPEED_M_S: Final = 0.3
@@ -30,17 +30,16 @@ class Timeline:
 
     desired_m: Array  # (n, dof), one row per control period
     rest_rows: int
-    start_row: int  # First row of the path, and the first after it
-    end_row: int
-    drawn: tuple[tuple[int, int], ...]
+    start_row: int  # First row of the path
+    end_row: int  # First row after the path
+    drawn: tuple[tuple[int, int], ...]  # Rows that are drawn: first row, and first row after
     moves: tuple[tuple[int, int], ...] = ()  # Moves from rest to rest, the rest after them included
 
 
 def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
-    """Put rest and ways around a path.
+    """Add rest and ways around a path.
 
-    Shapes: `rest_tip_m` (dof,).
-    `rest_tip_m`: tip at rest with all goals zero: a link is not quite straight.
+    `rest_tip_m`, shape (dof,): tip at rest with all goals zero, since a link is not quite straight.
     """
     rest, lead, settle = (round(s / period_s) for s in (REST_S, LEAD_S, SETTLE_S))
     there = _way(rest_tip_m, path.tip_m[0], _speed(path.tip_m[:2], period_s), period_s)
@@ -59,7 +58,8 @@ def _speed(pair: Array, period_s: float) -> Array:
 
 
 def _way(start: Array, end: Array, speed: Array, period_s: float) -> Array:
-    """Quintic from rest at a place to a speed at another, which is left out, without acceleration.
+    """Quintic from rest at a place to a speed at another, without acceleration; the end is left
+    out.
 
     Coefficients from the conditions at both ends, e.g. Spong, Hutchinson and Vidyasagar, *Robot
     Modeling and Control* (2006), section 5.5.2.

@@ -1,4 +1,4 @@
-"""Plan of a path: reach, goals for each payload, limits, what is predicted and expected."""
+"""Plan of a path: reach, goals for each payload, limits, predicted and expected error."""
 
 from __future__ import annotations
 
@@ -34,12 +34,14 @@ PAYLOADS_KG: Final = STUDY_LINK.payloads_kg
 payload. Measured on the twin of the demo, circle of 0.4 m in 8 s: interpolated goals leave 0.73 mm
 with 0.25 kg, where those of the grid leave 0.66 and 0.71 mm."""
 PAYLOAD_RATE_KG_S: Final = 0.5
-"""Largest rate of the payload of the goals [assumed]: the whole grid in four seconds."""
+"""Largest rate of the payload that goals are interpolated at [assumed]: the whole grid in four
+seconds."""
 STILL: Final = 1e-7
-"""Change in a period below which goals (rad) or the desired tip (m) rest [assumed]."""
+"""Change in a period below which goals (rad) or the desired tip (m) count as at rest [assumed]."""
 MOVE_S: Final = (0.2, 4.0)
 MOVE_STEP: Final = 0.06
-"""Durations between which the shortest move is sought, and how closely [assumed]."""
+"""Range in which the shortest move is searched, in s, and the resolution of the search
+[assumed]."""
 FINE_M: Final = 2e-3
 """Largest RMS error of a shortest move on the twin [assumed]."""
 Method = Literal["inverse", "rigid", "zvd"]
@@ -48,19 +50,19 @@ _REMEDY: Final = "make the path slower or smaller, or widen the limit"
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """What a plan is made for."""
+    """Robot, payloads and method of a plan."""
 
     plant: Plant
     dof: int
     period_s: float
-    limits: Limits  # Limits of the robot, as in force
+    limits: Limits  # Limits of the robot in force
     payloads_kg: Sequence[float] = PAYLOADS_KG
     bundle_sha256: str = ""  # Hash of the manifest of the robot's bundle
-    # {"inverse", "rigid", "zvd"}, Inversion of the twin; the link taken as rigid, where moves from
-    # rest to rest are as fast as the limits permit; the latter with ZVD shaping of the moves
+    # "inverse": inversion of the twin. "rigid": the link taken as rigid, moves from rest to rest as
+    # fast as the limits permit. "zvd": the same with ZVD shaping of the moves
     method: Method = "inverse"
     feedback: bool = True  # Whether the inverse gets feedback of the estimated tip
-    # Whether a motion that tells stiffness and payload precedes the first run; it needs feedback
+    # Whether a motion that measures stiffness and payload precedes the first run; needs feedback
     probe: bool = False
 
 
@@ -107,7 +109,7 @@ def _document(
     path: DesiredPath, request: PlanRequest, line: Timeline, twin: TipTwin,
     found: Sequence[tuple[Inverse, Inverse]],
 ) -> TipPlan:  # fmt: skip
-    """Plan of what was found for each payload, and of rigid kinematics beside it."""
+    """Plan with the solution for each payload, compared with rigid kinematics."""
     own_error = _own_error_m(request.plant, request.dof)
     return TipPlan(
         schema=TipPlan.VERSION,
@@ -148,8 +150,7 @@ def comparison_goals(
 ) -> list[Array]:
     """Goals of a rigid link whose moves are as fast as the limits permit, for each payload.
 
-    Shapes: `pointing_rad` (n, dof).
-    `pointing_rad`: goals at which the rigid link points at the desired tip.
+    `pointing_rad`, shape (n, dof): goals at which the rigid link points at the desired tip.
     """
     period_s, tables = request.period_s, []
     for payload_kg in request.payloads_kg:
@@ -188,7 +189,7 @@ def _moves(line: Timeline, tables: Sequence[Array] | None) -> tuple[tuple[int, i
 def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanRequest) -> float:
     """Shortest duration of a move whose plans keep every limit and leave little error.
 
-    `request`: plant, robot and payloads; the lightest and the heaviest are tried.
+    Only the lightest and the heaviest payload of the request are tried.
     """
     ends = tuple(sorted({request.payloads_kg[0], request.payloads_kg[-1]}))
     tried = replace(request, payloads_kg=ends, feedback=False)
@@ -202,7 +203,7 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
         return all(own.residual_rms_m < FINE_M for own in plan.payloads)
 
     if not keeps(high):
-        plan_path(path_of(high), tried)  # says which limit
+        plan_path(path_of(high), tried)  # names the limit
         raise InputError("--fastest", f"finds no move within {high:g} s", "make the path smaller")
     while high > (1.0 + MOVE_STEP) * low:
         middle = math.sqrt(low * high)
@@ -211,7 +212,7 @@ def shortest_move_s(path_of: Callable[[float], DesiredPath], request: PlanReques
 
 
 def check_request(request: PlanRequest) -> None:
-    """Refuse a plant that is not the link, and payloads that cannot be."""
+    """Refuse a plant that is not the link, and invalid payloads."""
     payloads = list(request.payloads_kg)
     if request.plant.load != "link":
         raise InputError(
@@ -223,7 +224,7 @@ def check_request(request: PlanRequest) -> None:
 
 
 def _own_error_m(plant: Plant, dof: int) -> float | None:
-    """Error of the tip on trials that the plant was not fitted to; None where it is not known."""
+    """Error of the tip on trials that the plant was not fitted to; None if it is unknown."""
     held_out = plant.provenance.held_out
     own = held_out.dof.get(str(dof)) if held_out else None
     return own.tip_rms_m if own else None
@@ -232,7 +233,7 @@ def _own_error_m(plant: Plant, dof: int) -> float | None:
 def _check_prediction(
     twin: TipTwin, found: Inverse, line: Timeline, limits: Limits, where: str
 ) -> None:
-    """Refuse a plan in which the twin violates a limit of measured signals; names the row."""
+    """Refuse a plan in which the twin violates a limit of measured signals, and name the row."""
     y = found.outputs
     angle, current, tip = twin.angle_rad(y), twin.current_a(y), twin.tip_in_space_m(y)
     for row in range(1, len(line.desired_m)):

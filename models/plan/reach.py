@@ -16,12 +16,12 @@ from models.plan.twin_sensitivity import TipTwin
 
 Array = NDArray[np.float64]
 CLOSE_M: Final = 2e-3
-"""Distance from which on a place counts as out of reach [assumed]."""
+"""Distance above which a place counts as out of reach [assumed]."""
 STEPS: Final = 6
 """Steps of the search: the tip is nearly linear in the goals."""
 PROBE_RAD: Final = 1e-3
 TINY: Final = 1e-9
-"""Room that the search asks for between its bounds, rad."""
+"""Least distance between the bounds of the search, rad."""
 
 
 def check_reach(
@@ -29,8 +29,8 @@ def check_reach(
 ) -> None:
     """Refuse a path whose farthest points the resting tip cannot reach within the angle limits.
 
-    The path is judged first, then the ways there and back: they swing out where it is fast at its
-    ends.
+    The path is checked first, then the ways there and back, which swing out if the path is fast at
+    its ends.
     """
     path = slice(line.start_row, line.end_row)
     for part, what, remedy in (
@@ -65,7 +65,7 @@ def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Li
                 for unit in np.eye(twin.dof)
             ]
         )
-        # Within the limits: a joint at its limit leaves the other one to come as near as it can.
+        # Bounded by the limits: if one joint is at its limit, the other comes as near as it can.
         step = lsq_linear(slope, wanted_m - tip, (low - goal - TINY, high - goal + TINY)).x
         goal = np.clip(goal + step, low, high)
         tip = twin.resting_tip_m(goal, payload_kg)

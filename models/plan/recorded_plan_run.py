@@ -1,13 +1,13 @@
 """Recorded run of a plan: goals sent, angles and tip measured, row by row of the plan.
 
-A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) brings the tip of the motion
-capture, a log of `dropstitch run` the tip that the robot predicted with its observer. Of several
-runs in one recording the last whole one counts: there the robot's estimate of the payload has
-settled.
+A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) holds the tip by motion capture, a log of
+`dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
+recording the last complete one counts, because the robot's estimate of the payload has settled
+there.
 
-A trial tells the mass at the tip. The goals sent hold the corrections of feedback, which no
-recording tells apart. So the payload between whose plans the robot interpolated follows from the
-goals only where the plan has no corrections.
+A trial holds the mass at the tip. The goals sent include the corrections of feedback, which no
+recording separates. So the payload between whose plans the robot interpolated can be derived from
+the goals only if the plan has no corrections.
 """
 
 from __future__ import annotations
@@ -30,20 +30,19 @@ from models.trials.trial_files import read_trial
 
 Array = NDArray[np.float64]
 ALIKE: Final = 0.15
-"""Largest root mean square difference of the goals sent from those of the plan, over the root mean
-square of the latter, at which a recording counts as a run of it [assumed]: goals for payloads 2 kg
-apart differ by 0.1."""
+"""Largest RMS difference of the goals sent from those of the plan, over the RMS of the latter, at
+which a recording counts as a run of it [assumed]: goals for payloads 2 kg apart differ by 0.1."""
 VALLEY: Final = 0.02
 """Squared difference over the squared goals, above the smallest, that still belongs to a run of the
-plan: what a shift by some rows makes [assumed]."""
+plan: a shift by some rows causes that much [assumed]."""
 MOST: Final = 1e6
-"""Largest goal, angle or place, in radians and metres: far beyond any of a robot [assumed]."""
+"""Largest goal, angle or place, in radians and metres: far beyond any robot [assumed]."""
 LEAST_FRESH: Final = 0.9
 """Least fraction of rows with a measurement; between them it is interpolated [assumed]."""
 
 
 CORRECTED_KG: Final = 0.25
-"""Distance from the mass at the tip within which corrections, and no other payload, explain the
+"""Distance from the mass at the tip within which corrections, not another payload, explain the
 goals of a trial [assumed]: half the step of the default grid."""
 
 
@@ -51,20 +50,19 @@ goals of a trial [assumed]: half the step of the default grid."""
 class RecordedRun:
     """One run of a plan."""
 
-    goals_rad: Array  # (n, dof), goals sent and angles measured at each row
-    angle_rad: Array
+    goals_rad: Array  # (n, dof), goals sent at each row
+    angle_rad: Array  # (n, dof), angles measured at each row
     tip_m: Array  # (n, dof)
-    payload_kg: float  # Mass at the tip: that of the trial, or what the robot was told or estimated
-    # Payload between whose plans the goals were interpolated, within the grid
-    goals_payload_kg: float
-    source: str  # {"mocap", "observer"}, What measured the tip
+    # Mass at the tip: the trial's, or the one that the robot was set to or estimated
+    payload_kg: float
+    goals_payload_kg: float  # Payload, within the grid, that the goals were interpolated at
+    source: str  # Source of the tip: "mocap" or "observer"
     sha256: str  # Hash of the file
 
 
 def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
-    """Read the last whole run of a plan from a trial or a log.
-
-    `path`: `.csv` of a trial, with the tip by motion capture; or `.mcap` of the robot.
+    """Read the last complete run of a plan from a trial (`.csv`) or a log of the robot
+    (`.mcap`).
     """
     _check_size(f"plan {plan.path}", plan.goals_rad())
     if path.suffix == ".csv":
@@ -119,7 +117,7 @@ def fitting_payload(plan: TipPlan, goals_rad: Array) -> tuple[float, float]:
 def _goals_payload_kg(
     plan: TipPlan, fitting_kg: float, payload_kg: float | None, went_by_kg: float | None
 ) -> float:
-    """Payload between whose plans the goals were interpolated, corrections left out."""
+    """Payload that the goals were interpolated at, without corrections."""
     if plan.feedback is None or plan.feedback.size_rad == 0.0:
         return fitting_kg
     low, high = plan.grid_kg[0], plan.grid_kg[-1]
@@ -127,13 +125,13 @@ def _goals_payload_kg(
         return float(np.clip(went_by_kg, low, high))
     if payload_kg is None:
         return fitting_kg
-    # The robot of a trial may have estimated the mass at the tip, far from what it was.
+    # The robot of a trial may have estimated the mass at the tip, with a large error.
     told_kg = float(np.clip(payload_kg, low, high))
     return told_kg if abs(fitting_kg - told_kg) <= CORRECTED_KG else fitting_kg
 
 
 def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
-    """Table of the last whole run, the mass at the tip, and the payload that the robot went by."""
+    """Table of the last complete run, the mass at the tip, and the payload that the robot used."""
     log = read_recording(path)
     _check_dof(path, log.dof, plan)
     columns = log.columns
@@ -163,7 +161,7 @@ def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | Non
 
 
 def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
-    """As `_of_log`; a trial does not say what the robot went by."""
+    """Table and mass as in `_of_log`; a trial does not record the payload that the robot used."""
     trial = read_trial(path)
     _check_dof(path, trial.meta.dof, plan)
     table = trial.stack(*_joint_names(plan.dof), *tip_names()[: plan.dof])
@@ -180,7 +178,7 @@ def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | N
 
 
 def _check_size(path: Path | str, table: Array) -> None:
-    """Refuse values whose squares have no sum."""
+    """Refuse values whose squares would overflow."""
     if not np.all(np.abs(table) < MOST):
         raise InputError(
             path,
@@ -200,7 +198,7 @@ def _filled(table: Array, path: Path) -> Array:
 
 
 def _start_row(goals: Array, plan: TipPlan) -> int:
-    """Row of a recording at which its last whole run begins: where the goals are the plan's."""
+    """Row of a recording at which its last complete run begins, by matching the plan's goals."""
     wanted = np.mean(plan.goals_rad(), axis=0)
     starts = len(goals) - plan.rows + 1
     size, total = 1 << (len(goals) + plan.rows).bit_length(), np.zeros(starts)
@@ -210,7 +208,7 @@ def _start_row(goals: Array, plan: TipPlan) -> int:
         total += power[plan.rows :] - power[:starts] + np.sum(own**2)
         total -= 2.0 * np.fft.irfft(both, size)[:starts]
     near = total <= total.min() + VALLEY * float(np.sum(wanted**2))
-    last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose bottom is the start
+    last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose minimum is the start
     low = max(0, last - plan.rows // 2)
     return low + int(np.argmin(total[low : last + 1]))
 

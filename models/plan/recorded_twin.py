@@ -1,14 +1,14 @@
-"""Twin with the stiffness and damping of the link that a recorded run tells.
+"""Twin with the stiffness and damping of the link estimated from a recorded run.
 
 Learning multiplies errors by the inverse of the twin. At the first mode that inverse is right only
-where the twin has the mode at the frequency of the link: with a link that is a fifth stiffer than
-its plant, errors there did not fall from run to run. So the relative stiffness k and damping c of
-the twin are fitted to the recorded tip y::
+if the twin has the mode at the frequency of the link: with a link that is a fifth stiffer than its
+plant, errors there did not fall from run to run. So the relative stiffness k and damping c of the
+twin are fitted to the recorded tip y::
 
     sum |y - tip(k, c) - offset|^2 / NOISE^2 + (log k / STIFFNESS_SD)^2 + (log c / DAMPING_SD)^2
 
-by Gauss–Newton. The offset of the recording is free. The priors keep both where a run tells nothing
-of them.
+by Gauss–Newton. The offset of the recording is free. The priors keep k and c near 1 if a run does
+not determine them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
 DAMPING: Final = ("root_damping", "span_damping")
-"""Beginnings of the parameters that the damping of the link scales."""
+"""Prefixes of the parameters that scale with the damping of the link."""
 STIFFNESS_SD: Final = 0.2
 DAMPING_SD: Final = 0.5
 """Standard deviations of the logarithms of both factors [assumed]."""

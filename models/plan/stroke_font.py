@@ -43,9 +43,9 @@ ROUND_LETTERS: Final = {"O": (2.0, 3.0), "0": (2.0, 3.0), "Q": (2.0, 3.0)}
 
 
 def text_strokes(text: str) -> list[Array]:
-    """Strokes of a text, centred, its largest extent 2.
+    """Strokes of a text in the order of writing, centred, with a largest extent of 2.
 
-    Returns shape (points, 2), in the order of writing.
+    Shapes: each (points, 2).
     """
     unknown = sorted({c for c in text.upper() if c not in GLYPHS})
     if unknown or not text.strip():
@@ -76,14 +76,14 @@ def _strokes_of(letter: str) -> list[Array]:
 
 
 def _ellipse(half_width: float, half_height: float) -> Array:
-    """Counter-clockwise from the top, about the middle of the grid."""
+    """Ellipse, counter-clockwise from the top, about the middle of the grid."""
     turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
     middle = np.array([0.5 * WIDTH, 0.5 * HEIGHT])
     return middle + np.column_stack([half_width * np.cos(turn), half_height * np.sin(turn)])
 
 
 def _rounded(points: Array) -> Array:
-    """Polyline whose corners are cut again and again; its ends stay."""
+    """Polyline whose corners are cut repeatedly; its ends stay."""
     points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
     for _ in range(ROUNDS):
         a, b = points[:-1], points[1:]

@@ -42,14 +42,15 @@ class TipTwin:
         self._stepper: SensitiveModel | None = None
 
     def changed(self, values: Mapping[str, float]) -> TipTwin:
-        """Twin with other values of parameters; names that it does not have are left out."""
+        """Twin with other parameter values; names that it lacks are ignored."""
         known = set(names(self._model.parameters))
         other = copy.copy(self)
         other._p = self._model.parameter_values({n: v for n, v in values.items() if n in known})
         return other
 
     def run(self, goals_rad: Array, payload_kg: float) -> Array:
-        """Outputs at every row of a table of goals, shape (n, outputs), from rest at the first.
+        """Outputs at every row of a table of goals, shape (n, outputs), starting at rest at the
+        first row.
 
         Shapes: `goals_rad` (n, dof).
         """
@@ -58,19 +59,19 @@ class TipTwin:
         return self._plain.simulate(u[:-1], self.period_s, self._p, x)
 
     def tip_m(self, outputs: Array) -> Array:
-        """Planned coordinates of the tip among outputs, shape (n, dof)."""
+        """Planned coordinates of the tip, from outputs, shape (n, dof)."""
         return outputs[:, self._tip]
 
     def tip_in_space_m(self, outputs: Array) -> Array:
-        """Tip in the world frame among outputs, shape (n, 3)."""
+        """Tip in the world frame, from outputs, shape (n, 3)."""
         return outputs[:, self._tip3]
 
     def current_a(self, outputs: Array) -> Array:
-        """Motor currents among outputs, shape (n, dof)."""
+        """Motor currents, from outputs, shape (n, dof)."""
         return outputs[:, self._current]
 
     def angle_rad(self, outputs: Array) -> Array:
-        """Joint angles among outputs, shape (n, dof)."""
+        """Joint angles, from outputs, shape (n, dof)."""
         return outputs[:, self._angle]
 
     def resting_tip_m(self, goal_rad: Array, payload_kg: float) -> Array:
@@ -83,11 +84,10 @@ class TipTwin:
     def held_tip_m(self, goal_rad: Array, payload_kg: float, ramp_s: float, hold_s: float) -> Array:
         """Tip at the end of an approach from zero goals, shape (dof,).
 
-        It is short of the tip at rest: friction holds the joints before their goals, and the link
-        creeps.
+        It falls short of the tip at rest: friction stops the joints before their goals, and the
+        link creeps. The goals rise linearly for `ramp_s` and are then held for `hold_s`.
 
         Shapes: `goal_rad` (dof,).
-        `ramp_s`, `hold_s`: time in which the goals rise evenly, and time for which they are held.
         """
         time_s = np.arange(round((ramp_s + hold_s) / self.period_s) + 1) * self.period_s
         goals = np.minimum(time_s / ramp_s, 1.0)[:, None] * goal_rad
@@ -112,8 +112,9 @@ class TipTwin:
     def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
         """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
 
-        Shapes: `goals_rad` (n, dof), `basis` (n, count).
         `basis`: value of each basis function at each row; every joint has its own coefficients.
+
+        Shapes: `goals_rad` (n, dof), `basis` (n, count).
         """
         stepper = self._one_step()
         sizes, count = len(self._model.states), basis.shape[1]
@@ -134,7 +135,7 @@ class TipTwin:
 
 
 def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
-    """One step of a model, by its state at the start and the goals that are held over it."""
+    """One step of a model, with its initial state and the held goals as parameters."""
     states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
     goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(dof))
     kept, size = len(model.parameters), len(model.states)

@@ -1,7 +1,7 @@
-"""Directory of a bundle on disk: what may be replaced there, and the replacement itself.
+"""Directory of a bundle on disk: its replacement, and the check before it.
 
-An old bundle is replaced file by file, its manifest last: until then a reader finds that a hash
-differs. Files of others in the directory stay.
+An old bundle is replaced file by file, its manifest last: until then a reader detects that a hash
+differs. Other files in the directory are kept.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ BUNDLE_FILES: Final = (*sorted(FILES), SIGNATURE, MANIFEST)
 """Files that a bundle may have, in the order in which they are replaced."""
 
 _KEYS: Final = frozenset({"training_data_sha256", "plant_sha256", "files"})
-"""Keys of the manifest of a bundle, of whatever version, that no other manifest has."""
+"""Keys that the manifest of a bundle has in every version, and no other manifest has."""
 
 
 def check_bundle_directory(directory: Path) -> None:
-    """Refuse a directory that holds something, but no bundle."""
+    """Refuse a directory that is not empty and holds no bundle."""
     occupied = directory.exists() and (not directory.is_dir() or any(directory.iterdir()))
     if occupied and not _holds_bundle(directory):
         raise InputError(directory, "exists and is not a bundle", "choose another --out")
@@ -42,11 +42,10 @@ def _holds_bundle(directory: Path) -> bool:
 
 @contextlib.contextmanager
 def replaced_bundle(directory: Path) -> Iterator[Path]:
-    """Directory to write a bundle to, which replaces another one when the body ends well.
+    """Directory to write a bundle to; it replaces an old one if the body succeeds.
 
-    Where the body fails everything stays as it was.
-
-    Yields empty directory on the same file system, of this process alone.
+    If the body fails, nothing changes. Yields an empty directory on the same file system, which
+    only this process uses.
     """
     check_bundle_directory(directory)
     directory = directory.resolve()
@@ -55,7 +54,7 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(
         prefix=f".{directory.name}.", dir=place, ignore_cleanup_errors=True
     ) as scratch:
-        fresh = Path(scratch) / "bundle"  # the scratch directory itself is closed to other users
+        fresh = Path(scratch) / "bundle"  # only the scratch directory is closed to other users
         fresh.mkdir()
         yield fresh
         if directory.exists():
@@ -65,13 +64,13 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
 
 
 def _is_beside(directory: Path) -> bool:
-    """Whether files beside a directory can be moved into it: it is no mount of its own."""
+    """Whether files next to a directory can be moved into it, because it is not a mount."""
     parent = directory.parent
     return os.access(parent, os.W_OK) and parent.stat().st_dev == directory.stat().st_dev
 
 
 def _replace_files(fresh: Path, directory: Path) -> None:
-    """Replace the files of a bundle; those that the new one has not are removed."""
+    """Replace the files of a bundle, and remove those that the new one lacks."""
     for name in BUNDLE_FILES:
         if (fresh / name).exists():
             (fresh / name).replace(directory / name)

@@ -52,13 +52,14 @@ def write_bundle(
     """Write the bundle of a study, complete or not at all.
 
     Its estimator is the lagged regressor, until `dropstitch fmu build --unit observer` adds the
-    observer that the predictor was trained with. The same study gives the same bytes.
+    observer that the predictor was trained with. The same study gives the same bytes. The files of
+    an old bundle in `directory` are replaced, others are kept; a directory of anything else is
+    refused.
 
-    `directory`: directory of the bundle. The files of an old bundle there are replaced, others
-    beside them are kept; a directory of anything else is refused.
-    `tip`: the robot's predictor; without one the robot gets the study's polynomial, which is the
-    fallback for a robot without the observer otherwise.
-    Returns largest differences at the parity gate: `tip_m`, `half_width_m`.
+    `tip`: the robot's predictor. With it the study's polynomial is the fallback for a robot without
+    the observer; otherwise the polynomial is the robot's predictor.
+
+    Returns the largest differences at the parity gate: `tip_m`, `half_width_m`.
     """
     with replaced_bundle(directory) as fresh:
         return _fill(fresh, study, plant, tip)
@@ -105,7 +106,7 @@ def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) 
 
 
 def _facts(manifest: Manifest) -> dict[str, Any]:
-    """Facts that a graph holds about itself."""
+    """Facts that a graph stores about itself."""
     return {
         "features": _described(manifest.features),
         "outputs": _described(manifest.outputs),
@@ -138,11 +139,10 @@ def check_parity(
 ) -> dict[str, float]:
     """Compare the graph with scikit-learn on 10,000 points of the training hull.
 
-    A point of the hull is a random convex combination of n + 1 training rows, with n the number
-    of features.
+    A point of the hull is a random convex combination of n + 1 training rows, with n the number of
+    features. Returns the largest absolute difference of `tip_m` and `half_width_m`, in m.
 
     Shapes: `features` (rows, n).
-    Returns largest absolute difference of `tip_m` and `half_width_m`, in m.
     """
     rng = np.random.default_rng(0)
     corners = rng.integers(len(features), size=(GATE_POINTS, features.shape[1] + 1))
@@ -228,7 +228,7 @@ def _coefficients(polynomial: Polynomial, names: tuple[str, ...]) -> dict[str, t
 
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
-    """Write a monomial of features, like "1" or "angle_1_rad^2 di"."""
+    """Monomial of features as text, like "1" or "angle_1_rad^2 di"."""
     factors = [
         name if power == 1 else f"{name}^{power}"
         for name, power in zip(names, exponents, strict=True)

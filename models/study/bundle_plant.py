@@ -17,11 +17,10 @@ __all__ = ["compare_with_bundle"]
 
 
 def compare_with_bundle(plant: Plant, path: Path, files: BundleFiles, product: str) -> None:
-    """Compare a plant with that of a bundle; tell on stderr where they differ.
+    """Compare a plant with that of a bundle; warn on stderr if they differ, refuse another link.
 
-    `files`: the bundle; without the observer it holds no plant, so that only the hashes are
-    compared.
-    `product`: what is made with the plant, as in "this plan".
+    A bundle without the observer holds no plant, so only the hashes are compared. `product`: what
+    is made with the plant, as in "this plan".
     """
     theirs = files.manifest.plant_sha256
     if not theirs or theirs == plant.for_robot().sha256():

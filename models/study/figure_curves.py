@@ -35,7 +35,7 @@ def figure_curves(
     tests: Mapping[str, Samples],
     fitted: Fitted,
 ) -> StudyCurves:
-    """Return the curves that the report draws and no table holds."""
+    """Curves that the report draws and no table contains."""
     labels = _labels(training.trials)
     return StudyCurves(
         path=dict(zip(labels, map(_path, training.trials), strict=True)),

@@ -1,4 +1,4 @@
-"""Findings of the paper, tested on the trials at hand and stated in sentences with figures.
+"""Findings of the paper, tested on the present trials and stated in sentences with figures.
 
 Nothing is tuned towards a finding. `depends_on` names the property of the link, the servo or the
 motion that causes it.
@@ -19,14 +19,14 @@ from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
 PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
-"""Degree of least distance by dof, as the paper reports it."""
+"""Degree of least distance by dof, as reported in the paper."""
 NOISE_FACTOR: Final = 3.0
-"""Width of a DI loop, relative to the width from marker noise alone, that counts as hysteresis;
-assumed."""
+"""Width of a DI loop, relative to the width from marker noise alone, above which it counts as
+hysteresis [assumed]."""
 MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
 ANGLE_BINS: Final = 12
-"""Bins of the angle over a DI loop."""
+"""Number of bins of the angle over a DI loop."""
 
 
 def judge_findings(
@@ -217,9 +217,7 @@ def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
 
 
 def doubts_of_di(document: StudyDocument) -> list[str]:
-    """Return what to look at where the observer's DI says less than its mean; one sentence or
-    none.
-    """
+    """Warning if the observer's DI estimates worse than its mean; one sentence or none."""
     r2 = {name: scores["observer"].r2_di for name, scores in document.estimators.items()}
     worst = min(r2, key=r2.__getitem__, default="")
     if not worst or not r2[worst] < 0.0:

@@ -16,7 +16,7 @@ from models.tip.predictors_document import CandidateEntry, Latency, PredictorsDo
 def model_card(
     manifest: Manifest, document: StudyDocument, predictors: PredictorsDocument | None = None
 ) -> str:
-    """Return the text of `MODEL_CARD.md`.
+    """Text of `MODEL_CARD.md`.
 
     `predictors`: comparison of the candidates; without it the robot gets the study's polynomial.
     """
@@ -99,7 +99,7 @@ def _mounting(predictors: PredictorsDocument) -> str:
 
 
 def _candidates(predictors: PredictorsDocument) -> str:
-    """Comparison of the candidates, and why one was chosen."""
+    """Comparison of the candidates, and the reason for the choice."""
     rows = []
     for name, entry in predictors.candidates.items():
         for test, score in (
@@ -138,7 +138,7 @@ def _cost(entry: CandidateEntry) -> tuple[str, str]:
 
 
 def latency_text(latency: Latency) -> str:
-    """Return a latency as "warm / cold" in µs."""
+    """Latency as "warm / cold" in µs."""
     return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
 
 

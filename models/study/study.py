@@ -41,7 +41,7 @@ from models.trials.trial_origin import origins_of
 __all__ = ["Study", "run_study"]
 
 Folds = dict[str, list[Fold]]
-"""Folds by kind: "blocks" of time, and "leave_one_payload_out" where there are several."""
+"""Folds by kind: "blocks" of time, and "leave_one_payload_out" if there are several payloads."""
 
 ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
 
@@ -51,11 +51,10 @@ class Study:
     """Result of `run_study`."""
 
     document: StudyDocument
-    # Trained on the observer's DI at the chosen degree; the robot gets this one
-    predictor: GuardedPredictor
+    predictor: GuardedPredictor  # Trained on the observer's DI at the chosen degree
     lagged: LaggedRegressor  # Fallback estimator of DI
     training: Samples  # Rows that both were trained on
-    observer: CompiledModel  # Observer that gave the DI
+    observer: CompiledModel  # Observer that estimated the DI
 
 
 def run_study(
@@ -112,7 +111,7 @@ def _with_findings(
 
 
 def by_payload(trials: TrialSet) -> TrialSet:
-    """Return trials in the order of tables and figures: by payload, phase of joint 2 and name."""
+    """Trials in the order of tables and figures: by payload, phase of joint 2 and name."""
     return TrialSet(
         tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
     )
@@ -142,7 +141,7 @@ def _fit_every_predictor(samples: Samples) -> Fitted:
 def _deployed_predictor(degree: int, samples: Samples, folds: Folds) -> GuardedPredictor:
     """Fit the robot's predictor; its interval is calibrated on whole runs that are held out.
 
-    The robot's next run is a whole one. Blocks would be too optimistic: a predictor that saw the
+    The robot's next run is a whole one. Blocks would be too optimistic: a predictor trained on the
     start of every motion never has to extrapolate to it.
     """
     runs = folds.get("leave_one_payload_out", folds["blocks"])
@@ -195,9 +194,9 @@ def _cross_validation(
 ) -> dict[str, dict[str, FoldErrors]]:
     """Held-out distances by variant and degree.
 
-    Payloads left out choose the degree where there are several, because a robot will carry other
-    payloads than the trained ones. Blocks of time are reported beside them: where one block holds
-    the only start of a motion, that block alone would decide.
+    With several payloads, those left out choose the degree, because a robot will carry other
+    payloads than the trained ones. Blocks of time are reported too: if one block holds the only
+    start of a motion, that block alone would decide.
     """
     result: dict[str, dict[str, FoldErrors]] = {}
     for variant, source in VARIANTS.items():

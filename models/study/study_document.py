@@ -44,7 +44,7 @@ class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     amplitude_rad: tuple[float, ...]
     phase_2_rad: tuple[float, ...]
     step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
-    origins: tuple[TrialOrigin, ...]  # Whether they were simulated or measured
+    origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
 
 
 class FoldErrors(
@@ -53,11 +53,11 @@ class FoldErrors(
     """Mean Euclidean distance of a cross-validation and its standard deviation over the folds."""
 
     blocks_m: float  # Blocks of time left out
-    blocks_fold_std_m: float
-    # Payloads left out; absent where the training has one payload
+    blocks_fold_std_m: float  # Standard deviation over the folds
+    # Payloads left out; absent if the training has one payload
     leave_one_payload_out_m: float | None = None
-    leave_one_payload_out_fold_std_m: float | None = None
-    # The distance by which the degree is chosen: payloads left out if there are several
+    leave_one_payload_out_fold_std_m: float | None = None  # Standard deviation over the folds
+    # Distance by which the degree is chosen: payloads left out if there are several
     selection_m: float
 
 
@@ -66,29 +66,28 @@ class EstimatorScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     r2_di: float  # R² of DI; negative where the estimate is worse than the mean
     rms_error_di: float  # Root mean square error of DI
-    mean_euclidean_distance_m: ByDegree  # Of the predictors trained on this DI
-    # Fraction of true DI's gain in distance; None where true DI gains nothing
+    mean_euclidean_distance_m: ByDegree  # Distance in m of the predictors trained on this DI
+    # Fraction of true DI's gain in distance; None if true DI gains nothing
     benefit_recovered: dict[Degree, float | None]
 
 
 class BaselineErrors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Mean Euclidean distances without a polynomial, and the observer's payload error."""
 
-    # Distances in m of the plant observer's tip and of a link that does not bend
-    observer_tip: dict[Part, float]
-    rigid_kinematics: dict[Part, float]
+    observer_tip: dict[Part, float]  # Distance in m of the plant observer's tip
+    rigid_kinematics: dict[Part, float]  # Distance in m of a link that does not bend
     final_payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
 
 class DeployedScores(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Accuracy of the predictor that the robot gets, on one test."""
+    """Accuracy of the robot's predictor on one test."""
 
-    # With the observer's DI and inputs clipped into the training box
+    # In m, with the observer's DI and inputs clipped to the training box
     mean_euclidean_distance_m: float
     interval_coverage: dict[str, float]  # Fraction of rows inside the 95 % interval, per world axis
-    # Over the axes that move: y of one joint, which cannot miss, does not count
+    # Mean over the axes that move: y of one joint, which cannot miss, does not count
     interval_coverage_mean: float
-    interval_coverage_by_part: dict[Part, float]  # Over these axes, per part
+    interval_coverage_by_part: dict[Part, float]  # Mean over the axes that move, per part
     mean_half_width_m: dict[str, float]
     in_range_fraction: float  # Fraction of rows whose inputs lie in the training box
 
@@ -104,11 +103,11 @@ class TipPath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class LinkPoses(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Shapes of the link at equal times of the first cycle (paper, Fig. 8)."""
 
-    payload_kg: float  # Payload of the trial, the heaviest
+    payload_kg: float  # Payload of the trial with the heaviest one
     time_s: Curve  # One value per pose
     angle_rad: tuple[Curve, ...]  # Joint angles of each pose
     di: Curve
-    # Base plate, then the centre of each marker row; None where a row shows no marker
+    # Base plate, then the centre of each marker row; None if a row shows no marker
     centre_line_m: tuple[tuple[tuple[float | None, ...], ...], ...]
 
 
@@ -130,7 +129,7 @@ class ErrorCurves(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DiEstimates(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """DI over time of the heaviest payload, measured and estimated."""
+    """DI over time with the heaviest payload, measured and estimated."""
 
     time_s: Curve
     true: Curve
@@ -152,7 +151,7 @@ class StudyFinding(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Finding of the paper, tested on these trials."""
 
     claim: str
-    holds: bool | None  # Whether it is reproduced; None where these trials cannot tell
+    holds: bool | None  # Whether it is reproduced; None if these trials cannot decide it
     text: str  # Result in one sentence with its figures
     depends_on: str  # Property of link, servo or motion that causes the finding
 
@@ -166,9 +165,10 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     rows: str  # Which rows of the trials were used
     training: TrialsSummary
-    cross_validation: dict[Variant, dict[Degree, FoldErrors]]  # On the training trials alone
-    # Mean DI over the moving rows, of this dof and of the other (paper, Fig. 11).
-    mean_di: dict[Payload, float]
+    # Held-out errors on the training trials alone
+    cross_validation: dict[Variant, dict[Degree, FoldErrors]]
+    mean_di: dict[Payload, float]  # Mean DI over the moving rows, by payload (paper, Fig. 11)
+    # Mean DI over the moving rows with the other dof, by payload
     mean_di_other_dof: dict[Payload, float]
     chosen_degree: int  # Degree of the least `selection_m` of estimated_di
     tests: dict[Test, TrialsSummary]
@@ -176,13 +176,12 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     std_euclidean_distance_m: dict[Test, DistanceTable]
     estimators: dict[Test, dict[Source, EstimatorScores]]
     baselines: dict[Test, BaselineErrors]  # Distances without a polynomial
-    deployed: dict[Test, DeployedScores]  # The predictor that the robot gets
+    deployed: dict[Test, DeployedScores]  # Scores of the robot's predictor
     series: StudyCurves
-    findings: tuple[StudyFinding, ...]  # Findings of the paper on these trials
+    findings: tuple[StudyFinding, ...]  # Findings of the paper, tested on these trials
 
 
 def read_study(path: Path) -> StudyDocument:
-    """Read `study.json`."""
     return read_document(path, StudyDocument)
 
 

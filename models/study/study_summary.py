@@ -1,4 +1,4 @@
-"""Summary of a study on the console: figures of each test, and what it lacks."""
+"""Summary of a study for the console: figures of each test, and warnings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ if TYPE_CHECKING:
 
 
 def study_summary(out: Path, document: StudyDocument) -> str:
-    """Lines of the summary."""
     degree = str(document.chosen_degree)
     lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
     for name, table in document.mean_euclidean_distance_m.items():

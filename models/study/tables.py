@@ -33,18 +33,17 @@ Distances = Mapping[tuple[Source, int], Array]
 class StudyTest:
     """Results on one set of held-out trials."""
 
-    samples: Samples  # Rows of the trials
-    mean_m: DistanceTable  # Mean and standard deviation of the Euclidean distance over rows
-    std_m: DistanceTable
+    samples: Samples
+    mean_m: DistanceTable  # Mean of the Euclidean distance over rows
+    std_m: DistanceTable  # Its standard deviation
     estimators: dict[str, EstimatorScores]  # By source of DI
     baselines: BaselineErrors  # Distances without a polynomial
-    deployed: DeployedScores  # The predictor that the robot gets
+    deployed: DeployedScores  # Scores of the robot's predictor
 
 
 def score_predictors(
     samples: Samples, runs: list[ObserverRun], fitted: Fitted, predictor: GuardedPredictor
 ) -> StudyTest:
-    """Test every predictor on held-out trials."""
     distances = distances_m(samples, fitted)
     return StudyTest(
         samples=samples,
@@ -57,7 +56,6 @@ def score_predictors(
 
 
 def distances_m(samples: Samples, fitted: Fitted) -> Distances:
-    """Return the Euclidean distance of every row in m, by source of DI and degree."""
     return {
         (source, degree): euclidean_distance_m(
             samples.tip_m, predict(pipeline, samples.features(source))
@@ -69,7 +67,7 @@ def distances_m(samples: Samples, fitted: Fitted) -> Distances:
 def distance_table(
     samples: Samples, distances: Distances, statistic: Callable[[Array], Any]
 ) -> DistanceTable:
-    """Return a statistic of the distances by part, variant and degree (paper, eq. 8)."""
+    """Statistic of the distances by part, variant and degree (paper, eq. 8)."""
     table: DistanceTable = {}
     for variant, source in VARIANTS.items():
         for degree in DEGREES:
@@ -80,7 +78,6 @@ def distance_table(
 
 
 def estimator_table(samples: Samples, distances: Distances) -> dict[str, EstimatorScores]:
-    """Return the scores of each estimator of DI."""
     result: dict[str, EstimatorScores] = {}
     true = samples.di["true"]
     for source in ESTIMATORS:
@@ -102,7 +99,7 @@ def estimator_table(samples: Samples, distances: Distances) -> dict[str, Estimat
 
 
 def baseline_table(samples: Samples, runs: list[ObserverRun]) -> BaselineErrors:
-    """Return distances without a polynomial: the observer's tip, and a link that does not bend."""
+    """Distances without a polynomial: the observer's tip, and a link that does not bend."""
     rigid = [
         rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
     ]
@@ -122,7 +119,7 @@ def baseline_table(samples: Samples, runs: list[ObserverRun]) -> BaselineErrors:
 
 
 def deployed_table(predictor: GuardedPredictor, samples: Samples) -> DeployedScores:
-    """Return the scores of the robot's predictor, with guard and 95 % interval."""
+    """Scores of the robot's predictor, with guard and 95 % interval."""
     features = samples.features("observer")
     predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
     inside = np.abs(samples.tip_m - predicted_m) <= half_width_m

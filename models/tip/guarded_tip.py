@@ -21,20 +21,21 @@ from models.tip.tip_rows import TipRows
 __all__ = ["GuardedTip"]
 
 MARGIN: Final = 0.25
-"""Width by which a signal may leave its training range and still be trusted, as a fraction of the
-range; assumed: the observer extrapolates by its equations, the correction is clipped."""
+"""Distance by which a signal may leave its training range and still be trusted, as a fraction of
+the range [assumed]: the observer extrapolates by its equations, the correction is clipped."""
 TRUSTED_M: Final = 0.015
-"""Largest half width of the interval that counts as a prediction: 1.5 % of the link; a
-requirement."""
+"""Largest half width of the interval that counts as a prediction: 1.5 % of the link
+(requirement)."""
 
 
 @dataclass(frozen=True)
 class GuardedTip:
-    """Candidate, guard and interval.
+    """Candidate with its guard and interval.
 
-    `in_range` tells whether no input is NaN, those of joints and link lie within their training
-    range and a margin, and the interval is no wider than `TRUSTED_M` on any axis. Where joints move
-    and an innovation is above its bound, the interval is wider by `TRUSTED_M`, so out of range.
+    `in_range` is true if no input is NaN, the inputs of joints and link lie within their training
+    range and a margin, and the interval is no wider than `TRUSTED_M` on any axis. If joints move
+    and an innovation exceeds its bound, the interval is wider by `TRUSTED_M`, so the row is out of
+    range.
     """
 
     names: tuple[str, ...]
@@ -42,7 +43,7 @@ class GuardedTip:
     interval: TipInterval  # Calibrated on rows that were left out
     lower: Array  # (inputs,), range of every input in the training rows
     upper: Array
-    innovation: InnovationBound  # Of the training rows
+    innovation: InnovationBound  # Bound from the training rows
 
     @classmethod
     def of(cls, rows: TipRows, predictor: TipPredictor, interval: TipInterval) -> GuardedTip:
@@ -51,18 +52,18 @@ class GuardedTip:
         return cls(rows.names, predictor, interval, lower, upper, InnovationBound.of(rows))
 
     def predict(self, inputs: Array) -> Array:
-        """Return the tip in m, shape (n, 3)."""
+        """Tip in m, shape (n, 3)."""
         return self.predictor.predict(inputs)
 
     def half_width(self, inputs: Array) -> Array:
-        """Return the half width of the 95 % interval in m, shape (n, 3)."""
+        """Half width of the 95 % interval in m, shape (n, 3)."""
         exceeded = self.innovation.exceeded(inputs)
         return self.interval.half_width(inputs) + TRUSTED_M * exceeded[:, None]
 
     def guard(self) -> tuple[Array, Array]:
-        """Return the bounds outside which an input is out of range, (inputs,) each.
+        """Bounds outside which an input is out of range, (inputs,) each.
 
-        What the observer says about its own error has none: it widens the interval.
+        Signals of the observer's own error have no bounds: they widen the interval.
         """
         margin = MARGIN * (self.upper - self.lower)
         free = [
@@ -75,7 +76,7 @@ class GuardedTip:
         )
 
     def in_range(self, inputs: Array) -> NDArray[np.bool_]:
-        """Return where the prediction may be trusted, shape (n,)."""
+        """Whether the prediction may be trusted, shape (n,)."""
         lower, upper = self.guard()
         inside = ((inputs >= lower) & (inputs <= upper)).all(axis=1)
         return np.asarray(inside & ~(self.half_width(inputs) > TRUSTED_M).any(axis=1))

@@ -18,12 +18,12 @@ __all__ = ["graph_latency", "measure_latency"]
 
 WARM_CALLS: Final = 200
 COLD_CALLS: Final = 25
-"""Calls of which the median is taken; a cold one waits for a control period before."""
+"""Calls of which the median is taken; a cold one waits for a control period first."""
 OUTPUTS: Final = (("tip_m", 3), ("in_range", 1), ("half_width_m", 3))
 
 
 def measure_latency(call: Callable[[], object]) -> Latency:
-    """Return the median duration of a call in a hot loop, and after a control period each."""
+    """Median duration of a call in a hot loop, and with a control period before each call."""
     return Latency(_median_s(call, WARM_CALLS, 0.0), _median_s(call, COLD_CALLS, PERIOD_S))
 
 
@@ -39,5 +39,5 @@ def _median_s(call: Callable[[], object], count: int, pause_s: float) -> float:
 
 
 def graph_latency(data: bytes) -> Latency:
-    """Return the latency of a predictor's graph in onnxruntime."""
+    """Latency of a predictor's graph in onnxruntime."""
     return measure_latency(OnnxGraph(FileContent(Path("graph"), data), None, OUTPUTS).run)

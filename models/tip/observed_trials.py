@@ -1,4 +1,4 @@
-"""Trials with their observer, also with observers whose plant is wrong on purpose."""
+"""Trials with the signals of their observer, also of observers with a deliberately wrong plant."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = ["ASKEW_RAD", "WRONG_STIFFNESS", "askew_shifts_m", "observe", "wrong_s
 
 WRONG_STIFFNESS: Final = (0.8, 1.2)
 """Factors on the stiffness of the observer's plant, for the calibration of the interval: the
-largest error of a plant that is required to be noticed."""
+largest error of a plant that must be detected."""
 
 
 ASKEW_RAD: Final = 0.005
 """Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip; assumed for a link that is taken off and mounted again by hand. `train --askew-deg`
-sets another; 0 leaves out what the servos cannot see."""
+the tip [assumed] for a link that is taken off and mounted again by hand. `train --askew-deg`
+sets another; 0 ignores this error, which the servos cannot measure."""
 
 
 def observe(
@@ -45,14 +45,14 @@ def observe(
 
 
 def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
-    """Return the values of all stiffness parameters times a factor."""
+    """Values of all stiffness parameters times a factor."""
     return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
 
 
 def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
-    """Return what a link that is mounted askew adds to the tip, (n, 3) each; none for zero.
+    """Shift of the tip of a link that is mounted askew, (n, 3) each; empty for an angle of zero.
 
-    `rows`: any rows; one shift for either direction in the plane of each joint.
+    One shift for either direction in the plane of each joint.
     """
     if askew_rad == 0.0:
         return []

@@ -1,4 +1,4 @@
-"""Predictors document (`predictors.json`): the candidates for the robot's tip predictor compared.
+"""Predictors document (`predictors.json`): comparison of candidates for the robot's tip predictor.
 
 Distances and widths are in m; coverage and fractions are dimensionless.
 """
@@ -22,14 +22,14 @@ class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Errors of a predictor on some rows."""
 
     rows: int
-    mean_m: float  # Euclidean distance: mean, 95 % quantile, largest
-    p95_m: float
-    max_m: float
+    mean_m: float  # Mean Euclidean distance of predicted and measured tip
+    p95_m: float  # 95 % quantile of this distance
+    max_m: float  # Largest distance
     coverage: float  # Fraction of rows inside the 95 % interval, mean over the axes that move
     half_width_m: float  # Mean half width over rows and axes
     in_range: float  # Fraction of rows in range
-    max_in_range_m: float  # Largest distance among these
-    coverage_least: float  # Coverage on the worst of these axes
+    max_in_range_m: float  # Largest distance among the rows in range
+    coverage_least: float  # Coverage on the worst of the axes that move
 
 
 class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -40,16 +40,16 @@ class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Candidate."""
+    """Candidate with its scores."""
 
     summary: str
-    variant: int  # Variant chosen on all training rows, like the degree
-    nested: TipScore  # Nested cross-validation: payloads and motions left out
-    # Trials that nothing was trained on: "all" rows, "rest", "motion". "stiffness_x_0.8" and the
-    # like are all of them with an observer whose plant is wrong.
+    variant: int  # Variant, for example a degree, chosen on all training rows
+    nested: TipScore  # Score in nested cross-validation: payloads and motions left out
+    # Scores on trials that nothing was trained on: "all" rows, "rest", "motion". The test
+    # "stiffness_x_0.8" and similar ones are all these trials with an observer whose plant is wrong
     tests: dict[Test, dict[Part, TipScore]]
     graph_bytes: int  # Size of its ONNX graph
-    latency: Latency  # Of its graph in onnxruntime
+    latency: Latency  # Latency of its graph in onnxruntime
 
 
 class PredictorsDocument(Document, frozen=True, kw_only=True):
@@ -60,22 +60,19 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     chosen: str  # Candidate that the robot gets
-    reason: str  # Why, in one sentence
+    reason: str  # Reason for the choice, in one sentence
     trials: tuple[str, ...]
     motions: tuple[str, ...]
     payload_kg: tuple[float, ...]
-    # In the order in which they were compared, simplest first
-    candidates: dict[str, CandidateEntry]
+    candidates: dict[str, CandidateEntry]  # Candidates in the order of comparison, simplest first
     askew_rad: float  # Angle by which the link may be mounted askew, which the interval covers
     # Observer and predictor together, by runtime; added with the observer
     runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
 
 
 def read_predictors(path: Path) -> PredictorsDocument:
-    """Read `predictors.json`."""
     return read_document(path, PredictorsDocument)
 
 
 def write_predictors(path: Path, document: PredictorsDocument) -> None:
-    """Write `predictors.json`."""
     write_document(path, document)

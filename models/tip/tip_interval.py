@@ -1,28 +1,29 @@
-"""Prediction interval whose width follows what the observer knows about its own error.
+"""Prediction interval whose width follows the observer's estimate of its own error.
 
-The variance of the error on an axis is a sum of non-negative terms: a constant, the variance that
-the payload estimate leaves, the squares of bend, of its rate and of the joint's rate, those of bend
-and rate times the mean square innovation, and what the tip has moved since a sample that is old::
+The variance of the error on an axis is a sum of non-negative terms: a constant, the variance due to
+the payload estimate, the squares of bend, of its rate and of the joint's rate, those of bend and
+rate times the mean square innovation, and the distance that the tip has moved since a sample that
+is old::
 
     σ² = c₀ + c₁ D² + Σⱼ (c₂ β² + c₃ β̇² + c₄ q̇²)ⱼ + E Σⱼ (c₅ β² + c₆ β̇²)ⱼ + (L a)² Σⱼ (q̇² + β̇²)ⱼ
 
-with the excess E of the mean square innovation over what three quarters of the rows show, which
-counts up to what 95 % of them show: a violent motion raises the innovation of a true plant as well.
-The coefficients are fitted to errors on trials and payloads left out, and to those of the same
-trials with plants that are wrong on purpose (disturbed). The half width is q σ, with one q for each
-of four classes of rows (Mondrian conformal prediction: Vovk et al., Algorithmic Learning in a
-Random World, 2005, section 4.5): joints that stand or move, innovation with or without an excess.
+with the excess E of the mean square innovation over its 75 % quantile, which counts up to the 95 %
+quantile: a violent motion raises the innovation of a correct plant as well. The coefficients are
+fitted to errors on trials and payloads left out, and to those of the same trials with deliberately
+wrong plants (disturbed). The half width is q σ, with one q for each of four classes of rows
+(Mondrian conformal prediction: Vovk et al., Algorithmic Learning in a Random World, 2005, section
+4.5): joints that stand or move, innovation with or without an excess.
 
-q is taken for each axis by itself. It is the largest of the quantiles of |error| / σ at 95 % on the
-trials left out, at 93 % on each kind of wrong plant, and, for joints that move, of what nine of ten
-trials need for 90 % with each of them: 90 % is wanted on every motion, and a quantile of all trials
-together lets one be covered less where others are covered more. A link that is mounted askew or
-20 % stiffer shows little in the signals of the servos, so an interval that covers it cannot wait
-for the innovation. Rows of a trial are correlated, so every trial has the same weight and the level
-of 95 % rises by 1/n for n trials (two-layer hierarchical models: Dunn, Wasserman and Ramdas, J. Am.
-Stat. Assoc. 118, 2023). Of a deviation that lasts for a whole trial only n values were seen: q is
-at least √(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal variable with the root
-mean square B of the trials' means and the scatter W within trials.
+q is set for each axis separately. It is the largest of three quantiles of |error| / σ: at 95 % on
+the trials left out; at 93 % on each kind of wrong plant; and, for joints that move, the value with
+which nine of ten trials reach 90 % with each of them. The target is 90 % on every motion, and a
+quantile of all trials together would let one be covered less where others are covered more. A link
+that is mounted askew or 20 % stiffer shows little in the signals of the servos, so an interval that
+covers it cannot wait for the innovation. Rows of a trial are correlated, so every trial has the
+same weight and the level of 95 % rises by 1/n for n trials (two-layer hierarchical models: Dunn,
+Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023). A deviation that lasts for a whole trial has
+only n samples: q is at least √(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal
+variable with the root mean square B of the trials' means and the scatter W within trials.
 """
 
 from __future__ import annotations
@@ -43,40 +44,41 @@ from models.learning.predictors import COVERAGE, Array
 __all__ = ["TipInterval"]
 
 STANDING_RAD_S: Final = 0.05
-"""Joint rate below which a joint counts as standing; assumed: 7 % of the study's peak rate."""
+"""Joint rate below which a joint counts as standing [assumed]: 7 % of the study's peak rate."""
 LEVER_M: Final = 1.0
 """Lever from the joint to the tip: the link with its base plate."""
 SMALLEST_M: Final = 2e-4
 """Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
 USUAL: Final = 0.75
-"""Quantile of the mean square innovation above which there is an excess; assumed."""
+"""Quantile of the mean square innovation above which there is an excess [assumed]."""
 LARGEST: Final = 0.95
-"""Quantile of the mean square innovation up to which the excess counts; assumed."""
+"""Quantile of the mean square innovation up to which the excess counts [assumed]."""
 WRONG_LEVEL: Final = 0.93
-"""Quantile of the errors with each kind of wrong plant, all trials together."""
+"""Quantile of the errors with each kind of wrong plant, over all trials together."""
 WRONG_TRIAL_LEVEL: Final = 0.9
-"""Quantile of the errors with each kind of wrong plant on one trial, which has to be covered."""
+"""Quantile of the errors with each kind of wrong plant, within one trial."""
 TRIALS: Final = 0.9
 """Fraction of the trials whose own quantile counts. Chosen on seven rigs for tuning and on the
 default rig with two joints, where the largest of 13 trials halves the range."""
 FEWEST_ROWS: Final = 8
-"""Rows of a class in a trial below which they have no quantile of their own."""
+"""Fewest rows of a class in a trial that have a quantile of their own."""
 HIGHEST_LEVEL: Final = 0.98
 """Highest level of the quantile, which rises with few trials."""
 NORMAL: Final = 1.96
 """Quantile of the normal distribution for `COVERAGE`."""
 REWEIGHTINGS: Final = 5
-"""Fits of the variance, each weighted by the one before."""
+"""Fits of the variance, each weighted by the previous one."""
 AXES: Final = "xyz"
 
 
 @dataclass(frozen=True)
 class TipInterval:
-    """Fitted interval."""
+    """Fitted prediction interval of the tip."""
 
     names: tuple[str, ...]
     weights: Array  # (terms, 3), coefficients of the variance
-    # (4, 3), q per axis: joints that stand, that move, then both with an excess of the innovation
+    # (4, 3), q per axis: joints that stand, joints that move, then both with an excess of the
+    # innovation
     quantile: Array
     # Mean square innovation above which there is an excess, and up to which it counts, in A²
     innovation: tuple[float, float]
@@ -90,8 +92,8 @@ class TipInterval:
     ) -> TipInterval:
         """Fit on errors of rows that the predictor was not trained on.
 
-        `calibration`: inputs (n, inputs), errors in m (n, 3) and trial of each row.
-        `disturbed`: the same rows with a wrong plant, one kind each.
+        `calibration`: inputs (n, inputs), errors in m (n, 3) and trial of each row. `disturbed`:
+        the same rows with a wrong plant, one entry per kind.
         """
         first, first_m, run = calibration
         squares = first**2 @ _marked(names, "innovation")
@@ -117,17 +119,14 @@ class TipInterval:
         return cls(names, weights, quantile, (usual, largest))
 
     def half_width(self, inputs: Array) -> Array:
-        """Return the half width of the 95 % interval in m, shape (n, 3)."""
+        """Half width of the 95 % interval in m, shape (n, 3)."""
         deviation_m = np.sqrt(_terms(self.names, inputs, self.innovation) @ self.weights)
         return np.asarray(
             deviation_m * self.quantile[_kinds(self.names, inputs, self.innovation[0])]
         )
 
     def write(self, graph: GraphWriter, source: str) -> str:
-        """Write the half width of an input row.
-
-        Returns name of the result, shape (1, 3).
-        """
+        """Write the half width of an input row; returns the name of the result, shape (1, 3)."""
         sums, constants, most = _bases(self.names, self.innovation)
         first, second = _factors(self.names)
         square = graph.temporary("Mul", [source, source], "square")
@@ -232,8 +231,8 @@ def _kinds(names: Sequence[str], inputs: Array, usual: float) -> NDArray[np.intp
 
 _STANDING: Final = [0, 2]
 """Classes of joints that stand. Training has few rows of them, mostly of a link at rest that hardly
-bends; where a link swings while the joints stand a wrong plant errs as it does in motion. Their q
-is therefore no less than that of `_MOVING`."""
+bends; if a link swings while the joints stand, a wrong plant errs as much as in motion. Their q is
+therefore no less than that of `_MOVING`."""
 _MOVING: Final = [1, 3]
 """Classes of joints that move, in the same order."""
 
@@ -284,7 +283,7 @@ def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_]) -> 
 def _wrong_quantiles(
     score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_], by_trial: bool
 ) -> Array:
-    """Factor q that a wrong plant asks for, (3,); 0 where there are no such rows."""
+    """Factor q required for a wrong plant, (3,); 0 if there are no such rows."""
     if not rows.any():
         return np.zeros(3)
     own = np.unique(run[rows], return_inverse=True)[1]

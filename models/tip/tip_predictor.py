@@ -1,4 +1,4 @@
-"""Contract of a tip predictor, which every candidate fulfils."""
+"""Interface of a tip predictor, which every candidate implements."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ __all__ = ["TipPredictor"]
 class TipPredictor(Protocol):
     """Tip predictor: fitted with scikit-learn, written as operators of an ONNX graph.
 
-    A candidate of one's own is one class with these members; `models.tip.candidates.candidate_list`
-    lists the ones that are compared. Its graph may use the operators Gemm, MatMul, Add, Sub, Mul,
-    Max, Min, Greater, Cast, Sqrt and Tanh: CasADi imports these, so that the FMU evaluates the same
+    Your own candidate is one class with these members; `models.tip.candidates.candidate_list` lists
+    the ones that are compared. Its graph may use the operators Gemm, MatMul, Add, Sub, Mul, Max,
+    Min, Greater, Cast, Sqrt and Tanh: CasADi imports these, so that the FMU evaluates the same
     graph.
 
     Parameters
@@ -32,7 +32,7 @@ class TipPredictor(Protocol):
     summary : str
         One phrase for the model card.
     variants : tuple of int
-        Settings, like degrees, among which cross-validation chooses; simplest first.
+        Settings, such as degrees, among which cross-validation chooses; simplest first.
     """
 
     name: ClassVar[str]
@@ -43,23 +43,45 @@ class TipPredictor(Protocol):
     def __init__(self, variant: int) -> None: ...
 
     def fit(self, rows: TipRows) -> Self:
-        """Fit on rows; return itself."""
+        """Fit on rows of trials.
+
+        Parameters
+        ----------
+        rows : TipRows
+            Inputs of shape (n, `input_names`) in SI units and the measured tip, shape (n, 3), in m.
+
+        Returns
+        -------
+        Self
+            The fitted predictor itself.
+        """
         ...
 
     def predict(self, inputs: Array) -> Array:
-        """Return the tip in m, shape (n, 3), for inputs of shape (n, `input_names`)."""
+        """Predict the tip.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (n, `input_names`)
+            Input rows in SI units.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            Tip in the world frame in m.
+        """
         ...
 
     def write(self, graph: GraphWriter, source: str, output: str) -> None:
-        """Write the fitted predictor.
+        """Write the fitted predictor as nodes of an ONNX graph.
 
         Parameters
         ----------
         graph : GraphWriter
             Receives the nodes.
         source : str
-            Input row, shape (1, `input_names`), in SI units.
+            Name of the input row, shape (1, `input_names`), in SI units.
         output : str
-            Name of the result, shape (1, 3).
+            Name of the result, the tip in m, shape (1, 3).
         """
         ...

@@ -1,4 +1,6 @@
-"""Rows of trials as a tip predictor sees them: inputs, true tip, and what each row belongs to."""
+"""Rows of trials for tip predictors: inputs, measured tip, and the trial, motion and payload of
+each.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ __all__ = ["ObservedTrial", "TipRows", "collect_rows", "input_names"]
 
 
 def input_names(dof: int) -> tuple[str, ...]:
-    """Return the inputs of every candidate: measured, their age, and what the observer knows."""
+    """Inputs of every candidate: measured signals, their age, and signals of the observer."""
     return (*feature_names(dof), AGE.name, *(signal.name for signal in observer_signals(dof)))
 
 
@@ -38,22 +40,21 @@ class TipRows:
     tip_m: Array  # (n, 3), end effector by motion capture
     payload_kg: Array  # (n,)
     motion: NDArray[np.str_]  # (n,)
-    run: NDArray[np.intp]  # (n,), number of the trial
-    part: NDArray[np.str_]  # (n,)
+    run: NDArray[np.intp]  # (n,), index of the trial
+    part: NDArray[np.str_]  # (n,), "rest" or "motion"
 
     def __len__(self) -> int:
         return len(self.run)
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Return the numbers of input columns by name."""
+        """Indices of input columns by name."""
         return [self.names.index(name) for name in names]
 
     def of(self, names: Sequence[str]) -> Array:
-        """Return input columns by name, shape (n, len(names))."""
+        """Input columns by name, shape (n, len(names))."""
         return self.inputs[:, self.columns(names)]
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> TipRows:
-        """Return some of the rows."""
         return TipRows(
             self.names, self.inputs[rows], self.tip_m[rows], self.payload_kg[rows],
             self.motion[rows], self.run[rows], self.part[rows],
@@ -61,7 +62,6 @@ class TipRows:
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
         return 2 if "angle_2_rad" in self.names else 1
 
     @property
@@ -71,7 +71,7 @@ class TipRows:
 
 
 def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
-    """Stack the rows of trials, rest rows included; rows without a tip are left out."""
+    """Stack the rows of trials, rest rows included; rows without a measured tip are left out."""
     names = input_names(observed[0].trial.meta.dof)
     parts: list[tuple[Array, ...]] = []
     motions, phases = [], []

@@ -1,9 +1,9 @@
 """Choice of the robot's tip predictor by nested cross-validation over payloads and motions.
 
-Each outer fold leaves out one payload or one motion. Within it the variant of a candidate, like its
-degree, is chosen on the rest alone, by leaving out payloads and motions again; the interval is
-calibrated on these inner rows. What the outer fold shows is therefore what a robot meets: another
-payload or another motion than any that anything was chosen or trained on.
+Each outer fold leaves out one payload or one motion. Within it the variant of a candidate, such as
+its degree, is chosen on the rest alone, by leaving out payloads and motions again; the interval is
+calibrated on these inner rows. So the error on the outer fold is that on a robot: at another
+payload or motion than any used for training or choice.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ from models.tip.tip_rows import TipRows
 __all__ = ["CandidateResult", "TipChoice", "choose_tip_predictor", "group_folds", "score_tip"]
 
 STRIDE: Final = 8
-"""Rows from one row of a cross-validation to the next: 0.14 s, neighbours are nearly equal."""
+"""Distance between the rows of a cross-validation: 0.14 s, because neighbours are nearly equal."""
 TOLERANCE: Final = 0.03
-"""Relative gain in mean error that a candidate needs over a simpler one; assumed."""
+"""Relative gain in mean error that a candidate needs over a simpler one [assumed]."""
 INNER_GROUPS: Final = 3
-"""Groups of payloads in an inner cross-validation."""
+"""Number of groups of payloads in an inner cross-validation."""
 WORSE: Final = 1.1
-"""Ratio of mean errors at which the next, less simple variants are not tried any more."""
+"""Ratio of mean errors above which further, less simple variants are not tried."""
 
 
 @dataclass(frozen=True)
 class CandidateResult:
-    """A candidate in the nested cross-validation."""
+    """Candidate in the nested cross-validation."""
 
     name: str
     summary: str
     variant: int  # Variant chosen on all training rows
-    nested: TipScore  # On the rows that the outer folds left out
+    nested: TipScore  # Score on the rows that the outer folds left out
     predictor: GuardedTip  # Fitted on all training rows
 
 
 @dataclass(frozen=True)
 class TipChoice:
-    """Result of the choice."""
+    """Chosen candidate, and all that were compared."""
 
     chosen: CandidateResult
-    candidates: tuple[CandidateResult, ...]  # All, in the order of the list
+    candidates: tuple[CandidateResult, ...]  # All candidates, in the order of the list
 
 
 def choose_tip_predictor(
@@ -66,8 +66,8 @@ def choose_tip_predictor(
 ) -> TipChoice:
     """Compare candidates and fit each on all rows.
 
-    `disturbed`: the same rows with observers of wrong plants, for the interval.
-    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
+    `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
+    by which the link may be mounted askew, which the interval covers.
     """
     few = rows.take(slice(None, None, STRIDE))
     others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
@@ -92,10 +92,10 @@ def choose_tip_predictor(
 
 
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
-    """Return one fold for each payload and each motion that it leaves out.
+    """One fold for each payload and each motion that it leaves out.
 
-    `rows`: rows of several payloads or motions; of one payload and one motion, trials are left out.
-    `most`: largest number of groups of payloads; neighbours are in different groups.
+    With one payload and one motion, trials are left out. `most`: largest number of groups of
+    payloads; neighbours are in different groups.
     """
     folds = []
     payload = np.unique(rows.payload_kg, return_inverse=True)[1]
@@ -112,7 +112,7 @@ def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
 
 
 def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
-    """Return the errors of a predictor on rows."""
+    """Errors of a predictor on rows."""
     return _score(
         rows.tip_m - predictor.predict(rows.inputs),
         predictor.half_width(rows.inputs),
@@ -147,8 +147,8 @@ def _outer(
 ) -> tuple[TipScore, Array]:
     """Score on the rows that outer folds leave out, and the mean error of each row there.
 
-    The interval of a fold is calibrated on the errors that the other folds show on its training
-    rows (cross-conformal prediction).
+    The interval of a fold is calibrated on the errors of the other folds on its training rows
+    (cross-conformal prediction).
     """
     folds, fitted = group_folds(rows), []
     total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 1))
@@ -172,7 +172,7 @@ def _outer(
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
-    """Variant with the least mean error on rows left out; a simpler one where it hardly differs."""
+    """Variant with the least mean error on held-out rows; a simpler one if it hardly differs."""
     first, *others = candidate.variants
     if not others:
         return first

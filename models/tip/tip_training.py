@@ -23,11 +23,11 @@ __all__ = ["TipTraining", "train_tip"]
 
 @dataclass(frozen=True)
 class TipTraining:
-    """Result of `train_tip`."""
+    """Fitted predictor of the robot, its training rows, and the comparison of candidates."""
 
     predictor: GuardedTip
     rows: TipRows
-    document: PredictorsDocument  # Comparison of all candidates
+    document: PredictorsDocument
 
 
 def train_tip(

@@ -34,11 +34,10 @@ COUNTS: Final = {
     "links": (3, 1, "changed links of each rig"),
     "workers": (2, 1, "processes that work at once"),
 }
-"""Options that count something: usual and least value, and help."""
+"""Options that are counts: default, least value, and help."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "trials", type=Path, nargs="+", metavar="DIR", help="trials that the plant is identified on"
     )
@@ -51,7 +50,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure what is missing, learn, write and print."""
     for name, (_, least, _) in COUNTS.items():
         if getattr(args, name) < least:
             raise InputError(f"--{name}", f"is {getattr(args, name)}", f"give {least} or more")
@@ -98,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _make(link: Path | None, trials: TrialSet) -> RigParameters:
-    """Rig around which others are drawn; refused where a trial is of another size of link."""
+    """Rig around which others are drawn; refused if a trial has another size of link."""
     make = rig_named("default" if link is None else str(link))
     for trial in trials:
         sizes = {"length": trial.meta.link_length_m, "width": trial.meta.link_width_m}

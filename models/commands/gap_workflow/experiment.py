@@ -36,7 +36,6 @@ LARGEST_SEED: Final = 2**32 - 1
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("--gap", type=Path, required=True, metavar="GAP.json", help="document of the diagnosis")
     add("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml, for its limits")
@@ -61,7 +60,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design, write, and repeat the diagnosis where that is wanted."""
+    """Design and write the motion; with --repeat also repeat the diagnosis."""
     _check_options(args)
     document = read_gap_document(args.gap)
     inputs = _inputs(document, args)
@@ -119,7 +118,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check_options(args: argparse.Namespace) -> None:
-    """Refuse options that contradict each other, are out of range or would lose a file."""
+    """Refuse options that contradict each other, are out of range or would overwrite an input."""
     if args.hide and not args.repeat:
         raise InputError("--hide", "is given without --repeat", "add --repeat, or leave it out")
     if not 0 <= args.seed <= LARGEST_SEED:
@@ -131,7 +130,7 @@ def _check_options(args: argparse.Namespace) -> None:
 
 
 def _limits(path: Path, dof: int) -> Limits:
-    """Limits of the robot that was diagnosed."""
+    """Limits of the diagnosed robot."""
     robot = read_config(path)
     if robot.dof != dof:
         raise InputError(
@@ -142,7 +141,7 @@ def _limits(path: Path, dof: int) -> Limits:
 
 
 def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
-    """Files of the diagnosis, those given as options first."""
+    """Files of the diagnosis; options override those in the document."""
     known = document.inputs or DiagnosisInputs("", "", ())
     if args.plant is not None:
         known = msgspec.structs.replace(known, plant=str(args.plant))
@@ -156,7 +155,7 @@ def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
 
 
 def _trials(inputs: DiagnosisInputs, plant: Plant) -> TrialSet:
-    """Trials that were diagnosed."""
+    """Trials of the diagnosis, checked by their hash."""
     trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
     if inputs.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == inputs.dof)

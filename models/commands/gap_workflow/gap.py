@@ -26,7 +26,6 @@ DIAGNOSIS_FILES: Final = ("gap.json", "plant.json", "report.html")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "trials", type=Path, nargs="+", metavar="DIR",
         help="directory of trials; several are diagnosed together",
@@ -50,7 +49,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Diagnose, write and print."""
     check_output_directory(args.out, DIAGNOSIS_FILES, [args.plant])
     plant = read_plant(args.plant)
     trials = read_trial_directories(args.trials, plant.signals)

@@ -33,9 +33,9 @@ WRITTEN: Final = "written.sha256"
 
 
 def check_repetition(out: Path, gap: Path, inputs: DiagnosisInputs) -> None:
-    """Refuse a place where a repetition would replace what is read or what others have written.
+    """Refuse a place where a repetition would replace an input or files that it did not write.
 
-    `out`: file of the motion; the repetition is written beside it.
+    `out`: file of the motion; the repetition is written next to it.
     """
     directory = out.with_suffix("")
     results, own = directory / "gap", directory / "trials"
@@ -61,7 +61,7 @@ def _trial_files(directory: Path) -> list[Path]:
 
 
 def _own_files(directory: Path) -> list[Path]:
-    """Files of trials that the last repetition wrote and nobody has changed since."""
+    """Files of trials that the last repetition wrote and that are unchanged since."""
     record = directory / WRITTEN
     lines = read_text(record, "remove it").splitlines() if record.exists() else []
     known = {name: sha256 for sha256, _, name in (line.partition("  ") for line in lines)}
@@ -74,7 +74,7 @@ def _sha256(path: Path) -> str:
 
 
 def write_own_trial(trial: Trial, directory: Path) -> None:
-    """Write the trial of a repetition in place of that of the last one; others are kept."""
+    """Write the trial of a repetition, replacing that of the last one; other trials are kept."""
     directory.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=directory, prefix=".") as scratch:
         samples = write_trial(trial, scratch)
@@ -82,7 +82,7 @@ def write_own_trial(trial: Trial, directory: Path) -> None:
         record = "".join(f"{_sha256(p)}  {p.name}\n" for p in files)
         for old in _own_files(directory):
             old.unlink()
-        # Known as one's own before they are there: a run that is stopped leaves none unknown.
+        # Recorded before they are moved here: an interrupted run leaves no unrecorded files.
         write_whole(directory / WRITTEN, record.encode())
         for path in files:
             path.replace(directory / path.name)
@@ -119,7 +119,7 @@ def repeat_diagnosis(
 
 
 def _compared(given: GapDocument, document: GapDocument, page: Path) -> tuple[dict[str, Any], str]:
-    """Result and text: sets of hypotheses before and after, and what is named now."""
+    """Result and text: sets of hypotheses before and after, and the effects that are now named."""
     from models.gap.experiment.rival import credible_set, rivals_of
 
     before = credible_set(rivals_of(given.hypotheses))

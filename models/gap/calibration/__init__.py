@@ -1,1 +1,1 @@
-"""Calibration of the gap workflow for motions of one's own, on drawn rigs."""
+"""Calibration of the gap workflow for your own motions, on drawn rigs."""

@@ -9,13 +9,14 @@ from firmware_py.errors import InputError
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, read_patterns
 
 FINGERPRINT: Final = "fingerprint.txt"
-"""Hash of the work that the files were measured in; below it, that of the plant."""
+"""File with the hash of the work that the files were measured in and, below it, that of
+the plant."""
 
 OWN_FILES: Final = (
     FINGERPRINT, "own_error_*.npz", "patterns.npz", "patterns.part.npz", "patterns.svg",
     "plants/drawn_*.json",
 )  # fmt: skip
-"""Files that a calibration writes, halves that were left included."""
+"""Files that a calibration writes, partly written ones included."""
 
 
 def calibration_directory(plant: Path) -> Path:
@@ -23,12 +24,11 @@ def calibration_directory(plant: Path) -> Path:
 
 
 def patterns_file(plant: Path) -> Path:
-    """File of the patterns that belong to a plant."""
     return calibration_directory(plant) / "patterns.npz"
 
 
 def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
-    """Patterns that were measured for a plant; none where nobody did."""
+    """Patterns that were measured for a plant; empty if there are none."""
     path, directory = patterns_file(plant), calibration_directory(plant)
     if not path.exists():
         return ()
@@ -43,9 +43,9 @@ def patterns_beside(plant: Path, sha256: str) -> tuple[ModelDiscrepancy, ...]:
 
 
 def begin_work(fingerprint: str, plant_sha256: str, directory: Path) -> None:
-    """Keep what was measured for the same trials and plant, remove what was for others.
+    """Keep files that were measured for the same trials and plant, and remove those for others.
 
-    Files that no calibration writes stay.
+    Files that no calibration writes are kept.
     """
     path = directory / FINGERPRINT
     lines = [fingerprint, plant_sha256]

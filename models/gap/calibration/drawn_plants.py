@@ -17,10 +17,10 @@ from models.trials.trial import TrialSet
 def plant_on_rig(
     rig: RigParameters, cases: Sequence[TrialCase], path: Path, start: Plant | None = None
 ) -> Path:
-    """Plant file with a noise floor; identified on trials of a rig where it is not there yet.
+    """Plant file with a noise floor; identified on trials of a rig if the file does not exist yet.
 
-    `cases`: trials to run; where some are repeated the plant has a noise floor.
-    `start`: where the identification starts; the packaged plant where it is not given.
+    `cases`: trials to run; the plant has a noise floor if some are repeated. `start`: plant that
+    the identification starts from; the packaged one by default.
     """
     if not path.exists():
         trials = TrialSet(tuple(run_case(rig, case) for case in cases))

@@ -19,12 +19,12 @@ REPEATS: Final = 2
 """Trials that go into each mean curve of a drawn rig's plant."""
 
 MotionErrors = Sequence[Mapping[str, Array]]
-"""What was measured on each rig with one motion, see
+"""Measured errors on each rig with one motion, see
 `models.gap.calibration.pattern_measurement.own_errors_of`."""
 
 
 def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
-    """Mean squared error on each link, in noise floors, its rig left out of the patterns."""
+    """Mean squared error on each link, in noise floors, with its rig left out of the patterns."""
     left = []
     for out, rig in enumerate(rigs):
         rest = [r for k, r in enumerate(rigs) if k != out]
@@ -47,9 +47,9 @@ def left_out_residuals(rigs: MotionErrors, patterns: int) -> Array:
 
 
 def pattern_sentence(rigs: MotionErrors) -> str:
-    """What the patterns leave on rigs left out, in words."""
+    """Sentence on the error that the patterns leave on held-out rigs."""
     parts, links = [], sum(len(r["rows"]) for r in rigs)
-    most = links - max(len(r["rows"]) for r in rigs)  # no more than links that they are learned on
+    most = links - max(len(r["rows"]) for r in rigs)  # at most the number of links in training
     for count in (0, min(DEFAULT_SETTINGS.discrepancy_patterns, most)):
         left = left_out_residuals(rigs, count)
         parts.append(f"{np.median(left):.2f} (90 %: {np.quantile(left, 0.9):.2f}) with {count}")
@@ -60,7 +60,7 @@ def pattern_sentence(rigs: MotionErrors) -> str:
 
 
 def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
-    """Draw what is left on each link, with and without patterns, by motion; returns the path
+    """Draw the remaining error on each link, with and without patterns, by motion; returns the path
     (SVG).
     """
     from matplotlib import pyplot

@@ -1,10 +1,10 @@
-"""Measurement of the patterns of the plant's own error for one's own trials, on drawn rigs.
+"""Measurement of the patterns of the plant's own error for your own trials, on drawn rigs.
 
 A plant is identified on each rig, on the motions and payloads of the trials. Then the link's
-stiffness, mass and damping change a few times, and the nuisance is refitted: what is left beyond
+stiffness, mass and damping change a few times, and the nuisance is refitted. The residual beyond
 the error on the rig's own link gives the patterns (`models.gap.estimation.model_discrepancy`).
-These trials have neither noise nor variation, since a few links do not tell patterns from noise. A
-file by rig keeps what was measured, so that the work can be resumed.
+These trials have neither noise nor variation, since a few links cannot separate patterns from
+noise. Each rig has a file of its measurements, so that the work can be resumed.
 """
 
 from __future__ import annotations
@@ -45,25 +45,23 @@ from models.trials.trial import Trial
 __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_work"]
 
 REASON: Final = "reason"
-"""Entry of a rig's file: why one of its links does not count, most often since it folds."""
+"""Entry of a rig's file: why one of its links does not count, usually because it folds."""
 
 
 @dataclass(frozen=True)
 class PatternWork:
-    """What is measured on each drawn rig."""
+    """Measurements to make on each drawn rig."""
 
-    # Conditions that a plant is identified on, each twice, and those of the patterns
-    identified_on: tuple[TrialCase, ...]
-    diagnosed_on: tuple[TrialCase, ...]
+    identified_on: tuple[TrialCase, ...]  # Conditions that a plant is identified on, each twice
+    diagnosed_on: tuple[TrialCase, ...]  # Conditions of the patterns
     links: int  # Changed links of each rig
-    directory: Path  # Of the plants and the files by rig
-    # Rig of the make around which rigs are drawn; the study's where it is not given
-    make: RigParameters | None = None
-    # Where each identification starts; the packaged plant where it is not given
+    directory: Path  # Directory of the plants and the files by rig
+    make: RigParameters | None = None  # Rig around which rigs are drawn; the study's by default
+    # Plant that each identification starts from; the packaged one by default
     start: Plant | None = None
 
     def fingerprint(self) -> str:
-        """Hash of all that the files depend on, but for the directory."""
+        """Hash of all that the files depend on, except the directory."""
         digest = hashlib.sha256()
         for case in (*self.identified_on, *self.diagnosed_on):
             goals_rad = case.motion.table_rad()
@@ -75,7 +73,7 @@ class PatternWork:
         return digest.hexdigest()
 
     def file(self, rig: int) -> Path:
-        """File of what was measured on a rig."""
+        """File with the measurements on a rig."""
         return self.directory / f"own_error_{rig}.npz"
 
     def plant_file(self, rig: int) -> Path:
@@ -88,10 +86,7 @@ def run_pattern_work(
     executor: Executor,
     on_done: Callable[[str], None],
 ) -> None:
-    """Measure what is not there yet.
-
-    `on_done`: called with the name of each rig that is measured.
-    """
+    """Measure the rigs that have no file yet; `on_done` gets the name of each that is measured."""
     left = [k for k in rigs if not work.file(k).exists()]
     jobs = {executor.submit(measure_own_error, work, k): k for k in left}
     for job in as_completed(jobs):
@@ -100,9 +95,10 @@ def run_pattern_work(
 
 
 def measure_own_error(work: PatternWork, rig: int) -> None:
-    """Identify a plant on a rig; save what the nuisance fit leaves on other links.
+    """Identify a plant on a rig; save the residuals of the nuisance fit on other links.
 
-    The file of a rig that cannot run these trials, as where its link folds, holds the reason alone.
+    If a rig cannot run these trials, for example because its link folds, its file holds only the
+    reason.
     """
     os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     errors: list[GroupError] = []
@@ -145,11 +141,10 @@ class GroupError:
     # (P, signals, K), spectra beyond those on the plant's own link, relative to
     # `models.gap.estimation.noise_floor.NoiseFloor.own_error`
     rows: Array
-    noise: Array  # (signals, K), variance of the noise of the floor, relative likewise
+    noise: Array  # (signals, K), variance of the floor's noise, relative to the same
 
 
 def trials_without_scatter(rig: RigParameters, cases: Sequence[TrialCase]) -> list[Trial]:
-    """Trials of a rig without noise and variation."""
     quiet = without_scatter(rig)
     return [run_case(quiet, case) for case in cases]
 
@@ -157,10 +152,10 @@ def trials_without_scatter(rig: RigParameters, cases: Sequence[TrialCase]) -> li
 def errors_on_another_link(
     plant: Plant, own_trials: Sequence[Trial], trials: Sequence[Trial]
 ) -> list[GroupError]:
-    """Error of a plant on another link by motion.
+    """Error of a plant on another link, by motion.
 
-    `own_trials`, `trials`: of the own link and the other one, of the same conditions in the same
-    order.
+    `own_trials` and `trials` are of the own link and the other one, under the same conditions in
+    the same order.
     """
     found = []
     for dof in sorted({t.meta.dof for t in trials}):

@@ -13,7 +13,7 @@ from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 
 MOST_PAYLOADS: Final = 5
-"""Payloads of a motion that are run; patterns are interpolated between them."""
+"""Most payloads of a motion that are run; patterns are interpolated between them."""
 
 
 def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
@@ -29,7 +29,7 @@ def protocol_of(trials: Sequence[Trial]) -> tuple[TrialCase, ...]:
 
 
 def repeated(cases: Sequence[TrialCase], repetitions: int, seed: int) -> list[TrialCase]:
-    """Each case so many times, with the random numbers of a seed."""
+    """Each case `repetitions` times, with the random numbers of a seed."""
     return [
         TrialCase(c.motion, c.payload_kg, trial, seed, c.pressure_pa, c.gravity)
         for c in cases
@@ -43,7 +43,7 @@ def _case(trial: Trial) -> TrialCase:
 
 
 def _evenly_chosen(payloads_kg: Sequence[float]) -> list[float]:
-    """At most `MOST_PAYLOADS` of them, evenly spread, the ends among them."""
+    """At most `MOST_PAYLOADS` of the payloads, evenly spread, both ends included."""
     most = min(MOST_PAYLOADS, len(payloads_kg))
     at = np.unique(np.round(np.linspace(0, len(payloads_kg) - 1, most)).astype(int))
     return [payloads_kg[k] for k in at]

@@ -16,19 +16,18 @@ __all__ = ["RecordedMotion", "recorded_motion"]
 
 @dataclass(frozen=True)
 class RecordedMotion(Motion):
-    """Goals of a trial as a reference motion; between two samples they are interpolated."""
+    """Goals of a trial as a reference motion; linear between two samples."""
 
     label: str = ""  # Name of the motion in its trials
-    # (n,), since the start of the motion
+    # (n,), from the start of the motion
     time_s: Array = field(default_factory=lambda: np.zeros(1), compare=False)
     goals_rad: Array = field(default_factory=lambda: np.zeros((1, 1)), compare=False)  # (n, dof)
 
     def __post_init__(self) -> None:
-        """Accept what was recorded: the robot ran it."""
+        """Skip the checks of `Motion`: the robot ran these goals."""
 
     @property
     def name(self) -> str:
-        """Name in trials."""
         return self.label
 
     @property

@@ -1,1 +1,1 @@
-"""Decision on a search: tests of what was found, verdict, probabilities."""
+"""Decision on a search: tests of its effects, verdict, probabilities."""

@@ -1,28 +1,28 @@
 """Acceptance of the improved plant: what is refused, and the best plant without it.
 
-The effect search decides by the whitened cost. What is written must also hold in SI units, on
-trials that no value was fitted to, by simulation (`models.gap.search.held_out_errors`):
+The effect search decides by the whitened cost. The plant that is written must also be better in SI
+units, on trials that no value was fitted to, by simulation (`models.gap.search.held_out_errors`):
 
 1. No fitted value is at a bound, and no sum is impossible (`models.plant.physical_limits`). A
-   strength that is takes its effect along; any other value is written as in the plant as given.
-2. The strength of every effect after the first is the same everywhere: such an effect corrects the
-   equation of the first, and does not make that a stand-in.
+   strength at a bound removes its effect; any other such value keeps that of the diagnosed plant.
+2. The strength of every effect after the first is the same everywhere: otherwise it only corrects
+   the equation of the first.
 3. Every named effect lowers the held-out error.
-4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the plant
-   as given.
+4. No signal's held-out error rises by more than `GapSettings.harm_fraction` over that of the
+   diagnosed plant.
 
-What fails is taken out, the rest is fitted again and tested again. Effects that fail only a test on
-held-out errors stay named where the noise floor is learned and no single one of them is to blame:
-the last one, or several of which each lowers the error. Whether they are missing is a question of
-evidence (`models.gap.decision.answers`), and the plant as given may have made up for them. The
-plant that is written is then the one as given. `keeps_named` lets those to blame stay named too.
+An effect that fails is taken out, and the rest is fitted and tested again. Effects that fail only a
+test on held-out errors stay named if the noise floor is learned and no single one of them is the
+cause: the last one, or several of which each lowers the error. Whether they are missing is a
+question of evidence (`models.gap.decision.answers`), and the diagnosed plant may have compensated
+for them. The plant is then written unchanged. With `keeps_named` the causes stay named too.
 
-The effects are the cause that was found; a nuisance refitted beside them may only fit the motion of
-these trials. It is written as refitted where the held-out error falls by as much as would count as
-harm if it rose, and the signal that fares worst does not fare worse for it.
+The effects are the cause of the gap; a nuisance refitted beside them may only fit the motion of
+these trials. It is written as refitted if the held-out error falls by at least as much as would
+count as harm if it rose, and the worst signal does not get worse.
 
-A stand-in for an effect that the catalogue lacks fits the motion that it was found on. It is
-written only where other motions were left out and it passed there.
+A stand-in for an effect that the catalogue lacks fits the motion that it was fitted to. It is
+written only if other motions were left out and it passed there.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from models.gap.search.refused_effect import (
 
 
 class Acceptance:
-    """Tests of a search's result; takes out of it what fails."""
+    """Tests of a search's result; an effect that fails is taken out."""
 
     def __init__(self, search: EffectSearch, result: SearchResult) -> None:
         self.search, self.result, self.settings = search, result, search.settings
@@ -94,7 +94,7 @@ class Acceptance:
         return self.judged
 
     def copy(self) -> Acceptance:
-        """The same tests, whose outcome leaves this result as it is; fits are shared."""
+        """The same tests on a copy of the result; fits are shared."""
         named, refused = list(self.result.named), list(self.result.refused)
         other = Acceptance(self.search, replace(self.result, named=named, refused=refused))
         other.as_given = self.as_given.copy()
@@ -109,16 +109,16 @@ class Acceptance:
         return rest
 
     def with_further(self, effect: str) -> Acceptance:
-        """Tests of the same result with one effect more."""
+        """Tests of the same result with one more effect."""
         more, free = self.copy(), self.search.free([*self.result.named, effect])
         point = self._refitted(self.result.after.values, free)
         more.result = with_further_effect(self.search, more.result, effect, point)
         return more
 
     def without_named(self, accepted: AcceptedFit, answers: Answers) -> AcceptedFit:
-        """Plant as given in place of a fit whose effects are not believed.
+        """The unchanged plant instead of a fit whose effects are not probable enough.
 
-        A stand-in that passed on other motions is written all the same.
+        A stand-in that passed on other motions is still written.
         """
         moved = "motions" in self.held_out.folds
         if answers.is_outside and moved and np.any(accepted.free):
@@ -128,10 +128,10 @@ class Acceptance:
         return self._as_given()
 
     def changed_link(self) -> AcceptedFit:
-        """Refitted nuisance, where nothing is named and it lowers the held-out errors.
+        """Refitted nuisance, if nothing is named and it lowers the held-out errors.
 
-        The plant as given where it does not, or raises that of a signal; a value that is at a bound
-        then is no refusal, since nothing would have been written.
+        Otherwise, or if it raises the error of a signal, the unchanged plant. A value at a bound is
+        then no refusal, since nothing would have been written.
         """
         given, refused = self._as_given(), list(self.result.refused)
         while self._refuses_values():
@@ -160,15 +160,17 @@ class Acceptance:
         return self._fit(*self._point_as_fitted())
 
     def _point_as_fitted(self) -> tuple[FitPoint, Array]:
-        """Fit of the named effects and the nuisance that may be written, and what is free in it."""
+        """Fit of the named effects and the nuisance that may be written, and its free
+        parameters.
+        """
         free = self.search.free(self.result.named) & ~self.as_given
         after = self.result.after
         return (self._refitted(after.values, free) if self.as_given.any() else after), free
 
     def _nuisance_undone(self) -> AcceptedFit:
-        """Effects and variation, the nuisance of the plant as given.
+        """Fit of effects and variation, with the nuisance of the diagnosed plant.
 
-        What belongs to the trials stays free: a shift of the mocap frame, and the clock.
+        Parameters of the trials stay free: a shift of the mocap frame, and the clock.
         """
         free = self.search.free(self.result.named) & ~self.as_given
         free = free & ~(self.nuisance & self._written(free))
@@ -186,10 +188,11 @@ class Acceptance:
         return AcceptedFit(point, free, self._errors[key])
 
     def _refitted(self, values: Array, free: Array) -> FitPoint:
-        """Fit in which all that is common to all trials and not free is zero.
+        """Fit in which all common parameters that are not free are zero.
 
-        What is taken out leaves the rest where it made up for that: the fit starts from the best of
-        some values, the same without nuisance, and the search's own fit of the same effects.
+        Removing an effect leaves the rest where it compensated for that effect. So the fit starts
+        from the best of these values, the same without nuisance, and the search's own fit of the
+        same effects.
         """
         key = values.tobytes() + free.tobytes()
         if key in self._refits:
@@ -208,7 +211,9 @@ class Acceptance:
         return self._refits[key]
 
     def _refuses_values(self) -> bool:
-        """Whether a value or a sum was refused: it is then not written, or its effect not named."""
+        """Refuse a value or a sum: it is not written, or its effect is not named. Returns whether
+        it did.
+        """
         point, free = self._point_as_fitted()
         plant, parameters = self.residuals.plant, self.search.fit_parameters
         rows: list[tuple[RefusalKind, OffendingValue]] = [
@@ -238,7 +243,7 @@ class Acceptance:
         return True
 
     def _refuses_inconsistent(self) -> bool:
-        """Whether a further effect was refused for its strength, and the rest refitted."""
+        """Refuse a further effect for its strength, and refit the rest. Returns whether it did."""
         if len(self.result.named) < 2 or not self.search.learned:
             return False
         consistency = consistencies_of_named(self.search, self.result)
@@ -303,7 +308,7 @@ class Acceptance:
         self._take_out([worst])
 
     def _take_out(self, effects: list[str]) -> None:
-        """Name the rest only, refitted."""
+        """Remove effects from the named ones and refit the rest."""
         self.result.named = [e for e in self.result.named if e not in effects]
         free = self.search.free(self.result.named)
         if not self.result.named:

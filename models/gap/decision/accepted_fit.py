@@ -12,19 +12,17 @@ from models.gap.settings import GapSettings
 
 @dataclass(frozen=True)
 class AcceptedFit:
-    """Fit that the improved plant is written from."""
-
     point: FitPoint  # Values of all fit parameters
-    free: Array  # (p,), fit parameters that were fitted; none for the plant as given
-    errors: HeldOutErrors  # Of this fit, each part left out in turn
+    free: Array  # (p,), fit parameters that were fitted; none for the unchanged plant
+    errors: HeldOutErrors  # Held-out errors of this fit
 
 
 def refit_is_earned(
     undone: HeldOutErrors, refitted: HeldOutErrors, given: HeldOutErrors, settings: GapSettings
 ) -> bool:
-    """Whether a nuisance is better written as refitted than as in the plant as given.
+    """Whether the refitted nuisance is better than that of the diagnosed plant.
 
-    `undone`, `refitted`: of the effects with the nuisance as given, and as refitted beside them.
+    `undone`, `refitted`: errors with the effects, without and with a refitted nuisance.
     """
     before, after = (max(fit.ratios(given).values()) for fit in (undone, refitted))
     falls = refitted.fraction_of(undone) < 1 - settings.harm_fraction

@@ -1,13 +1,14 @@
-"""Decision on a search: what is named, its verdict, and what is tried in place of what fails.
+"""Decision on a search: the named effects, the verdict, and the alternatives to a failed choice.
 
-The evidence for what the tests leave gives the probability that it is what is missing, that nothing
-is, or that something outside of the catalogue is (`models.gap.decision.answers`). Where the tests
-on held-out errors take out one of several effects, the whole set is judged as well. Where none is
-believed, each effect is left out in turn; where one is and a further effect would explain more, so
-are both together. The largest set that is believed is kept. Several effects often explain a gap
-almost equally well: where a test refuses the first choice, or its strength is not the same
-everywhere, or it is not believed and has look-alikes, the search goes on from its first round
-without it. Where no alternative is believed, the decision on the first choice stands.
+The evidence for the effects that pass the tests gives the probability that they are what is
+missing, that nothing is, or that something outside of the catalogue is
+(`models.gap.decision.answers`); a set is accepted if it is probable enough to be named. If the
+tests on held-out errors take out one of several effects, the whole set is judged as well. If no set
+is accepted, each effect is left out in turn; if one is and a further effect would explain more, so
+are both together. The largest accepted set is named. Several effects often explain a gap almost
+equally well: if a test refuses the first choice, or its strength is not the same everywhere, or it
+is not accepted and has look-alikes, the search is repeated from its first round without it. If no
+alternative is accepted either, the decision on the first choice stands.
 """
 
 from __future__ import annotations
@@ -39,37 +40,36 @@ from models.gap.search.strength_consistency import StrengthConsistency
 OF_THE_EFFECT: Final[frozenset[RefusalKind]] = frozenset(
     {"at a bound", "impossible", "held-out error", "rise of a signal"}
 )
-"""Refusals that speak against one effect, not against every effect of the catalogue."""
+"""Refusals that are evidence against one effect, not against every effect of the catalogue."""
 
 
 @dataclass(frozen=True)
 class JudgedNames:
-    """Effects that passed the tests together, and what the evidence says of them."""
+    """Effects that passed the tests together, their evidence and the probabilities from it."""
 
-    effects: tuple[str, ...]  # Names; none where nothing passed
+    effects: tuple[str, ...]  # Names; empty if none passed
     evidence: Evidence
-    answers: Answers  # Probabilities of the evidence
-    further: FurtherEffect | None = None  # What would explain most beside them
+    answers: Answers  # Probabilities of the answers
+    further: FurtherEffect | None = None  # Effect that would explain most beside them
 
 
 @dataclass(frozen=True)
 class JudgedAcceptance:
-    """Tests of a result with what they left, as judged."""
+    """Tests of a result, with their outcome and its evidence."""
 
     acceptance: Acceptance
     accepted: AcceptedFit  # Best fit that may be written
-    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that the tests left
+    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that passed the tests
     tested: JudgedNames
-    believed: bool  # Whether these effects are named
+    believed: bool  # Whether these effects are probable enough to be named
 
     @property
     def is_biased(self) -> bool:
-        """Whether all trials share a deviation beside these effects."""
+        """Whether all trials share a nuisance bias beside these effects."""
         return bool(self.acceptance.search.nuisance_bias(self.acceptance.result.after))
 
     @property
     def order(self) -> tuple[int, float]:
-        """See `models.gap.decision.answers.set_order`."""
         return set_order(len(self.tested.effects), self.believed, self.tested.answers.catalogue)
 
 
@@ -77,14 +77,14 @@ class JudgedAcceptance:
 class Decision:
     """Outcome of the tests of one search."""
 
-    result: SearchResult  # Of the search; `named` holds what was accepted
+    result: SearchResult  # Result of the search; `named` holds what was accepted
     accepted: AcceptedFit  # Fit that the improved plant is written from
     failed: RefusedEffect | None  # Test on held-out errors that the last effect failed
-    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that the tests left
-    # What was judged, that of refused alternatives first; the last one led to the verdict
+    consistencies: Mapping[str, StrengthConsistency]  # Of the effects that passed the tests
+    # Sets of effects that were judged, refused alternatives first; the last one led to the verdict
     tested: tuple[JudgedNames, ...]
     verdict: GapVerdict
-    gap_left_fraction: float  # Fraction of the gap's amplitude that is left
+    gap_left_fraction: float  # Fraction of the gap's amplitude that remains
 
     @property
     def answers(self) -> Answers:
@@ -92,7 +92,7 @@ class Decision:
         return self.tested[-1].answers
 
     def withheld(self) -> list[RefusedEffect]:
-        """Refusal of the effect that failed; of its plant alone where it is named all the same."""
+        """Refusal of the effect that failed, or of its plant alone if the effect is still named."""
         if self.failed is None:
             return []
         kind = "not written" if self.result.named else self.failed.kind
@@ -100,7 +100,7 @@ class Decision:
 
 
 def decide(search: EffectSearch, result: SearchResult) -> Decision:
-    """Decision on a search and, where its first choice was refused, on its alternatives."""
+    """Decision on a search and, if its first choice was refused, on its alternatives."""
     model = read_answer_model()
     decisions = [_decision(search, result, model)]
     excluded: set[str] = set()
@@ -140,15 +140,15 @@ def _decision(search: EffectSearch, result: SearchResult, model: AnswerModel) ->
 
 
 def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
-    """Sets of the effects that were found, as tested and judged, the largest believed one last.
+    """Sets of the effects of a search with their outcome; the largest accepted one is last.
 
-    All effects together first. Where that is not believed each is left out in turn, of the most
-    believed rest again. Fewer effects are always likelier to be right: of the believed sets the
-    largest one counts. Where that does not help either, the tests may have taken out the right
-    effect: the same begins with all effects, and a rest with one that was taken out counts where
-    it fits the trials better than what the tests left. Where a further effect would explain more
-    beside what is believed, both together are judged last; without a learned noise floor no
-    evidence would tell them from the rest.
+    All effects together come first. If that set is not accepted, each effect is left out in turn,
+    then again from the most probable rest. Of the accepted sets the largest counts, because fewer
+    effects are always more probable. If none is accepted, the tests may have taken out the right
+    effect: the same begins with all effects, and a rest with one that was taken out counts if it
+    fits the trials better than the effects that passed. If a further effect would explain more
+    beside the accepted ones, both together are judged last; without a learned noise floor no
+    evidence would separate them from the rest.
     """
     found = _judged_both(acceptance, model)
     first = found[0].acceptance.copy()
@@ -176,10 +176,10 @@ def _judged_sets(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
 def _with_bias_explained(
     row: JudgedAcceptance, found: Sequence[JudgedAcceptance]
 ) -> JudgedAcceptance:
-    """Belief in a set of effects with which trials vary by chance, and do not without one of them.
+    """Outcome for a set of effects that removes a nuisance bias which it has without one of them.
 
-    Something beside the rest is missing for certain then. The set is as likely as the rest, where
-    the evidence for it is less.
+    Then something is certainly missing beside the rest, so the set gets the probability of the rest
+    if its own evidence is weaker.
     """
     if row.is_biased:
         return row
@@ -203,10 +203,10 @@ def _unknown(
 
 
 def _judged_both(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAcceptance]:
-    """A result as tested, and with the effects that held-out errors alone refuse.
+    """Outcome of a result as tested, and with the effects that only held-out errors refuse.
 
-    The plant as given may have made up for such an effect: the evidence decides on it. What passed
-    all tests is written.
+    The diagnosed plant may have compensated for such an effect, so the evidence decides on it. The
+    effects that passed all tests are written.
     """
     passed, whole = _judged(acceptance.copy(), model), acceptance.copy()
     left = passed.tested.effects
@@ -222,10 +222,10 @@ def _judged_both(acceptance: Acceptance, model: AnswerModel) -> list[JudgedAccep
 
 
 def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
-    """Tests of a result, and what the evidence says of the effects that they left.
+    """Test a result, and judge the effects that pass by their evidence.
 
-    A deviation that all trials share beyond its limit is never nothing: no set of those that the
-    regressions were fitted to has one with an ordinary residual.
+    A nuisance bias beyond its limit excludes the answer "nothing": no set that the regressions were
+    fitted to has one with an ordinary residual.
     """
     accepted, search, result = acceptance.accepted(), acceptance.search, acceptance.result
     consistencies = consistencies_of_named(search, result)
@@ -240,10 +240,10 @@ def _judged(acceptance: Acceptance, model: AnswerModel) -> JudgedAcceptance:
 
 
 def _leaves_room(decision: Decision, excluded: set[str]) -> bool:
-    """Whether another first choice may be believed.
+    """Whether another first choice may be accepted.
 
-    The tests speak against this one itself, or these trials do not tell it from one that was not
-    chosen yet.
+    It may if the tests are evidence against this choice itself, or if these trials do not separate
+    it from one that was not chosen yet.
     """
     result = decision.result
     if result.named or not result.chosen:

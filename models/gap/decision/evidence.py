@@ -1,7 +1,7 @@
-"""Evidence of a tested search: what tells an explanation from a stand-in and from nothing.
+"""Evidence of a tested search: it separates an explanation from a stand-in and from nothing.
 
-Sizes enter by their logarithms: what counts is by how much a residual or a d′ exceeds what it
-reaches where nothing is missing.
+Sizes enter as logarithms: the ratio of a residual or a d′ to its size where nothing is missing
+counts.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from models.gap.search.held_out_errors import HeldOutErrors
 from models.gap.search.strength_consistency import StrengthConsistency, strength_consistency_of
 
 LEAST_FRACTION: Final = 1e-2
-"""Least fraction whose logarithm is taken: what is smaller proves no more."""
+"""Least fraction whose logarithm is taken: smaller ones prove no more."""
 
 
 class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Evidence of a search whose result was tested (`models.gap.decision.acceptance`)."""
 
-    named: float  # 1 where the tests leave an effect, else 0
+    named: float  # 1 if an effect passed the tests, else 0
     # Logarithm of the mean squared residual with the nuisance refitted alone, over the largest that
     # counts as noise (`NullDistribution.explained`)
     gap: float
@@ -36,29 +36,31 @@ class Evidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     # Largest standard deviation of a named effect's strength between payloads, signals and
     # frequencies, as a fraction of the strength
     difference: float
-    # Logarithm of the largest ratio of a signal's held-out error to that of the plant as given
+    # Logarithm of the largest ratio of a signal's held-out error to that of the diagnosed plant
     rise: float
-    # Logarithm of the d′ of the best further effect over the least one that speaks for more
+    # Logarithm of the d′ of the best further effect over the least d′ that counts
     # (`models.gap.decision.further_effect`); 0 where nothing is named
     further: float
-    # Logarithm of the fraction of its part of the gap that another effect explains in place of a
-    # named one, the largest; 0 where nothing is named
+    # Logarithm of the largest fraction of a named effect's part of the gap that another effect
+    # explains instead; 0 where nothing is named
     rival: float
-    beyond_one: float = 0.0  # Number of effects that the tests leave beyond the first
+    beyond_one: float = 0.0  # Number of effects beyond the first that passed the tests
     # Logarithm of the mean squared residual with the named effects, over the largest that counts as
-    # noise; the same as `gap` where nothing is named. None in tests that were recorded before it
-    # was measured (`models.gap.training`).
+    # noise; equals `gap` where nothing is named. None in records of older tests
+    # (`models.gap.training`).
     left: float | None = None
-    # Logarithm of the mean squared residual with the nuisance refitted alone, in noise floors, of
-    # the servos' currents and of the tip. None in tests of names that do not need it.
+    # Logarithm of the mean squared residual of the servos' currents with the nuisance refitted
+    # alone, in noise floors. None in tests of names that do not need it.
     servo: float | None = None
+    # Logarithm of the mean squared residual of the tip with the nuisance refitted alone, in noise
+    # floors
     tip: float | None = None
 
 
 def consistencies_of_named(
     search: EffectSearch, result: SearchResult
 ) -> dict[str, StrengthConsistency]:
-    """Strength consistency of each named effect; not of one with a dead zone."""
+    """Strength consistency of each named effect without a dead zone."""
     free = search.free(result.named)
     return {
         effect: strength_consistency_of(search.estimator, result.after, free, search.of[effect])
@@ -74,7 +76,6 @@ def evidence_of(
     errors: HeldOutErrors,
     further: FurtherEffect | None,
 ) -> Evidence:
-    """Evidence of a tested search."""
     ratios = errors.ratios(search.held_out.given)
     explained = search.null_distribution.explained
     return Evidence(
@@ -101,15 +102,15 @@ def clearness_of(result: SearchResult) -> float:
 
 
 def clearness_by_effect(result: SearchResult) -> dict[str, float]:
-    """d′ over the least d′ of each effect that was included, in its turn; of a pair together."""
+    """d′ over the least d′ of each included effect in its round; a pair counts together."""
     return {e: c.separation / c.least for c in result.chosen for e in c.effects}
 
 
 def rival_fraction(result: SearchResult) -> float:
-    """Fraction that another effect explains in place of a named one; see `Evidence.rival`.
+    """Fraction that another effect explains instead of a named one; see `Evidence.rival`.
 
-    The part of a named effect is the rise of the cost without it. Its rival was tried in its place
-    beside the rest.
+    The part of a named effect is the rise of the cost without it. Its rival was fitted instead of
+    it beside the rest.
     """
     named = frozenset(result.named)
     known: dict[frozenset[str], FitPoint] = {frozenset(): result.before, **result.explored}
@@ -123,7 +124,9 @@ def rival_fraction(result: SearchResult) -> float:
 
 
 def signal_residual(search: EffectSearch, point: FitPoint, prefix: str) -> float:
-    """Mean squared residual of some signals, in noise floors; 1 where none was measured."""
+    """Mean squared residual of the signals with a prefix, in noise floors; 1 if none
+    was measured.
+    """
     found = [
         rows[:, [name.startswith(prefix) for name in group.signals]].ravel()
         for group, rows in zip(

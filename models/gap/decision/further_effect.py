@@ -1,10 +1,10 @@
 """Further effect: the one that would explain most beside the named ones.
 
-A stand-in leaves a part of the gap that another effect would take up, and so does one of two
-missing effects. The search has tried every effect beside those that it included. What the best of
-them explains is held against what noise and an error in the equations of the named effects reach.
+A stand-in leaves a part of the gap that another effect would absorb, and so does one of two missing
+effects. The search has tried every effect beside those that it included. The gain of the best of
+them is compared with the gain that noise and an error in the equations of the named effects reach.
 Measured on diagnoses of rigs for tuning: 14 of 17 stand-ins for a denied effect left more, all 11
-pairs of which one was named, and 41 of 139 right names of the only missing effect.
+pairs of which one was named, and 41 of 139 correct names of the only missing effect.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from models.gap.search.effect_search import EffectSearch
 
 
 class FurtherEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The effect that would explain most beside the named ones, relative to what it must reach."""
+    """Effect that would explain most beside the named ones, and the d′ that it must exceed."""
 
     effect: str
-    separation: float  # Its d′ beside the named effects
+    separation: float  # d′ beside the named effects
     least: float  # d′ that noise and an error in the equations of the named effects reach
 
     @property
@@ -33,7 +33,7 @@ class FurtherEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def further_effect_of(search: EffectSearch, result: SearchResult) -> FurtherEffect | None:
-    """Best further effect; None where nothing is named, or none was tried beside it."""
+    """Best further effect; None if nothing is named, or none was tried beside the named ones."""
     named = frozenset(result.named)
     if not named:
         return None
@@ -53,7 +53,7 @@ def further_effect_of(search: EffectSearch, result: SearchResult) -> FurtherEffe
 def with_further_effect(
     search: EffectSearch, result: SearchResult, effect: str, point: FitPoint
 ) -> SearchResult:
-    """Result that names one effect more."""
+    """Result that names one more effect."""
     more = replace(result, named=[*result.named, effect], after=point)
     if not any(effect in c.effects for c in result.chosen):
         found = search.candidate((effect,), point, result.after)

@@ -28,10 +28,10 @@ def gap_verdict(
 ) -> GapVerdict:
     """Verdict on a tested search.
 
-    Where what is named is believed the verdict is "closed", or "reduced" where more is left than
+    If the named effects are accepted the verdict is "closed", or "reduced" where more remains than
     noise explains, or a further effect would explain more than noise and an error in the equations
-    of those named. Else it is the likelier one of "no gap" and "not in the catalogue". Without a
-    learned noise floor nobody knows what noise is: the verdict is "no floor", or "not in the
+    of those named. Otherwise it is the more probable one of "no gap" and "not in the catalogue".
+    Without a learned noise floor the noise is unknown: the verdict is "no floor", or "not in the
     catalogue" where strengths differ or all trials deviate alike.
     """
     biased = bool(search.nuisance_bias(result.after))
@@ -46,7 +46,7 @@ def gap_verdict(
 
 
 def gap_left_fraction(search: EffectSearch, result: SearchResult) -> float:
-    """Fraction of the gap's amplitude, in noise floors, that is left with what is named."""
+    """Fraction of the gap's amplitude, in noise floors, that remains with the named effects."""
     before, after = (
         _power_beyond_noise(search, point.rows) for point in (result.before, result.after)
     )

@@ -1,8 +1,8 @@
 """Look-alikes: effects that these trials cannot tell apart.
 
-What one turn of the search could have included instead, by the posterior: the weights of all
-candidates that were refitted in that turn, an error in the named one's own equation allowed for by
-the weights (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
+They are what one round of the search could have included instead, by the posterior: the weights of
+all candidates that were refitted in that round, which allow for an error in the named effect's own
+equation (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 
 HELD_PROBABILITY: Final = 0.95
-"""Probability that a set of hypotheses holds together: a name and its look-alikes, or what is left
-after an experiment (requirement)."""
+"""Probability that a set of hypotheses holds together: a name and its look-alikes, or the
+hypotheses that remain after an experiment (requirement)."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class LookAlike:
 
 
 def look_alikes_of(result: SearchResult, turn: int) -> tuple[LookAlike, ...]:
-    """Candidates that might be what is missing in place of the one included in a turn."""
+    """Candidates that might be missing instead of the one included in a round."""
     chosen = result.chosen[turn]
     others = [c for c in result.rounds[turn] if c.effects != chosen.effects]
     rows = sorted([chosen, *others], key=lambda c: c.score, reverse=True)

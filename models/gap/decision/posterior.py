@@ -1,7 +1,7 @@
 """Posterior probabilities of what is missing, over the sets of effects that the search has fitted.
 
-The evidence says how probable it is that nothing is missing, that what is named is, or that
-something else is (`models.gap.decision.answers`). What the second answer holds is shared by weight
+The evidence gives the probabilities that nothing is missing, that the named effects are, or that
+something else is (`models.gap.decision.answers`). The second is shared by weight
 (`models.gap.decision.set_weights`) among the named effects, their look-alikes, and sets that add
 effects to those named; without a name among all sets. The probability of something else is not
 among the hypotheses: they add up to the rest.
@@ -24,20 +24,19 @@ from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 
 LISTED_PROBABILITY: Final = 1e-3
-"""Hypotheses below this are not listed."""
+"""Least probability of a hypothesis that is listed."""
 DECIDED: Final = 0.9
-"""Probability from which on an effect counts as decided; below the rest of it, as excluded."""
+"""Probability above which an effect counts as decided; below 1 − this, as excluded."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One answer to the question of what is missing."""
+    """Set of effects that may be missing, with its probability and fit."""
 
-    effects: tuple[str, ...]  # None where nothing is missing
+    effects: tuple[str, ...]  # Empty where nothing is missing
     probability: float
-    # D′², the fall of twice the cost from the fit of the nuisance alone, and what it must reach
-    squared_separation: float
-    squared_least: float
+    squared_separation: float  # d′², the fall of twice the cost from the fit of the nuisance alone
+    squared_least: float  # Value that `squared_separation` must reach
     values: Array  # (p,), all fit parameters where they were fitted
     free: Array  # (p,), fit parameters that were fitted
 
@@ -45,7 +44,7 @@ class Hypothesis:
 def posterior_of(
     search: EffectSearch, result: SearchResult, answers: Answers
 ) -> tuple[Hypothesis, ...]:
-    """Hypotheses in order of their probability; that of something outside is not among them."""
+    """Hypotheses in order of their probability; something outside is not among them."""
     points = {
         tuple(sorted(effects)): point
         for effects, point in result.explored.items()
@@ -77,7 +76,7 @@ def posterior_of(
 def _may_be_meant(effects: frozenset[str], result: SearchResult) -> bool:
     """Whether a set holds the named effects, or as many of them and their look-alikes.
 
-    Fewer do not count: the answer is that all that are named are missing.
+    Fewer do not count: the answer states that all named effects are missing.
     """
     named = set(result.named)
     if not named or effects >= named:
@@ -88,7 +87,7 @@ def _may_be_meant(effects: frozenset[str], result: SearchResult) -> bool:
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
-    """Probability of each effect that it is among those missing, likeliest first."""
+    """Probability of each effect that it is among those missing, the most probable first."""
     found: dict[str, float] = defaultdict(float)
     for hypothesis in hypotheses:
         for effect in hypothesis.effects:

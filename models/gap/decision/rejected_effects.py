@@ -15,7 +15,7 @@ from models.gap.search.refused_effect import RefusedEffect, refusals
 
 UNEXCITED: Final = "not excited by these trials"
 SHOWN_SEPARATION: Final = 1.0
-"""d′ from which an effect that shows nothing at small strengths shows at a large one: its standard
+"""d′ above which an effect that does not show at small strengths shows at a large one: its standard
 deviation by noise alone."""
 IMPROBABLE: Final = "its probability is {:.0%} only; "
 STAND_IN: Final = IMPROBABLE + "with {:.0%} it stands in for something else"
@@ -26,11 +26,11 @@ STAND_IN_BESIDE_OTHERS: Final = (
 
 
 class RejectedEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An effect that was not named."""
+    """Effect that was not named, with the reason."""
 
     effect: str
-    separation: float  # Its d′ in the first round, and the least that it needs
-    least: float
+    separation: float  # d′ in the first round
+    least: float  # Least d′ that it needs to be named
     reason: str
 
 
@@ -68,7 +68,7 @@ def rejected_effects(
 
 
 def refused_by_evidence(named: Iterable[str], answers: Answers) -> list[RefusedEffect]:
-    """Refusals of effects that passed the tests and are not believed."""
+    """Refusals of effects that passed the tests but are not probable enough to be named."""
     if answers.is_outside:
         reason = STAND_IN.format(answers.catalogue, answers.outside)
         return refusals(named, "stand-in", reason, answers.outside)

@@ -1,19 +1,18 @@
 """Weights of sets of effects that explain the same trials.
 
-The score of a set is the fall of twice the cost, less what its effects reach where nothing is
-missing (`models.gap.search.null_distribution`). A set that scores Δ less than the best one, whose
-score is S, weighs exp(−min(Δ / 2T, a √(Δ / S))). The first term is that of noise. The second keeps
-the errors of the equations in: an equation that misses a fraction ε of the gap, of size √S in noise
+The score of a set is the fall of twice the cost, less the fall that its effects reach where nothing
+is missing (`models.gap.search.null_distribution`). A set that scores Δ less than the best one,
+whose score is S, weighs exp(−min(Δ / 2T, a √(Δ / S))). The first term is that of noise. The second
+accounts for equation errors: an equation that misses a fraction ε of the gap, of size √S in noise
 floors, changes the difference of two scores by up to 2 ε √(S Δ), so Δ exceeds this by √(Δ / S) / 2ε
 times.
 
-Before the trials the number of missing effects is Poisson distributed, and every set of one number
-is equally likely: with a mean of m and a catalogue of N effects each effect of a set counts m / N.
-Without such a prior the many sets that add a useless effect to the right one outweigh it.
-
-`python -m models.gap.training sets` tries values of a and m on diagnoses of rigs for
-tuning. Of the pairs whose loss is within a standard error of the least one that of the least a,
-then the largest m, is taken: the least sure of the best set.
+A priori the number of missing effects is Poisson distributed, and all sets of one size are equally
+probable: with a mean of m and a catalogue of N effects each effect of a set counts m / N. Without
+such a prior the many sets that add a useless effect to the right one outweigh it. `python -m
+models.gap.training sets` tries values of a and m on diagnoses of rigs for tuning. Of the
+pairs whose loss is within a standard error of the least one, that with the least a, then the
+largest m, is taken: it is the least certain of the best set.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ ODDS_OF_WHOLE_GAP: Final = 12.0
 """a: logarithm of the odds between the best set and one that explains nothing."""
 
 MEAN_NUMBER: Final = 0.05
-"""m: of missing effects."""
+"""m: mean number of missing effects."""
 
 
 def set_weights(
@@ -41,10 +40,9 @@ def set_weights(
     odds: float = ODDS_OF_WHOLE_GAP,
     mean: float = MEAN_NUMBER,
 ) -> Array:
-    """Weight of each of some sets that are not empty, relative to the heaviest, shape (n,).
+    """Weight of each of some non-empty sets, relative to the heaviest, shape (n,).
 
-    Shapes: `size` (n,), `score` (n,).
-    `score`: fall of twice the cost, less what it must reach.
+    `score`: fall of twice the cost, less what it must reach. Shapes: `size` (n,), `score` (n,).
     """
     best = float(score.max())
     less = best - score

@@ -1,9 +1,9 @@
 """Transfer of spectra of an error from one trial to another of the same motion.
 
-The plant's own error is a curve in time that begins with the motion. Where a trial of that motion
-has another length, step or rest before it, the curve is brought back to time, laid on the start of
-the motion, interpolated and transformed again. At rest it keeps its first value. Beyond its end it
-repeats with the motion, if the goals do; otherwise nothing is known of the trial.
+The plant's own error is a curve in time that begins with the motion. For a trial of that motion
+with another length, step or rest before it, the curve is transformed back to time, aligned with the
+start of the motion, interpolated and transformed again. At rest it keeps its first value. Beyond
+its end it repeats with the motion, if the goals do; otherwise the error of the trial is unknown.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from models.gap.residuals.spectrum import Array, cosine_transform, inverse_cosin
 from models.trials.trial import Trial
 
 Knowledge = Literal["measured", "transferred", "unknown"]
-"""Whether an error was measured on trials like these, on others of their motion, or not at all."""
+"""Whether an error was measured on trials like these, transferred from others of their motion, or
+is unknown."""
 
 STUDY_REST_S: Final = 60 * PERIOD_S
-"""Rest before the motion of trials whose record does not tell it: the rig's
+"""Rest before the motion of trials whose record does not state it: the rig's
 (`models.rig.study_protocol`)."""
 
 _LENGTH: Final = re.compile(r" (?P<rows>\d+)x(?P<step>[\d.e+-]+)s(?=( \S+=\S+)*$)")
 """Length and step in `models.gap.residuals.residuals.trial_group_key`."""
 
 GOAL_TOLERANCE: Final = 0.02
-"""Fraction of the largest goal by which goals of two periods may differ [assumed]."""
+"""Fraction of the largest goal by which the goals of two periods may differ [assumed]."""
 
 
 def motion_of(key: str) -> str:
@@ -38,7 +39,7 @@ def motion_of(key: str) -> str:
 
 
 def step_of(key: str) -> float | None:
-    """Time between two rows of a group of trials in s; None where its key does not tell it."""
+    """Time between two rows of a group of trials in s; None if its key does not state it."""
     length = _LENGTH.search(key)
     return float(length["step"]) if length else None
 
@@ -46,11 +47,9 @@ def step_of(key: str) -> float | None:
 def transferred(
     spectra: Array, key: str, rest_s: float | None, to: Trial, count: int
 ) -> Array | None:
-    """Spectra as a trial of the same motion has them; None where the motion goes on beyond them.
+    """Spectra for a trial of the same motion, shape (..., count); None if the motion outlasts them.
 
-    Shapes: `spectra` (..., K).
-    `rest_s`: their rest before the motion; None is the rig's.
-    Returns shape (..., count).
+    `rest_s`: their rest before the motion; None is the rig's. Shapes: `spectra` (..., K).
     """
     length = _LENGTH.search(key)
     if length is None:
@@ -70,7 +69,7 @@ def transferred(
 
 
 def _folded(at_s: Array, end_s: float, to: Trial) -> Array | None:
-    """Times of a trial within a curve that ends at `end_s`, whole periods taken off."""
+    """Times of a trial within a curve that ends at `end_s`, with whole periods subtracted."""
     beyond = at_s > end_s + to.step_s / 2
     period_s = to.meta.period_s
     if not beyond.any():

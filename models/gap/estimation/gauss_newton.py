@@ -28,26 +28,25 @@ from models.gap.residuals.spectrum import Array
 
 @dataclass
 class FitPoint:
-    """Values of all fit parameters, and the residual there."""
+    """Values of all fit parameters, with the residual there."""
 
     values: Array  # (p,)
-    cost: float  # See the module's text
+    cost: float  # See the module's docstring
     rows: list[Array]  # Residual spectra, as `Residuals.residuals`
     # J'J with priors, the gradient of the fall, and the whitened derivatives by group; empty before
     # `GaussNewton.linearise`
     normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
     gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
     slopes: list[Array] = field(repr=False, default_factory=list)
-    # (p,), fit parameters whose derivatives these are; those of the others are zero
     derived: NDArray[np.bool_] = field(
         repr=False, default_factory=lambda: np.zeros(0, dtype=np.bool_)
-    )
+    )  # (p,), fit parameters whose derivatives are known; those of the others are zero
     exact: bool = False  # Whether the derivatives are exact; secants otherwise
-    # Where the step to this point started, as long as nobody needs the derivatives here
+    # Start of the step to this point, until the derivatives here are needed
     origin: FitPoint | None = field(repr=False, default=None)
 
     def has_derivatives(self, wanted: Array) -> bool:
-        """Whether derivatives by these fit parameters are known, or those of the origin are."""
+        """Whether derivatives by these fit parameters are known here or at the origin."""
         known = bool(self.slopes) or self.origin is not None
         return known and bool(self.derived[np.flatnonzero(wanted)].all())
 
@@ -67,7 +66,7 @@ class GaussNewton:
         self.high = np.array([q.high for q in residuals.fit_parameters])
 
     def start(self) -> FitPoint:
-        """Plant as given: every fit parameter is zero."""
+        """The diagnosed plant: every fit parameter is zero."""
         point = self.at(np.zeros(len(self.residuals.fit_parameters)))
         if np.isfinite(point.cost):
             return point
@@ -84,7 +83,7 @@ class GaussNewton:
         )
 
     def _patterns(self) -> tuple[Array, Array]:
-        """Orthonormal patterns of the plant's own error, and what each loses by it.
+        """Orthonormal patterns of the plant's own error, and the fraction by which each is reduced.
 
         With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
         """
@@ -99,7 +98,7 @@ class GaussNewton:
         return basis, 1 - 1 / np.sqrt(1 + size**2)
 
     def knowledge(self) -> dict[str, tuple[Knowledge, Knowledge]]:
-        """How the plant's mean error and its patterns are known, by key of the group."""
+        """What is known of the plant's mean error and its patterns, by key of the group."""
         trials = self.residuals.trials
         return {
             g.key: (
@@ -139,8 +138,7 @@ class GaussNewton:
     def linearise(self, point: FitPoint, wanted: Array | None = None) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall.
 
-        Shapes: `wanted` (p,).
-        `wanted`: fit parameters to differentiate by; by default all. The fewer, the faster.
+        `wanted`, shape (p,): fit parameters to differentiate by; by default all. Fewer are faster.
         """
         wanted = np.ones(len(point.values)) if wanted is None else wanted
         if not (point.exact and point.has_derivatives(wanted)):
@@ -166,10 +164,10 @@ class GaussNewton:
         point.gradient = np.asarray(gradient - self.prior @ point.values)
 
     def carry(self, start: FitPoint, end: FitPoint) -> FitPoint:
-        """Derivatives at the end of a step: those at its start, corrected along the step.
+        """Give the end of a step the derivatives at its start, corrected along the step.
 
-        The search tries far more points than it goes on from: they are computed where a step from
-        the end needs them.
+        The search tries far more points than it continues from, so they are computed only when a
+        step from the end needs them.
         """
         if not (end.exact or end is start):
             self._correct(start)
@@ -177,7 +175,7 @@ class GaussNewton:
         return end
 
     def _correct(self, end: FitPoint) -> None:
-        """Compute the derivatives of a point from those of its origin, where it has one."""
+        """Compute the derivatives of a point from those of its origin, if it has one."""
         if end.origin is None:
             return
         start, end.origin = end.origin, None
@@ -223,9 +221,9 @@ class GaussNewton:
     ) -> FitPoint:
         """Lower the cost over the free fit parameters; never returns a higher one.
 
-        Where secants predict less than `GapSettings.converged_cost_fall`, or than a fraction
-        `relative` of the fall so far, or lead nowhere, the derivatives are computed again; where
-        exact ones do, the fit ends.
+        The derivatives are computed exactly again if secants predict less than
+        `GapSettings.converged_cost_fall`, or than a fraction `relative` of the fall so far, or do
+        not lower the cost. If exact ones do not either, the fit ends.
 
         Shapes: `free` (p,).
         """
@@ -248,8 +246,8 @@ class GaussNewton:
         """Fit of nuisance and variation between trials, without any effect.
 
         The nuisance goes first: together they start along the valley in which the variation of
-        every trial makes up for a change of the link, and come to rest there. Measured on a link
-        with 18 % less stiffness: residual 18.6 noise floors together, 2.7 in this order.
+        every trial compensates for a change of the link, and stop there. Measured on a link with 18
+        % less stiffness: residual 18.6 noise floors together, 2.7 in this order.
         """
         kinds = np.array([q.kind for q in self.residuals.fit_parameters])
         steps = self.settings.nuisance_fit_steps
@@ -257,7 +255,7 @@ class GaussNewton:
         return self.fit(point, kinds != "effect", steps)
 
     def line_search(self, point: FitPoint, step: Array) -> FitPoint | None:
-        """First point along a step whose cost is lower; None where there is none.
+        """First point along a step with a lower cost; None if there is none.
 
         Shapes: `step` (p,).
         """

@@ -1,7 +1,7 @@
-"""Change of the link since the plant was identified, as the nuisance fit finds it.
+"""Change of the link since the plant was identified, as estimated by the nuisance fit.
 
 The plant's own error is known on the link that it was identified on: the mean error is subtracted.
-What is left grows with the change of stiffness and mass (docs/decisions.md, "Gap workflow").
+The remaining error grows with the change of stiffness and mass (docs/decisions.md, "Gap workflow").
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 REFERENCE: Final = {"_stiffness_": 0.1, "link_mass_kg": 0.1}
-"""Relative changes, by a part of the parameter's name, of the links of the calibration."""
+"""Relative changes of the calibration's links, by a part of the parameter's name."""
 
 
 def link_change(
@@ -24,8 +24,8 @@ def link_change(
 ) -> float:
     """Root mean square of the changes, relative to those of the calibration's links.
 
-    Shapes: `values` (p,).
-    `settings`: least and largest change that counts; the least one where the link is the same.
+    It is limited to the least and largest change of the settings, and the least one where the link
+    is the same. Shapes: `values` (p,).
     """
     least, most = settings.least_link_change, settings.largest_link_change
     if settings.same_link:

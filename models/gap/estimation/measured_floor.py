@@ -1,7 +1,7 @@
 """Noise floor measured on residuals of trials without a gap, or guessed before any are known.
 
-Where trials with a gap are repeated, they tell noise too: near its limit no two trials of a link
-are alike, and what differs between repetitions is no missing effect. With two joints and 2 kg
+Repeated trials with a gap contain information on noise too: near its limit no two trials of a link
+are alike, and a difference between repetitions is no missing effect. With two joints and 2 kg
 repetitions differed by up to 350 times the power that those of the identification had shown.
 """
 
@@ -27,7 +27,8 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
 
 SLOW_HZ: Final = 2.0
-"""Below it a heavy payload makes two trials differ (`models.gap.estimation.payload_ratios`)."""
+"""Frequency below which a heavy payload makes two trials differ
+(`models.gap.estimation.payload_ratios`)."""
 
 
 def flat_floor(
@@ -35,7 +36,7 @@ def flat_floor(
     scale: Mapping[str, float],
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NoiseFloor:
-    """Flat floor of the given errors, for a first fit."""
+    """Flat floor with given errors by signal, for a first fit."""
     hz = np.array([0.0, 1e3])
     count = settings.samples_per_independent_sample
     noise = {s: np.full(2, count * scale[s] ** 2) for s in signals}
@@ -48,7 +49,7 @@ def floor_of_residual(
     rows: Sequence[Array],
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NoiseFloor:
-    """Floor that is the smoothed spectrum of a residual; parameters as `floor_from_residuals`."""
+    """Floor that equals the smoothed spectrum of a residual."""
     return floor_from_residuals(groups, trials, rows, settings, repeated=False)
 
 
@@ -61,9 +62,8 @@ def floor_from_residuals(
 ) -> NoiseFloor:
     """Floor from residuals of data without a gap.
 
+    `repeated`: whether repetitions separate noise from the model's error; otherwise all is noise.
     Shapes: `rows` (trials, signals, K).
-    `repeated`: whether to tell noise from the model's error by repetitions; without any, all is
-    noise.
     """
     hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
     signals = list(dict.fromkeys(s for g in groups for s in g.signals))
@@ -109,10 +109,10 @@ def floor_from_residuals(
 def with_repeated_trials(
     floor: NoiseFloor, residuals: Residuals, rows: Sequence[Array]
 ) -> NoiseFloor:
-    """Floor whose noise at each payload is pooled with that of repetitions at hand.
+    """Floor whose noise at each payload is pooled with that of the diagnosed repetitions.
 
     Floor and repetitions are two estimates of one variance; they are averaged with their degrees of
-    freedom. A floor that the plant file did not carry was measured on these trials: it stays.
+    freedom. A floor that the plant file did not carry was measured on these trials, so it is kept.
 
     Shapes: `rows` (trials, signals, K).
     """
@@ -141,12 +141,12 @@ def with_repeated_trials(
 def with_amplified_scatter(
     floor: NoiseFloor, residuals: Residuals, rows: Sequence[Array]
 ) -> NoiseFloor:
-    """Floor that is larger at payloads whose repetitions at hand differ far more than it expects.
+    """Floor that is larger at payloads whose diagnosed repetitions differ far more than expected.
 
     Near the moment that folds the link every small difference is amplified: friction and pressure
-    between trials, and the plant's own error alike. What differs between repetitions, over what
-    the floor expects, tells by how much. Floor and repetitions are two estimates; their mean
-    counts, and only beyond `GapSettings.amplified_scatter_limit`: ratios of so few trials scatter.
+    between trials, and the plant's own error alike. The ratio of the scatter of repetitions to that
+    of the floor gives the factor. Floor and repetitions are two estimates; their mean counts, and
+    only beyond `GapSettings.amplified_scatter_limit`, because ratios of so few trials scatter.
 
     Shapes: `rows` (trials, signals, K).
     """
@@ -177,7 +177,7 @@ def _by_payload(
 def _scatter_ratio(
     floor: NoiseFloor, group: TrialGroup, repetitions: Array, payload_kg: float, hz: Array
 ) -> float:
-    """Power by which repetitions differ over what the floor expects, geometric mean below 2 Hz."""
+    """Power of the scatter of repetitions over that of the floor, geometric mean below 2 Hz."""
     at = ratio_frequencies_hz(hz)
     at = at[at < SLOW_HZ]
     logarithms = []

@@ -35,8 +35,8 @@ class ModelDiscrepancy:
     key: str  # Motion of the trials, as `models.gap.residuals.residuals.TrialGroup.key`
     payload_kg: Array  # (P,)
     signals: tuple[str, ...]
-    # (M, P, signals, K), spectra of the patterns, each as large as its standard deviation, relative
-    # to `models.gap.estimation.noise_floor.NoiseFloor.own_error` of the plant
+    # (M, P, signals, K), spectra of the patterns, scaled to their standard deviation, relative to
+    # `models.gap.estimation.noise_floor.NoiseFloor.own_error` of the plant
     table: Array
 
     def rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
@@ -86,7 +86,6 @@ def write_patterns(patterns: Sequence[ModelDiscrepancy], path: Path = PATH) -> N
 
 
 def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
-    """Read patterns from a .npz file."""
     try:
         with np.load(path) as file:
             return tuple(
@@ -106,7 +105,9 @@ def read_patterns(path: Path = PATH) -> tuple[ModelDiscrepancy, ...]:
 def patterns_for(
     plant: Plant, keys: Sequence[str], own: Sequence[ModelDiscrepancy] = ()
 ) -> tuple[ModelDiscrepancy, ...]:
-    """Patterns of a plant for some motions: its own, else those shipped; none for other loads."""
+    """Patterns of a plant for some motions: its own, else the packaged ones; none for
+    other loads.
+    """
     if plant.load != "link":
         return ()
     wanted = {motion_of(key) for key in keys}
@@ -121,10 +122,11 @@ def patterns_for(
 def patterns_of(residuals: Array, noise: Array, count: int) -> Array:
     """Largest patterns in the residuals of many links, in units of the noise.
 
-    Shapes: `residuals` (links, P, signals, K), `noise` (signals, K).
-    `residuals`: spectra of the nuisance fit's residual on each, without noise.
-    `count`: number of patterns M (`GapSettings.discrepancy_patterns`), at most that of the links.
-    Returns shape (M, P, signals, K), principal components, each with its standard deviation.
+    `residuals`: spectra of the nuisance fit's residual on each link, without noise. `count`: number
+    of patterns M (`GapSettings.discrepancy_patterns`), at most the number of links.
+
+    Shapes: `residuals` (links, P, signals, K), `noise` (signals, K). Returns principal components,
+    each with its standard deviation, (M, P, signals, K).
     """
     links = len(residuals)
     scale = np.sqrt(noise)

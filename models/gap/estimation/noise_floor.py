@@ -51,7 +51,8 @@ class NoiseFloor:
     """Spectra of the noise floor."""
 
     frequency_hz: Array  # (F,)
-    noise: Mapping[str, Array]  # (F,), variance of a coefficient by signal
+    # (F,), variance of a coefficient by signal: noise, and the plant's own error
+    noise: Mapping[str, Array]
     model: Mapping[str, Array]
     # Mean error by motion and payload: group key → payload in kg → signal → (K,)
     curves: Mapping[str, PayloadCurves] = field(default_factory=dict)
@@ -60,16 +61,16 @@ class NoiseFloor:
     # Error of the equations of the effects named so far, by payload in kg and signal, (F,);
     # correlated like the model's error
     formulation: PayloadCurves = field(default_factory=dict)
-    # Rest before the motion by group key of `curves`; the rig's where it is not told
+    # Rest before the motion by group key of `curves`; the rig's if not listed
     rest_s: Mapping[str, float] = field(default_factory=dict)
-    # How the plant's own error varies from one link to the next, by motion, where that was measured
+    # Variation of the plant's own error from one link to the next, by motion, where it was measured
     patterns: tuple[ModelDiscrepancy, ...] = ()
-    # How much the link differs from the one that the plant was identified on, relative to the links
-    # that the patterns were measured on: the patterns grow with it
+    # Change of the link since the plant was identified, relative to the links that the patterns
+    # were measured on; the patterns grow with it
     link_change: float = 1.0
-    ratios: PayloadRatios = NO_RATIOS  # Of noise and model at each payload to their means
-    # Factor on the power of noise and model by payload in kg, where repetitions at hand differ far
-    # more than the floor expects; 1 at other payloads
+    ratios: PayloadRatios = NO_RATIOS  # Ratios of noise and model at each payload to their means
+    # Factor on the power of noise and model by payload in kg, where the diagnosed repetitions
+    # differ far more than the floor expects; 1 at other payloads
     amplification_power: Mapping[float, float] = field(default_factory=dict)
 
     def own_error(self, signal: str, hz: Array) -> Array:
@@ -138,11 +139,10 @@ class NoiseFloor:
     ) -> NoiseFloor:
         """Floor that also allows for an error in the equation that closes the gap.
 
-        Without it the few coefficients with the least noise would decide which effect fits best,
-        and every named effect would need others to correct its equation.
+        Otherwise the few coefficients with the least noise would decide which effect fits best, and
+        every named effect would need others to correct its equation.
 
-        Shapes: `gap` (trials, signals, K).
-        `gap`: residual spectra of the plant whose nuisance was fitted, less the mean error.
+        `gap`: residual spectra with a fitted nuisance, less the mean error, (trials, signals, K).
         """
         table: dict[float, dict[str, list[Array]]] = {}
         for group, rows in zip(groups, gap, strict=True):
@@ -178,7 +178,7 @@ class NoiseFloor:
     ) -> Array:
         """Inverse Cholesky factors, shape (signals, K, trials, trials).
 
-        A signal of which the floor knows nothing does not count: its factors are zero.
+        A signal without a floor does not count: its factors are zero.
         """
         own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
@@ -239,7 +239,7 @@ class NoiseFloor:
         trials: Sequence[Trial],
         settings: GapSettings = DEFAULT_SETTINGS,
     ) -> Array:
-        """Error to expect of the plant, shape (trials, signals, K); zero where none is known."""
+        """Expected error of the plant, shape (trials, signals, K); zero where it is unknown."""
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known, _ = self.curves_for(group, trials)
         payload = [trials[k].meta.payload_kg for k in group.trials]

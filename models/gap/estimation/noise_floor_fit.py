@@ -38,8 +38,8 @@ def with_noise_floor(
 ) -> Plant:
     """Plant whose provenance also holds the noise floor of trials without any hidden effect.
 
-    Noise is told from the plant's own error by repetitions; without any there is no floor. Trials
-    of one and of two joints have a floor each.
+    Repetitions separate noise from the plant's own error; without any there is no floor. Trials of
+    one and of two joints have a floor each.
     """
     floors: dict[str, FloorRecord] = {}
     trials = aligned(TrialSet(tuple(trials)))
@@ -54,10 +54,7 @@ def with_noise_floor(
 def measure_noise_floor(
     plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
 ) -> NoiseFloor:
-    """Floor of trials of one number of joints; only the variation between trials is fitted.
-
-    The parameters are those of `with_noise_floor`.
-    """
+    """Floor of trials with one number of joints; only the variation between trials is fitted."""
     parameters = nuisance_and_variation(plant, trials, settings)
     residuals = Residuals(plant, trials, parameters, settings)
     floor = guessed_noise_floor(residuals)
@@ -71,10 +68,7 @@ def measure_noise_floor(
 def nuisance_and_variation(
     plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
 ) -> list[FitParameter]:
-    """Fit parameters without any effect: nuisance, and the variation of each trial.
-
-    The parameters are those of `with_noise_floor`.
-    """
+    """Fit parameters without any effect: nuisance, and the variation of each trial."""
     nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, settings)
     return nuisance + trial_fit_parameters(plant, trials, settings)
 
@@ -91,7 +85,7 @@ def floor_of_nuisance_fit(residuals: Residuals) -> NoiseFloor:
 
 
 def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
-    """Floor before anything is known of the signals."""
+    """Floor from the usual error of each signal, before any residual is known."""
     units = {v.name: v.unit for v in residuals.model.outputs}
     signals = list(dict.fromkeys(s for g in residuals.groups for s in g.signals))
     measured = {s: [t.columns[s] for t in residuals.trials if s in t.columns] for s in signals}
@@ -100,7 +94,7 @@ def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
 
 
 def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoint:
-    """Fit of the free fit parameters against a floor, from the plant as given.
+    """Fit of the free fit parameters against a floor, starting from the diagnosed plant.
 
     Shapes: `free` (p,).
     """
@@ -109,11 +103,10 @@ def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Array) -> FitPoi
 
 
 def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] = ()) -> NoiseFloor:
-    """Floor of the plant file, or, for what that does not know, of the nuisance fit.
+    """Floor of the plant file; signals that it lacks get the floor of the nuisance fit.
 
-    A signal that `identify` did not see has the spectrum of the nuisance fit's residual.
-
-    `patterns`: of the plant's own error on such trials; for other motions those shipped.
+    `patterns`: of the plant's own error on such trials; the packaged ones are used for other
+    motions.
     """
     known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
     if known is not None:
@@ -129,7 +122,7 @@ def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] =
 
 
 def noise_floor_of(plant: Plant, dof: int) -> NoiseFloor | None:
-    """Floor that the plant file carries for a number of joints; None where it carries none."""
+    """Floor that the plant file carries for a number of joints; None if it carries none."""
     record = plant.provenance.noise_floor.get(str(dof))
     if record is None:
         return None

@@ -1,4 +1,4 @@
-"""Noise floor in the form in which a plant file keeps it."""
+"""Noise floor in the form that a plant file stores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from models.plant.provenance import FloorRecord
 
 
 def floor_to_record(floor: NoiseFloor) -> FloorRecord:
-    """Floor as the plant file keeps it: a spectrum is one string of numbers."""
+    """Floor as stored in the plant file: a spectrum is one string of numbers."""
     return FloorRecord(
         frequency_hz=_text(floor.frequency_hz),
         repeats=floor.repeats,
@@ -31,7 +31,7 @@ def floor_to_record(floor: NoiseFloor) -> FloorRecord:
 
 
 def floor_from_record(record: FloorRecord) -> NoiseFloor:
-    """Floor that a plant file keeps."""
+    """Floor that a plant file stores; ValueError if its lengths differ."""
     floor = _as_written(record)
     ratios = [
         v for table in (floor.ratios.noise, floor.ratios.model) for own in table.values()

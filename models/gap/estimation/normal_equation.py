@@ -18,12 +18,10 @@ def stacked(rows: Sequence[Array]) -> Array:
 
 
 def sum_of_squares(rows: Sequence[Array]) -> float:
-    """Sum of the squares of the rows of all groups."""
     return sum(float(np.sum(r**2)) for r in rows)
 
 
 def mean_square(rows: Sequence[Array]) -> float:
-    """Mean of the squares of the rows of all groups."""
     return sum_of_squares(rows) / sum(r.size for r in rows)
 
 
@@ -31,7 +29,7 @@ def mean_square(rows: Sequence[Array]) -> float:
 class NormalEquation:
     """J'J x = J'r with rows and columns scaled to a unit diagonal."""
 
-    scaled: Array  # (k, k), J'J, its diagonal one
+    scaled: Array  # (k, k), J'J with a diagonal of ones
     size: Array  # (k,), root of the diagonal of J'J
 
     @classmethod

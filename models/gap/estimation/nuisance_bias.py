@@ -24,8 +24,8 @@ from models.gap.residuals.fit_parameters import FitParameter
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 CHANGES_WITH_LINK: Final = frozenset({"pressure"})
-"""Kinds that are judged on an unchanged link alone: another one differs in all trials alike. On a
-link that was 20 % stiffer throughout z of the pressure was 11."""
+"""Kinds that are tested on an unchanged link only: a changed link shifts them in all trials alike.
+On a link that was 20 % stiffer throughout z of the pressure was 11."""
 
 
 def nuisance_biases(
@@ -33,7 +33,7 @@ def nuisance_biases(
     point: FitPoint,
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> dict[str, float]:
-    """Sum z by kind of variation, see the module's text."""
+    """Sum z by kind of variation, see the module's docstring."""
     by_kind: dict[str, list[float]] = {}
     kinds = set(settings.nuisance_bias_kinds)
     if not settings.same_link:
@@ -50,6 +50,6 @@ def excessive_nuisance_bias(
     point: FitPoint,
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> dict[str, float]:
-    """Those of `nuisance_biases` that are too large to be chance; the parameters are the same."""
+    """Those of `nuisance_biases` that are too large to be chance."""
     biases = nuisance_biases(fit_parameters, point, settings)
     return {kind: z for kind, z in biases.items() if abs(z) > settings.nuisance_bias_limit_sd}

@@ -1,10 +1,10 @@
 """Ratios of the noise floor at one payload to the floor over all payloads, by frequency.
 
 A heavy payload brings the link near its limit: below 2 Hz two trials of one motion differ there by
-ten to forty times the power that they differ by without any, and the plant's own error grows alike.
-One floor for all payloads hides a small effect in the trials without payload, and takes the scatter
-of the heaviest for an effect. Ratios are of power, smoothed over half the frequency to either side,
-with one sample of the common floor added to each: they are told from few repetitions.
+ten to forty times the power of trials without payload, and the plant's own error grows alike. One
+floor for all payloads would hide a small effect in the trials without payload, and would take the
+scatter of the heaviest for an effect. Ratios are of power, smoothed over half the frequency to
+either side. Each is pooled with one coefficient of the common floor, because repetitions are few.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ COMMON_FRACTION: Final = 1 / (2 * SMOOTHING_COEFFICIENTS + 2)
 """Weight of the common floor beside those of a window: one coefficient."""
 
 POINTS: Final = 12
-"""Frequencies that ratios are kept at [assumed]."""
+"""Number of frequencies at which ratios are stored [assumed]."""
 
 RatioTable = Mapping[float, Mapping[str, Array]]
 """Ratios of power, shape (POINTS,), by payload in kg and signal."""
@@ -35,23 +35,22 @@ RatioTable = Mapping[float, Mapping[str, Array]]
 
 @dataclass(frozen=True)
 class PayloadRatios:
-    """Ratios by payload and signal."""
+    """Ratios of power by payload and signal."""
 
     frequency_hz: Array  # (POINTS,)
-    # Of what differs between repetitions, and of the plant's own error
-    noise: RatioTable = field(default_factory=dict)
-    model: RatioTable = field(default_factory=dict)
+    noise: RatioTable = field(default_factory=dict)  # Of the scatter between repetitions
+    model: RatioTable = field(default_factory=dict)  # Of the plant's own error
 
     def noise_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
-        """Ratio of the noise at a payload, shape (K,); ones where none is known."""
+        """Ratio of the noise at a payload, shape (K,); ones if none is known."""
         return self._at(self.noise, signal, payload_kg, hz)
 
     def model_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
-        """Ratio of the plant's own error at a payload, as `noise_at`."""
+        """Ratio of the plant's own error at a payload, shape (K,); ones if none is known."""
         return self._at(self.model, signal, payload_kg, hz)
 
     def _at(self, table: RatioTable, signal: str, payload_kg: float, hz: Array) -> Array:
-        """Logarithm interpolated in payload and frequency; beyond the ends the last value holds."""
+        """Logarithm interpolated in payload and frequency; constant beyond the ends."""
         known = sorted(p for p, own in table.items() if signal in own)
         if not known:
             return np.ones(len(hz))
@@ -66,9 +65,9 @@ NO_RATIOS: Final = PayloadRatios(np.zeros(1))
 def payload_ratios(
     hz: Array, signals: Sequence[str], parts: Mapping[float, Array]
 ) -> PayloadRatios:
-    """Ratios from residuals of repeated trials; none where a payload or a repetition is alone.
+    """Ratios from residuals of repeated trials; none if a payload or a repetition is alone.
 
-    Shapes: `hz` (K,), `parts` (repetitions, signals, K).
+    Shapes: `hz` (K,), each of `parts` (repetitions, signals, K).
     """
     if len(parts) < 2 or any(len(rows) < 2 for rows in parts.values()):
         return NO_RATIOS
@@ -79,7 +78,7 @@ def payload_ratios(
 
 
 def ratio_frequencies_hz(hz: Array) -> Array:
-    """Frequencies at which ratios are kept, shape (POINTS,), for coefficients at others."""
+    """Frequencies at which ratios are stored, shape (POINTS,)."""
     return np.geomspace(hz[1], hz[-1], POINTS)
 
 

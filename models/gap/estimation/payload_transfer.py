@@ -1,10 +1,10 @@
 """Transfer of the plant's own error to payloads at which it was not measured.
 
-The noise floor takes the error as alike at neighbouring payloads, with the correlation
-exp(−|Δ payload| / reach) of `GapSettings.payload_reach_kg`. A Gaussian process with it (Rasmussen
-and Williams 2006, section 2.2) tells, from the errors at the measured payloads, the error to expect
-at any other one and what is unknown of it: nothing at a measured payload, 46 % of the variance in
-the middle of two that are one reach apart, 63 % one half of a reach beyond the last one.
+The noise floor treats the error as alike at neighbouring payloads, with the correlation exp(−|Δ
+payload| / reach) of `GapSettings.payload_reach_kg`. A Gaussian process with it (Rasmussen and
+Williams 2006, section 2.2) gives, from the errors at the measured payloads, the expected error at
+any other one and its variance: zero at a measured payload, 46 % of the prior variance in the middle
+of two that are one reach apart, 63 % one half of a reach beyond the last one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def rows_by_payload(curves: PayloadCurves, signal: str) -> tuple[list[float], li
 def transfer_weights(
     at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
 ) -> Array:
-    """Weights of the errors at measured payloads in the error to expect at others, shape (n, P).
+    """Weights of the errors at measured payloads in the expected error at others, shape (n, P).
 
     Shapes: `at_kg` (n,), `measured_kg` (P,).
     """
@@ -40,7 +40,7 @@ def transfer_weights(
 def unknown_fraction(
     at_kg: Sequence[float] | Array, measured_kg: Sequence[float] | Array, reach_kg: float
 ) -> Array:
-    """Covariance of what is unknown of the error, as a fraction of its variance, shape (n, n)."""
+    """Posterior covariance of the error, as a fraction of its prior variance, shape (n, n)."""
     prior = _correlation(at_kg, at_kg, reach_kg)
     across = _correlation(at_kg, measured_kg, reach_kg)
     return np.asarray(prior - transfer_weights(at_kg, measured_kg, reach_kg) @ across.T)

@@ -30,7 +30,7 @@ from models.trials.trial import TrialSet
 
 @dataclass(frozen=True)
 class FixedMotion:
-    """A motion of the menu that the limits allow, and what it separates."""
+    """Motion of the menu that the limits allow, and how well it separates the hypotheses."""
 
     label: str
     motion: Motion  # With amplitude, period and phase
@@ -40,18 +40,18 @@ class FixedMotion:
 
 @dataclass(frozen=True)
 class Experiment:
-    """A designed motion beside the motions of the menu."""
+    """Designed motion, and the motions of the menu for comparison."""
 
     rivals: tuple[Rival, ...]
     pairs: tuple[tuple[int, int], ...]
     design: Design
     fixed: tuple[FixedMotion, ...]
     limits: Limits
-    least_separation: float  # d′ from which two hypotheses count as separated
+    least_separation: float  # d′ above which two hypotheses count as separated
 
     @property
     def separable(self) -> tuple[int, ...]:
-        """Numbers of the pairs that some motion of these separates."""
+        """Indices of the pairs that at least one of these motions separates."""
         every = [self.design.pairs, *(f.pairs for f in self.fixed)]
         return tuple(
             k for k in range(len(self.pairs))
@@ -65,10 +65,10 @@ class Experiment:
 
     @property
     def better_fixed(self) -> FixedMotion | None:
-        """The best motion of the menu where it separates more than the designed one.
+        """Best motion of the menu if it separates more than the designed one.
 
         The plant's own error is known on motions that the plant was identified on, and unknown on a
-        designed one: with another payload such a motion may tell more.
+        designed one, so such a motion may separate more with another payload.
         """
         best = self.best_fixed
         if best is None or self._separated(best.pairs) <= self._separated(self.design.pairs):
@@ -84,12 +84,12 @@ class Experiment:
         return Motion.designed(document), document.payload_kg or 0.0
 
     def _separated(self, pairs: Sequence[PairSeparation]) -> tuple[int, float]:
-        """How much a motion separates: number of pairs, then the least gain."""
+        """Rank of a motion: number of separated pairs, then the least gain."""
         count = sum(q.separation >= self.least_separation for q in pairs)
         return count, self.least_gain(pairs)
 
     def least_gain(self, pairs: Sequence[PairSeparation]) -> float:
-        """Least d′ that a motion adds to the trials at hand, over the separable pairs."""
+        """Least d′ that a motion adds to the present trials, over the separable pairs."""
         counted = self.separable or range(len(self.pairs))
         return min(pairs[k].gained for k in counted)
 
@@ -99,7 +99,7 @@ class Experiment:
         return f"{self.rivals[a].label} or {self.rivals[b].label}"
 
     def together(self) -> list[str]:
-        """Pairs that the recommended motion leaves together."""
+        """Pairs that the recommended motion does not separate."""
         fixed = self.better_fixed
         pairs = fixed.pairs if fixed else self.design.pairs
         return [self.label(k) for k, q in enumerate(pairs) if q.separation < self.least_separation]
@@ -111,7 +111,7 @@ def design_experiment(
     report: ReportProgress = lambda text, further: None, settings: GapSettings = DEFAULT_SETTINGS,
     patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Experiment:  # fmt: skip
-    """Design the motion that separates the hypotheses of a diagnosis best."""
+    """Design the motion that best separates the hypotheses of a diagnosis."""
     _check(rivals, plant, trials, limits, seconds, payloads_kg, settings)
     model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
     report("trials at hand judged", 3)
@@ -130,7 +130,7 @@ def _check(
     rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
     payloads_kg: Sequence[float], settings: GapSettings,
 ) -> None:  # fmt: skip
-    """Refuse what no motion can be designed for."""
+    """Refuse inputs that no motion can be designed for."""
     if plant.load != "link":
         raise InputError(
             f"plant {plant.name!r}", "is not the link", "motions are designed for the link alone"
@@ -173,10 +173,10 @@ def _fixed_motions(
     payloads_kg: Sequence[float],
     at_hand: Collection[tuple[str, float]],
 ) -> tuple[FixedMotion, ...]:
-    """Motions of the menu that the limits allow, with every payload; the twin's too.
+    """Motions of the menu that the limits allow with a payload, also when the twin runs them.
 
-    A motion that is at hand with a payload is left out: a repetition has the same error of the
-    plant, so it adds little, and the floor of a planned trial does not know that.
+    A motion that was already run with a payload is left out: a repetition has the same error of the
+    plant, so it adds little, and the floor of a planned trial does not account for that.
     """
     model, found = designer.model, []
     meta = model.like.meta
@@ -200,7 +200,7 @@ def _fixed_motions(
 
 
 def experiment_in_words(found: Experiment, motion: Path) -> str:
-    """What the motion separates, as text."""
+    """Text on what the motion separates."""
     document, best = found.design.document, found.best_fixed
     lines = [
         f"{motion}: {document.duration_s:g} s, up to {document.amplitude_rad:.3f} rad, "
@@ -223,7 +223,7 @@ def experiment_in_words(found: Experiment, motion: Path) -> str:
 
 
 def better_fixed_in_words(fixed: FixedMotion) -> str:
-    """Fixed motion that separates more than the designed one, as an operator sets it."""
+    """Instruction to run a fixed motion that separates more than the designed one."""
     motion = fixed.motion
     return (
         f"the {fixed.label} with {fixed.payload_kg:g} kg in its place, it separates more: [motion] "
@@ -233,7 +233,6 @@ def better_fixed_in_words(fixed: FixedMotion) -> str:
 
 
 def write_motion(document: MotionDocument, path: Path) -> None:
-    """Write a motion file."""
     entries = {k: v for k, v in msgspec.to_builtins(document).items() if v is not None}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, tomli_w.dumps(entries).encode())

@@ -37,33 +37,33 @@ COEFFICIENT_DIGITS: Final = 6
 """Digits of a coefficient: 1 µrad is less than a servo resolves."""
 FIRST_RADIUS: Final = 0.25
 LEAST_RADIUS: Final = 0.004
-"""Trust region, as a fraction of what one harmonic alone may have [assumed]."""
+"""Trust region at first and at the end, as a fraction of the largest single harmonic [assumed]."""
 MOST_GRADIENTS: Final = 8
 """Pairs whose gradients a linear programme takes, lowest score first [assumed]."""
 STEPS: Final = 20
 """Most linear programmes from one start [assumed]."""
 SHRINKING: Final = 0.3
-"""Fraction of the violation of a limit by which a motion is made smaller at once [assumed]."""
+"""Fraction of a limit's violation by which a starting motion is reduced in each turn [assumed]."""
 CORRECTION: Final = 0.015
-"""Fraction by which a step that exceeds a limit of the twin is made smaller, up to three times
+"""Fraction by which a step that exceeds a limit of the twin is reduced, up to three times
 [assumed]."""
 NEAR_A_LIMIT: Final = 0.4
-"""Distance from a limit, as a fraction of it, from which a row enters a linear programme
+"""Distance from a limit, as a fraction of it, below which a row enters a linear programme
 [assumed]."""
 RADIUS_GROWTH: Final = 1.5
-"""Growth of the trust region after a step that raised the score; it is halved after any other
+"""Growth of the trust region after a step that raised the score; any other step halves it
 [assumed]."""
 TOLERATED_EXCESS: Final = 0.01
-"""Violation during the search; the result has none [assumed]."""
+"""Violation that is tolerated during the search; the result has none [assumed]."""
 RANDOM_STARTS: Final = 4
-"""Random series among the starts [assumed]."""
+"""Number of random series among the starts [assumed]."""
 KEPT_STARTS: Final = 2
 """Starts that are optimised, best first [assumed]."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """A motion and what it separates."""
+    """Motion and how well it separates the pairs."""
 
     document: MotionDocument
     trial: Trial  # Planned: conditions and goals
@@ -79,7 +79,7 @@ class _Programme:
     limit: Array
 
     def step(self, radius: float) -> Array:
-        """Step that raises the least score most; zero where there is none."""
+        """Step that raises the least score most; zero if there is none."""
         count = self.table.shape[1] - 1
         result = linprog(
             np.concatenate([np.zeros(count), [-1.0]]), self.table, self.limit,
@@ -89,7 +89,7 @@ class _Programme:
 
 
 class MotionDesigner:
-    """Search for the coefficients."""
+    """Search for the coefficients of a motion."""
 
     def __init__(
         self, model: SeparationModel, limits: Limits, seconds: float, seed: int,
@@ -116,7 +116,7 @@ class MotionDesigner:
         self._every_goal_row, self._every_goal_limit = every
 
     def document(self, x: Array, payload_kg: float, notes: str = "") -> MotionDocument:
-        """Motion of coefficients, joint after joint: the sines, then the cosines."""
+        """Motion from its coefficients: joint by joint, sines then cosines."""
         rows = x.reshape(self.dof, 2, -1).round(COEFFICIENT_DIGITS).tolist()
         return MotionDocument(
             schema=MotionDocument.VERSION, duration_s=self.duration_s, harmonics=self.harmonics,
@@ -125,16 +125,15 @@ class MotionDesigner:
         )  # fmt: skip
 
     def trial(self, x: Array, payload_kg: float) -> Trial:
-        """Planned trial of coefficients."""
+        """Planned trial of a motion from its coefficients."""
         motion = Motion.designed(self.document(x, payload_kg))
         return planned_trial(self.model.like, motion, payload_kg, REST_SAMPLES)
 
     def scores(self, pairs: list[PairSeparation]) -> Array:
-        """Score of each pair."""
         return np.asarray(np.array([q.separation**2 for q in pairs]) + self._weight)
 
     def design(self, payloads_kg: tuple[float, ...]) -> Design:
-        """Best motion over starts and payloads."""
+        """Best motion over all starts and payloads."""
         starts: list[tuple[float, int, Array, float]] = []
         tried = self._starts()
         kept = min(KEPT_STARTS, len(tried) * len(payloads_kg))
@@ -153,7 +152,7 @@ class MotionDesigner:
         return max(found, key=lambda d: d.score)
 
     def _starts(self) -> list[Array]:
-        """Fixed motions of this duration, in the series, and random ones; within the limits."""
+        """Fixed motions of this duration as series, and random ones, scaled to the limits."""
         basis, half = self.twin.basis[REST_SAMPLES:], max(self.limits.angle_rad)
         turn = np.arange(len(basis)) / len(basis)
         waves = [
@@ -169,11 +168,11 @@ class MotionDesigner:
         return [self._scaled_to_goal_limits(x) for x in full]
 
     def _scaled_to_goal_limits(self, x: Array) -> Array:
-        """Coefficients made larger or smaller until the goals just meet a limit."""
+        """Coefficients scaled until the goals just meet a limit."""
         return np.asarray(x / max(self._used_of_goal_limits(x), 1e-9))
 
     def _within_goal_limits(self, x: Array) -> Array:
-        """Coefficients made smaller where the goals exceed a limit."""
+        """Coefficients reduced if the goals exceed a limit."""
         return np.asarray(x / max(self._used_of_goal_limits(x), 1.0))
 
     def _used_of_goal_limits(self, x: Array) -> float:
@@ -181,7 +180,7 @@ class MotionDesigner:
         return float(np.max(self._every_goal_row @ x / self._every_goal_limit))
 
     def _within_twin_limits(self, x: Array, payload_kg: float) -> Array:
-        """Coefficients made smaller until every rival stays within the twin's limits."""
+        """Coefficients reduced until the twin of every rival keeps the limits."""
         if self.twin_excess(0.0 * x, payload_kg) > 0:
             raise InputError(
                 "--config",
@@ -208,11 +207,10 @@ class MotionDesigner:
         return worst
 
     def _limits_of(self, y: Array, trial: Trial) -> list[tuple[Array, dict[str, float]]]:
-        """See `models.gap.experiment.motion_limits.twin_limits`."""
         return twin_limits(y, self.model.twin.outputs, trial.goal_rad, self.limits)
 
     def _raised(self, x: Array, payload_kg: float) -> Design:
-        """Series of linear programmes from one start."""
+        """Sequence of linear programmes from one start."""
         trial = self.trial(x, payload_kg)
         pairs = self.model.separations(trial)
         active = np.ones(len(pairs), dtype=bool)

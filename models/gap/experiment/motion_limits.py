@@ -1,4 +1,4 @@
-"""Limits of a planned motion as inequalities: of its goals, and of what the twin does.
+"""Limits of a planned motion as inequalities: of its goals, and of the twin's response.
 
 The limits of the goals are linear in the coefficients of the motion. Those of the twin are given by
 their violation, and by the outputs that it depends on.
@@ -21,10 +21,10 @@ REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
 GOAL_MARGIN: Final = 0.97
 """Fraction of a limit of the goals that is used [assumed]."""
 TWIN_MARGIN: Final = 0.85
-"""Fraction of a limit of current and following error that the twin may use; the rest is for the
+"""Fraction of a limit of current and following error that the twin may use; the rest covers the
 difference between twin and robot [assumed]."""
 TIP_MARGIN: Final = 0.98
-"""The same for the tip, whose difference is some millimetres [assumed]."""
+"""The same for the tip, where this difference is some millimetres [assumed]."""
 ROW_STEP: Final = 3
 """Every third row enters a linear programme: one in 51 ms, a twentieth of the shortest period."""
 
@@ -32,10 +32,9 @@ ROW_STEP: Final = 3
 def goal_limits(
     basis: Array, limits: Limits, dof: int, row_step: int = ROW_STEP
 ) -> tuple[Array, Array]:
-    """Rows A and limits b of A x ≤ b: angle, rate and acceleration of the goals.
+    """Matrix A and limits b of A x ≤ b: angle, rate and acceleration of the goals.
 
-    Shapes: `basis` (n, c).
-    `dof`: number of joints; their coefficients follow each other in x.
+    The coefficients of the `dof` joints follow each other in x. Shapes: `basis` (n, c).
     """
     rate = np.diff(basis, axis=0) / PERIOD_S
     both: tuple[tuple[Array, float, float], ...] = (
@@ -63,8 +62,8 @@ def twin_limits(
 ) -> list[tuple[Array, dict[str, float]]]:
     """Violation of each limit as a fraction of it, shape (n,), and what each output adds to it.
 
-    Current, following error and tip; negative where the limit is kept. What is closer to its limit
-    at rest than the margin may use half of what is left there.
+    Covers current, following error and tip; negative where the limit is kept. A signal that already
+    exceeds the margin at rest may use half of the remaining distance to its limit.
 
     Shapes: `y` (n, outputs), `goal_rad` (n, joints).
     """

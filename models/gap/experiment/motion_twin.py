@@ -23,9 +23,9 @@ from models.trials.trial import Trial
 
 
 class MotionTwin:
-    """The twin that holds every effect, on trials of one number of joints.
+    """Twin with every effect, on trials with one number of joints.
 
-    `fit_parameters`: directions in which it may be changed; all act on every trial.
+    `fit_parameters`: directions in which it may change; all act on every trial.
     """
 
     def __init__(self, model: StepModel, fit_parameters: Sequence[FitParameter]) -> None:
@@ -45,7 +45,7 @@ class MotionTwin:
         self._high = np.array([v.maximum for v in model.parameters])
 
     def parameters(self, trial: Trial, values: Array) -> Array:
-        """Parameter vector of the model at values of the fit parameters."""
+        """Parameter vector of the model for values of the fit parameters."""
         p = trial_parameters(self.model, trial) + self._by_parameter @ values
         return np.asarray(np.clip(p, self._low, self._high))
 
@@ -64,7 +64,7 @@ class MotionTwin:
 
 
 class CoefficientTwin:
-    """The twin with the coefficients of a Fourier series as its parameters."""
+    """Twin with the coefficients of a Fourier series as its parameters."""
 
     def __init__(
         self, model: StepModel, duration_s: float, harmonics: tuple[int, ...], dof: int,

@@ -1,4 +1,4 @@
-"""Rival hypotheses: the sets of effects that a diagnosis could not tell apart."""
+"""Rival hypotheses: sets of effects that a diagnosis could not tell apart."""
 
 from __future__ import annotations
 
@@ -17,33 +17,32 @@ from models.plant.effects import EFFECTS
 from models.plant.plant import Plant
 
 MOST_RIVALS: Final = 6
-"""Hypotheses that a motion is designed for, likeliest first; 15 pairs [assumed]."""
+"""Most hypotheses that a motion is designed for, the most probable first; 15 pairs [assumed]."""
 RIVAL_PROBABILITY: Final = 0.02
-"""Hypotheses below this do not count, but for the two likeliest: together with 0.95 at the first
-they would be less than the set that holds 0.95 leaves out [assumed]."""
+"""Least probability of a hypothesis that counts; the two most probable always do. With 0.95 at the
+first, the others together would be less than what a set that holds 0.95 leaves out [assumed]."""
 BOUND_SLACK: Final = 1e-6
 """Fraction of a bound by which a value may exceed it [numerical]."""
 
 
 @dataclass(frozen=True)
 class Rival:
-    """One hypothesis."""
+    """Hypothesis of a diagnosis."""
 
-    effects: tuple[str, ...]  # What would be missing; nothing if it is empty
-    probability: float  # Posterior, that of its supersets included
+    effects: tuple[str, ...]  # Effects that would be missing; empty if nothing is
+    probability: float  # Posterior probability, including that of its supersets
     parameters: Mapping[str, float]  # Fitted values by name of the plant's parameter
 
     @property
     def label(self) -> str:
-        """Its effects in words."""
         return " + ".join(self.effects) or "nothing missing"
 
 
 def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
-    """Hypotheses worth telling apart, likeliest first.
+    """Hypotheses worth separating, the most probable first.
 
-    A set that holds another listed one, and more, adds an effect too small to show: no motion
-    separates the two, so its probability goes to those that it holds, in equal parts.
+    A set that contains another listed one adds an effect too small to show: no motion separates the
+    two, so its probability is shared equally among the sets that it contains.
     """
     listed = [h for h in hypotheses if h.effects]
     sets = [frozenset(h.effects) for h in listed]
@@ -89,7 +88,7 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
 
 
 def credible_set(rivals: Sequence[Rival], held: float = HELD_PROBABILITY) -> tuple[Rival, ...]:
-    """Fewest hypotheses that together hold a probability, likeliest first."""
+    """Fewest hypotheses that together reach a probability, the most probable first."""
     total, kept = 0.0, []
     for rival in rivals:
         kept.append(rival)

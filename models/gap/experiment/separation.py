@@ -1,9 +1,9 @@
-"""Separation of rival hypotheses: d′ that is left when one is refitted to what the other predicts.
+"""Separation of rival hypotheses: d′ that remains after one is refitted to the other's prediction.
 
-The trials at hand and a trial that is planned count together: the values of the rival may move as
-far as both allow, and so may nuisance and the variation of each trial within their priors. What the
-refit cannot explain, in noise floors, is the d′ of the pair (T-optimality: Atkinson and Fedorov,
-Biometrika 62, 1975). The refit is linearised with exact sensitivities and then simulated.
+The present trials and a planned one count together: the values of the rival may move as far as both
+allow, and so may nuisance and the variation of each trial within their priors. The residual of the
+refit, in noise floors, is the d′ of the pair (T-optimality: Atkinson and Fedorov, Biometrika 62,
+1975). The refit is linearised with exact sensitivities and then simulated.
 """
 
 from __future__ import annotations
@@ -51,19 +51,19 @@ class Quadratic:
 class PairSeparation:
     """d′ of a pair, and the refit of the second rival."""
 
-    separation: float  # Of the trials at hand and the planned one together
-    before: float  # Of the trials at hand alone
+    separation: float  # With the present trials and the planned one together
+    before: float  # With the present trials alone
     refitted: Array  # (p,), all fit parameters of the second rival after its refit
-    residual: Array  # (signals * K,), what the refit leaves of the planned trial, in noise floors
+    residual: Array  # (signals * K,), residual of the refit on the planned trial, in noise floors
 
     @property
     def gained(self) -> float:
-        """d′ that the planned trial adds to those at hand."""
+        """d′ that the planned trial adds to the present ones."""
         return float(max(self.separation**2 - self.before**2, 0.0) ** 0.5)
 
 
 class SeparationModel:
-    """Rivals, and what the trials at hand know of them."""
+    """Rivals, and their costs on the present trials."""
 
     def __init__(
         self, plant: Plant, trials: Sequence[Trial], rivals: Sequence[Rival], settings: GapSettings,
@@ -101,7 +101,7 @@ class SeparationModel:
         self._known = self._trials_at_hand(plant, every)
 
     def _trials_at_hand(self, plant: Plant, every: Sequence[FitParameter]) -> list[Quadratic]:
-        """What the trials at hand know of each pair, their own variation eliminated."""
+        """Cost of each pair on the present trials, with their own variation eliminated."""
         estimator = self._estimator
         points = [
             estimator.linearise(estimator.at(fitted_values_of(r, plant, every)))
@@ -131,7 +131,7 @@ class SeparationModel:
         return result
 
     def before(self, pair: int) -> float:
-        """d′ of a pair on the trials at hand."""
+        """d′ of a pair on the present trials."""
         known, free = self._known[pair], self._free[self.pairs[pair][1]][self._shared]
         index = np.flatnonzero(free)
         solution = NormalEquation.of(known.normal, index).solve(
@@ -143,7 +143,7 @@ class SeparationModel:
     def whitening(self, trial: Trial) -> Array:
         """Inverse noise floor of a planned trial, shape (signals, K).
 
-        The plant's own error is not known on a new motion. It counts as the same fraction of the
+        The plant's own error is not known on a new motion. It is taken as the same fraction of the
         motion's own spectrum as on the trials that the floor was measured on, and as no less than
         there.
         """
@@ -191,7 +191,7 @@ class SeparationModel:
         return np.concatenate(rows)
 
     def separations(self, trial: Trial) -> list[PairSeparation]:
-        """d′ of every pair once a planned trial is run."""
+        """d′ of every pair with the planned trial added."""
         white = self.whitening(trial)
         both = [self.twin.slopes(trial, v) for v in self.values]
         if not all(np.isfinite(y).all() and np.isfinite(s).all() for y, s in both):
@@ -211,7 +211,7 @@ class SeparationModel:
     def _refitted(
         self, pair: int, trial: Trial, white: Array, true: Array, rival: Array, slopes: Array
     ) -> PairSeparation:
-        """Refit of the second rival of a pair, to the trials at hand and the planned one."""
+        """Refit of the second rival of a pair to the present trials and the planned one."""
         b, known, shared = self.pairs[pair][1], self._known[pair], self._shared
         index = np.flatnonzero(self._free[b])
         prior = np.where(self._varies, self._precision, 0.0)

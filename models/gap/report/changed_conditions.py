@@ -1,6 +1,6 @@
 """Conditions in which the trials of a diagnosis differ from those that the plant was identified on.
 
-A plant is right where it was identified. What is known of its own error ends there too.
+A plant is accurate where it was identified; its own error is known only there as well.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ TOLERANCES: Final[dict[Condition, float]] = {
     "payload_kg": 0.02,
     "pressure_pa": 0.01,
 }
-"""Differences that do not count: of payloads in kg, of the others as a fraction. A step is uniform
-within as much; pressure varies by 1 % between trials [assumed]."""
+"""Differences that do not count: of payloads in kg, of the others as a fraction. Rows of a trial
+are uniform within the same fraction; pressure varies by 1 % between trials [assumed]."""
 
 UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressure_pa": "Pa"}
 
@@ -31,11 +31,10 @@ UNITS: Final[dict[Condition, str]] = {"step_s": "s", "payload_kg": "kg", "pressu
 class ChangedCondition(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Condition with values that no trial of the plant has."""
 
-    condition: Condition  # Time between two rows, payload, or pressure
+    condition: Condition  # Step (time between two rows), payload, or pressure
     unit: str
-    # Values in the trials of the plant; those at hand that are none of them
-    plant: tuple[float, ...]
-    trials: tuple[float, ...]
+    plant: tuple[float, ...]  # Values in the trials of the plant
+    trials: tuple[float, ...]  # Values in the diagnosed trials that no trial of the plant has
 
 
 def changed_conditions(
@@ -43,8 +42,8 @@ def changed_conditions(
 ) -> tuple[ChangedCondition, ...]:
     """Conditions that changed since a plant was identified.
 
-    `provenance`: of the plant; that of a plant without fitted trials tells no pressure.
-    `floor`: of the plant file; one that was not learned tells nothing.
+    `floor` is that of the plant file. Steps and payloads come from its curves, the pressure from
+    the provenance; conditions that these lack are not compared.
     """
     known: dict[Condition, set[float]] = {
         "step_s": {step for key in floor.curves if (step := step_of(key)) is not None},

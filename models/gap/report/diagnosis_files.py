@@ -27,8 +27,7 @@ def write_diagnosis(
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
-    `settings`: tuned numbers, and whether the link is known to be the same.
-    Returns the diagnosis, its document, and the page.
+    Returns the diagnosis, its document, and the path of the page.
     """
     found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
     trials = without_odd(trials, found.odd)

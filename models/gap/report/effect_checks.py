@@ -1,7 +1,6 @@
-"""Checks on the robot: how a person sees whether an effect is there.
+"""Checks on the robot: how to see whether an effect is there.
 
-A diagnosis names what the trials show. A look at the robot often decides sooner than a further
-trial, and it tells look-alikes apart.
+A look at the robot often decides sooner than a further trial, and it tells look-alikes apart.
 """
 
 from __future__ import annotations
@@ -68,17 +67,18 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
     "sensor_lag": "Look for a filter of the current in the servo or in the log.",
     "directional_friction": "Compare the force forwards with that backwards at the same rate.",
 }  # fmt: skip
-"""By effect of `models.shared.catalogue.EVERY_EFFECT`; where a sentence states what is seen, it is
-seen if the effect is there."""
+"""Check by effect of `models.shared.catalogue.EVERY_EFFECT`. A sentence that states an observation
+describes what you see if the effect is there."""
 
 MOST_CHECKS: Final = 5
-"""Effects that are told."""
+"""Most effects that are listed."""
 
 
 def effects_to_check(document: GapDocument) -> dict[str, str]:
-    """Check of each effect that is named, looks like a named one, or is not excluded; likely first.
+    """Check of each effect that is named, looks like a named one, or is not excluded; most probable
+    first.
 
-    The effect that would take up most of what is left is checked too.
+    The effect that would absorb most of the remaining gap is included.
     """
     known = document.effect_probabilities
     named = [e for row in document.named if row.kept for e in row.effect.split(" + ")]
@@ -91,6 +91,6 @@ def effects_to_check(document: GapDocument) -> dict[str, str]:
 
 
 def further_missing(document: GapDocument) -> FurtherEffect | None:
-    """Effect that would explain more beside the named ones than noise and their equations miss."""
+    """Effect that would explain more beside the named ones than noise and their equation errors."""
     further = document.tested[-1].further if document.tested else None
     return further if further is not None and further.is_missing else None

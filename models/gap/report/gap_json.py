@@ -30,10 +30,11 @@ class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class OwnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Knowledge of the plant's own error in a group of trials: its mean curve, and its patterns.
+    """What is known of the plant's own error in a group of trials: its mean curve, and its
+    patterns.
 
-    `measured` on trials like these, `transferred` from others of the same motion with another
-    length, step or rest, or `unknown`: then nothing is subtracted.
+    Each is `measured` on trials like these, `transferred` from others of the same motion with
+    another length, step or rest, or `unknown`; an unknown error is not subtracted.
     """
 
     curve: Knowledge
@@ -44,9 +45,9 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """Noise floor by signal; `learned` is false where the plant file carries none.
 
     `dispersion` is the mean square of the nuisance fit's residual, clipped to what noise explains.
-    `own_error` tells by group of trials what is known of the plant's own error. `amplification`
-    holds, by payload in kg, by what factor in amplitude the floor is larger than that of the plant
-    file, because repetitions differ far more than that.
+    `own_error` states by group of trials what is known of the plant's own error. `amplification` is
+    the factor in amplitude, by payload in kg, by which the floor exceeds that of the plant file; it
+    is set where repetitions differ far more than that.
     """
 
     learned: bool
@@ -59,10 +60,11 @@ class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 class LocatedRegion(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """Significant region of a signal, by one of the factors trial to band.
+    """Significant region of a signal, by one factor: trial, payload, phase, direction, angle,
+    stroke or band.
 
-    `size` is a root mean square and `mean` a mean with sign, in noise floors; `p` is the fraction
-    of noise alone that is as large.
+    `size` is a root mean square and `mean` a signed mean, in noise floors; `p` is the fraction of
+    draws of noise alone that are as large.
     """
 
     signal: str
@@ -79,7 +81,7 @@ class LocatedRegion(
 
 
 class MappedRegion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Region of a signal, whether significant or not; `size` in noise floors."""
+    """Region of a signal, significant or not; `size` in noise floors."""
 
     signal: str
     factor: str
@@ -89,16 +91,17 @@ class MappedRegion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RemainingGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Location of the gap that is left with the named effects."""
+    """Location of the gap that remains with the named effects."""
 
     sentence: str
     located: tuple[LocatedRegion, ...]
 
 
 class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Fitted value of a parameter, its standard error, its value before, its bound.
+    """Fitted value of a parameter, its standard error and its value before the fit.
 
-    `bound` is set where the fit ended at a bound of the parameter, or found none of it.
+    `bound` is set where the fit ended at a bound of the parameter, unless that bound is zero and
+    the parameter belongs to an added effect.
     """
 
     value: float
@@ -108,17 +111,17 @@ class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bound: Literal["lower", "upper"] | None = None
 
     def __str__(self) -> str:
-        """Value with its error where it has one, rounded, without its unit."""
+        """Rounded value, with its error where it has one, without the unit."""
         return f"{self.value:.4g}" + (f" ± {self.error:.2g}" if self.error is not None else "")
 
     @property
     def unit_in_words(self) -> str:
-        """Its unit behind a space; empty where it has none."""
+        """Unit preceded by a space; empty for a parameter without a unit."""
         return f" {self.unit}" if self.unit not in ("", "1") else ""
 
     @property
     def bound_in_words(self) -> str:
-        """The bound that the value is at, or that it was not fitted, in brackets; else empty."""
+        """Note in brackets that the value is at a bound or was not fitted; empty otherwise."""
         if self.bound:
             return f" (at its {self.bound} bound)"
         return " (not fitted)" if self.error is None else ""
@@ -127,15 +130,14 @@ class FittedValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class NamingEvidence(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Evidence for a named effect."""
 
-    separation: float  # Its d′, and the least that it needs
-    least: float
-    # Fall of the cost on trials left out and of the nuisance's prior, in squared noise floors, and
-    # what it must exceed
+    separation: float  # d′ of the effect
+    least: float  # Least d′ that it needs to be named
+    # Fall of the cost on held-out trials and of the nuisance's prior, in squared noise floors
     held_out_gain: float | None
-    held_out_error: float | None
-    # Fraction by which its strength differs between payloads, signals and bands
+    held_out_error: float | None  # Value that `held_out_gain` must exceed
+    # Fraction by which the strength differs between payloads, signals and bands
     strength_standard_deviation: float
-    strength_holds: bool  # Whether that is tolerable
+    strength_holds: bool  # Whether this difference is tolerable
 
 
 class SimilarEffect(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -155,7 +157,8 @@ class SeparatingMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class NamedEffect(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """Inclusion of the search: an effect, or a pair joined by " + "; `kept` if needed to the end.
+    """Inclusion of the search: an effect, or a pair joined by " + "; `kept` if it is still named at
+    the end.
 
     `parameters` holds the fitted values by the name of the plant's parameter.
     """
@@ -169,7 +172,8 @@ class NamedEffect(
 
 
 class HypothesisRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Set of effects that may be missing, and its probability; nothing is missing if it is empty.
+    """Set of effects that may be missing, and its probability; an empty set means that nothing is
+    missing.
 
     `parameters` holds the fitted values by the name of the plant's parameter, nuisance included.
     """
@@ -188,16 +192,16 @@ class SignalGap(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class WaterfallStep(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Error on trials that nothing was fitted to after one step, in noise floors."""
+    """Error after one step on trials that no value was fitted to, in noise floors."""
 
     step: str
     floors: float
 
 
 class HeldOutSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Root mean square error of a signal on what was left out, in its SI unit.
+    """Root mean square held-out error of a signal, in its SI unit.
 
-    `given` is of the plant as given, `improved` of the improved plant fitted to the rest.
+    `given` is of the plant that was diagnosed, `improved` of the improved plant fitted to the rest.
     """
 
     given: float
@@ -205,17 +209,17 @@ class HeldOutSignal(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HeldOutSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Errors on what was left out in turn, by signal."""
+    """Held-out errors by signal, and what was left out in turn."""
 
     left_out: tuple[str, ...]
     signals: dict[str, HeldOutSignal]
 
 
 class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Files of a diagnosis: the plant as given, and the directories of the trials.
+    """Inputs of a diagnosis: the file of the plant, and the directories of the trials.
 
-    With their hashes, empty where they are not known; `dof` is set where only the trials of one
-    number of joints were looked at.
+    The hashes are empty where they are not known; `dof` is set where only the trials with that
+    number of joints were diagnosed.
     """
 
     plant: str
@@ -233,29 +237,29 @@ class GapDocument(Document, frozen=True):
     verdict : str
         See `models.gap.decision.gap_verdict.GapVerdict`.
     gap_left_fraction : float
-        Fraction of the gap's amplitude that is left.
+        Fraction of the gap's amplitude that remains.
     noise_floor : NoiseFloorSummary
-        By signal.
+        Noise floor by signal.
     nuisance_bias : dict of str to float
-        Variations in which all trials differ alike, in standard deviations.
+        Variations in which all trials differ in the same way, in standard deviations.
     goal_not_followed_at_row : dict of str to int
-        First row that does not count, by trial.
+        First row from which the joint does not follow its goal, by trial; later rows are not used.
     sentence, located, map
         Where the gap is: in words, significant regions ranked, and all regions.
     named : tuple of NamedEffect
-        In order of inclusion.
+        Inclusions in order, also those that were taken out again.
     before, after : dict
         Errors of the plants: "fitted" or "held_out" → signal → SignalGap.
     remaining : RemainingGap
-        Where the rest is.
+        Where the gap is with the named effects.
     rejected : tuple of RejectedEffect
-        All other effects.
+        Effects that were not named, each with its reason.
     waterfall : tuple of WaterfallStep
         Error after each inclusion.
     settings : GapSettings
         Tuned numbers of the run.
     rows_fitted : dict of str to int
-        Rows that were fitted of each trial that is too long to be fitted as a whole.
+        Rows that were fitted, for each trial that is too long to be fitted as a whole.
     refused : tuple of RefusedEffect
         Effects that were taken out again, and refitted values that were undone.
     refitted : dict of str to FittedValue
@@ -267,17 +271,18 @@ class GapDocument(Document, frozen=True):
     effect_probabilities : dict of str to float
         Probability of each effect that it is among those missing; those below 1 % are left out.
     tested : tuple of JudgedNames
-        Effects that were judged together, in turn, with the evidence for them and the probabilities
-        of the answers; the last ones led to the verdict. None without a learned noise floor.
+        Sets of effects that were judged, in order, with their evidence and the probabilities of the
+        answers; the last one led to the verdict. Empty without a learned noise floor.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; None where it was run from Python.
     changed_conditions : tuple of ChangedCondition
         Conditions of the trials that no trial of the plant has.
     odd_trials : tuple of OddTrial
-        Trials that were left out, because they differ from the plant far more than comparable ones.
+        Outlier trials that were left out, because they differ from the plant far more than
+        comparable ones.
     unexplained_fraction : float
         Geometric mean, over the signals, of the improved plant's held-out error as a fraction of
-        that of the plant as given: 1 where nothing was named.
+        that of the plant that was diagnosed: 1 where nothing was named.
     """
 
     VERSION: ClassVar[int] = 2
@@ -312,15 +317,13 @@ class GapDocument(Document, frozen=True):
 
     @property
     def answers(self) -> Answers | None:
-        """Probabilities that led to the verdict; none without a learned noise floor."""
+        """Probabilities that led to the verdict; None without a learned noise floor."""
         return self.tested[-1].answers if self.tested else None
 
 
 def read_gap_document(path: Path) -> GapDocument:
-    """Read `gap.json`."""
     return read_document(path, GapDocument)
 
 
 def write_gap_document(path: Path, document: GapDocument) -> None:
-    """Write `gap.json`."""
     write_document(path, document)

@@ -1,7 +1,7 @@
 """Page of a diagnosis (`OUT/report.html`): where the gap is, what is missing, before and after.
 
-It is drawn from gap.json, the two plants and the trials alone, so that the page can be drawn again
-from these files. `hil.report.gap.before_after_page` adds sections about FMU and robot to it.
+It is drawn from gap.json, the two plants and the trials alone, so it can be drawn again from these
+files. `hil.report.gap.before_after_page` adds sections about FMU and robot.
 """
 
 from __future__ import annotations
@@ -55,7 +55,6 @@ from models.trials.trial_origin import origins_of
 def write_gap_page(
     document: GapDocument, before: Plant, after: Plant, trials: TrialSet, path: Path
 ) -> Path:
-    """Write the page of a diagnosis."""
     page = render_page(
         "The gap between plant and measurement",
         [
@@ -69,7 +68,7 @@ def write_gap_page(
 
 
 def gap_lead(document: GapDocument, gap_json: str = "OUT/gap.json") -> list[Part]:
-    """Verdict, place of the gap, the plant's tip error before and after, and what to do next."""
+    """Verdict, location of the gap, the plant's tip error before and after, and the next step."""
     said = document.sentence
     for more in notes_in_words(document):
         said += f" {more[0].upper() + more[1:]}."
@@ -94,7 +93,8 @@ def gap_sections(
 ) -> list[Section]:
     """Sections of the page of a diagnosis; the last one lists the effects that were not named.
 
-    `hidden`: effects that were hidden with their strengths; adds a column to the table.
+    `hidden` holds effects that were hidden on a rig and their strengths; it adds a column to the
+    table.
     """
     result = [
         Section("where", "Where the gap is", [localisation_maps(
@@ -125,13 +125,13 @@ def gap_sections(
 
 
 def _checks(document: GapDocument) -> list[Part]:
-    """Table of what a person checks on the robot; none where nothing may be missing."""
+    """Table of what to check on the robot; empty where nothing may be missing."""
     rows: list[list[Cell]] = [[_words(e), check] for e, check in effects_to_check(document).items()]
     return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
 
 
 def _refused(document: GapDocument) -> list[Part]:
-    """Sentences on what was refused, and the held-out errors of what was written."""
+    """Sentences on what was refused, and the held-out errors of the plant that was written."""
     written = (
         "The plant that was written is the plant as given, unchanged."
         if is_plant_as_given(document)
@@ -171,7 +171,9 @@ def _waterfall(document: GapDocument) -> Figure:
 
 
 def _tip_m(errors: Mapping[str, Mapping[str, SignalGap]]) -> float:
-    """Root mean square distance of the tip, over the last trials; zero where there is no tip."""
+    """Root mean square distance of the tip on the held-out trials, m; zero where there
+    is no tip.
+    """
     rows = errors.get("held_out", errors["fitted"])
     return float(np.sqrt(sum(rows[axis].rms ** 2 for axis in TIP if axis in rows)))
 
@@ -190,7 +192,7 @@ def _rejected(document: GapDocument) -> Table:
 
 
 def _compared(document: GapDocument, before: Plant, after: Plant, trials: TrialSet) -> Section:
-    """The error of both plants, by signal and on the heaviest of the last trials."""
+    """Error of both plants, by signal and on the heaviest of the held-out trials."""
     part = "held_out" if "held_out" in document.before else "fitted"
     rows = []
     for signal, row in document.before[part].items():
@@ -239,7 +241,7 @@ def residual_panel(
 ) -> Panel:
     """Panel of the error of a signal over time, before and after.
 
-    Shapes: `time_s` (n,), `series` (n,).
+    Shapes: `time_s` (n,), each of `series` (n,).
     """
     shown = error_unit(unit)
     with Drawing(2.1) as (drawing, ax):

@@ -45,7 +45,7 @@ __all__ = ["errors_in_floors", "gap_document"]
 
 MOST_LOCATED: Final = 40
 MOST_REMAINING: Final = 10
-"""Significant regions that are listed before and after; `map` holds all."""
+"""Most significant regions that are listed before and after; `map` holds all."""
 LISTED_PROBABILITY: Final = 0.01
 """Least probability of an effect that is listed."""
 
@@ -53,16 +53,21 @@ LISTED_PROBABILITY: Final = 0.01
 def gap_document(
     found: Diagnosis, trials: TrialSet, waterfall: Sequence[tuple[str, float]] = ()
 ) -> GapDocument:
-    """Document of a diagnosis. Long because every result is handed over once.
+    """Gap document of a diagnosis.
 
     Parameters
     ----------
     found : Diagnosis
-        Its results.
+        Results of the diagnosis.
     trials : TrialSet
-        Where the gap was looked for, odd trials left out.
+        Trials that were diagnosed, without the outliers.
     waterfall : sequence of tuple
-        As `models.gap.report.waterfall.waterfall_steps`.
+        Steps and errors of `models.gap.report.waterfall.waterfall_steps`.
+
+    Returns
+    -------
+    GapDocument
+        Content of `gap.json`, rounded; `inputs` is not set.
     """
     floor = noise_floor_rms(found)
     unused = found.goal_not_followed_at_row
@@ -118,7 +123,7 @@ def gap_document(
 
 
 def _refitted(found: Diagnosis) -> dict[str, FittedValue]:
-    """Parameters of the link that were written anew, where nothing is named."""
+    """Parameters of the link that were refitted and written, where nothing is named."""
     before = found.plant.parameters
     return {
         name: _fitted(q, before)
@@ -144,7 +149,7 @@ def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
 
 
 def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:
-    """Place of a gap in words; without a learned floor nothing can be called noise."""
+    """Where a gap is, in words; without a learned floor nothing can be called noise."""
     if not found.floor.learned and not any(region.significant for region in regions):
         return "No part of the trials stands out from the spectrum of the residual itself."
     return location_sentence(regions, found.settings)
@@ -175,7 +180,7 @@ def errors_in_floors(
         compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))
     result = {}
     for signal, row in signal_errors(plant, compared).items():
-        if not np.isfinite(row.rms):  # never measured where the rows count
+        if not np.isfinite(row.rms):  # not measured in the rows that are used
             continue
         size = floor[signal].rms if signal in floor else np.nan
         result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size) if size > 0 else None)
@@ -183,7 +188,7 @@ def errors_in_floors(
 
 
 def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEffect:
-    """One inclusion: effects, values, evidence, look-alikes."""
+    """Inclusion with its effects, values, evidence and look-alikes."""
     consistencies = [
         found.strength_consistency[e] for e in inclusion.effects if e in found.strength_consistency
     ]
@@ -217,7 +222,7 @@ def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEff
 
 
 def _located(regions: Sequence[GapRegion], most: int) -> tuple[LocatedRegion, ...]:
-    """The largest significant regions; sizes are in noise floors."""
+    """Largest significant regions."""
     return tuple(
         msgspec.convert(
             {
@@ -235,5 +240,5 @@ def _rms(variance: Array) -> float:
 
 
 def _number(value: float) -> float | None:
-    """None in place of a float that is not finite."""
+    """None instead of a float that is not finite."""
     return float(value) if np.isfinite(value) else None

@@ -21,13 +21,13 @@ from models.gap.report.trial_notes import notes_in_words
 from models.gap.settings import GapSettings
 
 MOST_TOLD: Final = 3
-"""Effects, or sets of these, that are told where none is sure enough to be named."""
+"""Most effects, or sets of effects, listed where none is certain enough to be named."""
 
 MOSTLY: Final = 3.0
-"""Ratio of the changes in two joints from which an effect is told as one joint's [assumed]."""
+"""Ratio of the changes in two joints above which an effect is reported for one joint [assumed]."""
 
 TOLD_CHANGE: Final = 0.02
-"""Change of a parameter of the link, as a fraction, from which it is told [assumed]."""
+"""Least relative change of a link parameter that is reported [assumed]."""
 
 
 def verdict_in_words(document: GapDocument) -> str:
@@ -58,7 +58,7 @@ def verdict_in_words(document: GapDocument) -> str:
 
 
 def joint_of(row: NamedEffect) -> int | None:
-    """Joint that an effect changed in most; None where it changed in both, or has one strength."""
+    """Joint that an effect changed most; None where it changed both, or has one strength."""
     for name, first in row.parameters.items():
         second = row.parameters.get(re.sub(r"_1(?=_|$)", "_2", name))
         if "_1" not in name or second is None:
@@ -85,7 +85,7 @@ def change_in_words(document: GapDocument) -> str:
 
 
 def _outside_in_words(document: GapDocument) -> str:
-    """What is missing where no name is given: something else, or an effect that is not sure."""
+    """What is missing where no effect is named: something else, or an uncertain effect."""
     answers, effects = document.answers, document.effect_probabilities
     if answers is None:
         return "The missing effect is not in the catalogue."
@@ -106,7 +106,7 @@ def _outside_in_words(document: GapDocument) -> str:
 
 
 def _left_in_words(document: GapDocument) -> str:
-    """What is left beside the named effects."""
+    """What remains beside the named effects."""
     further = further_missing(document)
     if further is None:
         return _largest_error_in_words(document)
@@ -119,7 +119,7 @@ def _left_in_words(document: GapDocument) -> str:
 
 
 def _largest_error_in_words(document: GapDocument) -> str:
-    """The signal whose error with the named effects is the largest, in noise floors."""
+    """Signal with the largest error in noise floors, with the named effects."""
     errors = document.after.get("held_out", document.after["fitted"])
     sizes = {signal: row.floors for signal, row in errors.items() if row.floors is not None}
     if not sizes:
@@ -129,7 +129,7 @@ def _largest_error_in_words(document: GapDocument) -> str:
 
 
 def unexplained_in_words(document: GapDocument) -> str:
-    """Fraction of the error that is unexplained, where no noise floor tells it from noise."""
+    """Unexplained fraction of the error, where no noise floor separates it from noise."""
     left = 1.0 if document.unexplained_fraction is None else document.unexplained_fraction
     return (
         "There is no noise floor, because no trial of the plant was repeated: "
@@ -138,17 +138,15 @@ def unexplained_in_words(document: GapDocument) -> str:
 
 
 def floor_in_words(document: GapDocument) -> str:
-    """Name of what the errors are compared with: a learned noise floor, or a spectrum in its
-    place.
-    """
+    """Reference of the errors: a learned noise floor, or else the residual's spectrum."""
     return "noise floor" if document.noise_floor.learned else "residual's own spectrum"
 
 
 def refusals_in_words(document: GapDocument) -> list[str]:
     """One sentence for each effect or value that was refused.
 
-    Where nothing is named and several sets of effects were judged one sentence has their
-    probabilities, in place of one for each effect that was left out of them.
+    Where nothing is named and several sets of effects were judged, one sentence lists their
+    probabilities instead of a sentence for each refused effect.
     """
     judged = {} if any(row.kept for row in document.named) else _judged_sets(document)
     result = [_judged_in_words(judged)] if len(judged) > 1 else []
@@ -167,7 +165,7 @@ def refusals_in_words(document: GapDocument) -> list[str]:
 
 
 def _kept_in_words(document: GapDocument, parameter: str) -> str:
-    """What plant.json holds of a refitted value that was undone."""
+    """Value that plant.json holds for a refitted parameter that was undone."""
     for row in document.named:
         if row.kept and parameter in row.parameters:
             q = row.parameters[parameter]
@@ -176,7 +174,7 @@ def _kept_in_words(document: GapDocument, parameter: str) -> str:
 
 
 def _judged_sets(document: GapDocument) -> dict[str, float]:
-    """Probability of each set of effects that was judged, the likeliest first."""
+    """Probability of each set of effects that was judged, the most probable first."""
     rows = sorted(document.tested, key=lambda row: -row.answers.catalogue)
     found: dict[str, float] = {}
     for row in rows:
@@ -186,14 +184,14 @@ def _judged_sets(document: GapDocument) -> dict[str, float]:
 
 
 def _judged_in_words(judged: Mapping[str, float]) -> str:
-    """Sentence on sets of effects none of which is sure enough."""
+    """Sentence on sets of effects none of which is certain enough."""
     likeliest = list(judged.items())[:MOST_TOLD]
     listed = ", ".join(f"{name.replace('_', ' ')} {in_percent(p)}" for name, p in likeliest)
     return f"none of {len(judged)} answers is sure enough to be named; the likeliest: {listed}."
 
 
 def probabilities_in_words(document: GapDocument) -> str:
-    """Probabilities of the three answers, and of each effect; empty without a noise floor."""
+    """Probabilities of the three answers and of each effect; empty without a noise floor."""
     answers = document.answers
     if answers is None:
         return ""
@@ -210,14 +208,19 @@ def probabilities_in_words(document: GapDocument) -> str:
 
 
 def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
-    """Text for the console.
+    """Gap document as text for the console.
 
     Parameters
     ----------
     document : GapDocument
-        Of a diagnosis.
+        Document of a diagnosis.
     gap_json : str
-        Path of its file.
+        Path of its file, named in the next step.
+
+    Returns
+    -------
+    str
+        Verdict, notes, named effects, refusals and the next step, one per line.
     """
     lines = [f"verdict: {document.verdict}", verdict_in_words(document), document.sentence]
     lines += notes_in_words(document)
@@ -249,7 +252,7 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
 
 
 def _named_in_words(row: NamedEffect, settings: GapSettings) -> list[str]:
-    """An effect with its values, its look-alikes and whether its strength is consistent."""
+    """Lines on an effect: its values, its look-alikes and whether its strength is consistent."""
     if not row.kept:
         return [f"found, then refused: {row.effect} (d′ {row.evidence.separation:.1f})"]
     values = ", ".join(

@@ -30,7 +30,7 @@ _SHORT: Final = {
 def localisation_maps(
     cells: Sequence[MappedRegion], trial: Trial, false_discovery_rate: float
 ) -> Figure:
-    """Draw a heat map for each way to divide the residual, all on one colour scale."""
+    """Heat map for each way to divide the residual, all on one colour scale."""
     most = max([c.size for c in cells if c.factor in FACTORS] + [1.5])
     signals = sorted({c.signal for c in cells})
     panels = []
@@ -67,7 +67,7 @@ def localisation_maps(
 
 
 def _order(level: str) -> tuple[float, str]:
-    """Levels with a number by it, others as they are told: out before back, minus before plus."""
+    """Sort key of a level: numeric levels by value, others in a fixed order."""
     number = re.match(r"[\d.]+", level)
     if number:
         return float(number[0]), level
@@ -80,7 +80,7 @@ def _plain(level: str) -> str:
 
 
 def _cycle(trial: Trial) -> Array:
-    """The first joint over one cycle of the motion, its largest excursion one."""
+    """First joint over one cycle of the motion, scaled to a largest excursion of 1."""
     start = trial.meta.rest_samples
     joint = trial.joint[start : start + round(trial.meta.period_s / trial.step_s), 0]
     return np.asarray(joint[:: max(1, len(joint) // 80)] / max(float(np.abs(joint).max()), 1e-9))

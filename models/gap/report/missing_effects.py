@@ -1,4 +1,4 @@
-"""Effects that are missing, for the page of a diagnosis: those named, and those that come next."""
+"""Missing effects on the page of a diagnosis: those named, and the next best ones."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from models.shared.page_parts import Cell, Figure, Paragraph, Part, Table
 from models.shared.svg_drawing import Drawing
 
 MOST_COMPARED: Final = 8
-"""Effects of the figure."""
+"""Most effects in the figure."""
 
 
 def named_effects(document: GapDocument, hidden: Mapping[str, float] | None) -> list[Part]:
     """Table of the effects that are named, and of those that were taken out again.
 
-    `hidden`: effects that were hidden with their strengths; adds a column.
+    `hidden` holds effects that were hidden on a rig and their strengths; it adds a column.
     """
     kept = [_row(entry, hidden, document.settings) for entry in document.named if entry.kept]
     taken_out = [
@@ -67,7 +67,7 @@ def _row(
 
 
 def _consistency(evidence: NamingEvidence) -> str | Markup:
-    """How far the strength differs between payloads, signals and frequencies."""
+    """How much the strength differs between payloads, signals and frequencies."""
     spread = FRACTION.text(evidence.strength_standard_deviation)
     if evidence.strength_holds:
         return spread
@@ -75,7 +75,9 @@ def _consistency(evidence: NamingEvidence) -> str | Markup:
 
 
 def compared_effects(document: GapDocument) -> list[Figure]:
-    """Figure of the first effect found beside those that explain the gap next best, each alone."""
+    """Figure of the first included effect beside those that explain the gap next best,
+    each alone.
+    """
     found = [(r.effect, r.evidence.separation / r.evidence.least) for r in document.named[:1]]
     others = [
         (r.effect, r.separation / r.least) for r in document.rejected

@@ -16,12 +16,12 @@ SHOWS_AS: Final[Mapping[str, str]] = {
     "friction": "coulomb_friction", "pressure": "pressure_leak", "eccentricity_m": "payload_offset",
     "frame_m": "marker_frame_tilt",
 }  # fmt: skip
-"""Effect whose check shows a variation that all trials share, by
+"""Effect whose check reveals a variation that all trials share, by
 `GapSettings.nuisance_bias_kinds`."""
 
 
 def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
-    """What the user does next, in one sentence; odd trials come first."""
+    """What to do next, in one sentence; outlier trials come first."""
     if not document.odd_trials:
         return _next_step_of_the_rest(document, gap_json)
     names = ", ".join(o.name for o in document.odd_trials)
@@ -32,7 +32,7 @@ def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") ->
 
 
 def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
-    """The same, by what the other trials show."""
+    """Next step by what the remaining trials show."""
     if document.verdict == "no floor":
         return "Repeat at least one trial: only repetitions tell noise from error."
     if document.verdict == "not in the catalogue":
@@ -68,7 +68,7 @@ def _next_step_of_the_rest(document: GapDocument, gap_json: str) -> str:
 
 
 def _next_step_of_more(document: GapDocument) -> str:
-    """The same where the named effects leave more than noise."""
+    """Next step where more than noise remains with the named effects."""
     record = "record another motion or payload and run gap again before you train with it."
     if document.nuisance_bias:
         kind = max(document.nuisance_bias, key=lambda own: abs(document.nuisance_bias[own]))
@@ -89,7 +89,7 @@ def _next_step_of_more(document: GapDocument) -> str:
 
 
 def _next_step_without_a_name(document: GapDocument) -> str:
-    """The same where no effect is named, and nothing outside of the catalogue is likely."""
+    """Next step where no effect is named, and nothing outside of the catalogue is probable."""
     answers = document.answers
     if answers is None or answers.nothing >= DECIDED:
         if document.refitted:
@@ -104,7 +104,7 @@ def _next_step_without_a_name(document: GapDocument) -> str:
 
 
 def _next_step_outside(document: GapDocument) -> str:
-    """The same where something outside of the catalogue is likelier than nothing."""
+    """Next step where something outside of the catalogue is more probable than nothing."""
     record = "Record another motion or payload, so that more is left out"
     answers = document.answers
     if answers is None or answers.nothing <= 1 - DECIDED:
@@ -118,7 +118,7 @@ def _next_step_outside(document: GapDocument) -> str:
 
 
 def is_plant_as_given(document: GapDocument) -> bool:
-    """Whether the plant that was written is the one as given."""
+    """Whether the plant that was written equals the plant that was diagnosed."""
     named = {e for row in document.named if row.kept for e in row.effect.split(" + ")}
     return not (document.refitted or named - _withheld(document))
 
@@ -129,10 +129,7 @@ def _withheld(document: GapDocument) -> set[str]:
 
 
 def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSettings) -> str:
-    """Whether a fixed motion tells an effect from its look-alikes, and which.
-
-    `settings`: with the d′ below which effects cannot be told apart.
-    """
+    """Which fixed motion tells an effect from its look-alikes, if any does."""
     largest = max(separated_by.separation.values(), default=0.0) if separated_by else 0.0
     if separated_by is None or largest < settings.indistinguishable_separation:
         return "no fixed motion tells them apart, a designed one may (dropstitch experiment)"
@@ -140,5 +137,5 @@ def separated_in_words(separated_by: SeparatingMotion | None, settings: GapSetti
 
 
 def in_percent(probability: float) -> str:
-    """Probability as a person reads it: no finite number of trials gives 0 or 100 %."""
+    """Probability in per cent, never 0 or 100 %: no finite number of trials proves either."""
     return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"

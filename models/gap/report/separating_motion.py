@@ -1,7 +1,7 @@
 """Motion that would separate a named effect from its look-alikes.
 
 The menu's motions are simulated with the named effect, and the other is fitted to them: the motion
-on which it fits worst separates best.
+with the worst fit separates best.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ NO_MOTION: Final = "none of the menu"
 def separating_motion(
     found: Diagnosis, trials: Sequence[Trial], alike: Sequence[LookAlike]
 ) -> tuple[str, dict[str, float]]:
-    """Motion of the menu that tells a named effect from its look-alikes best.
+    """Motion of the menu that best tells a named effect from its look-alikes.
 
-    Returns its name, and for every motion the least d′ from any of them; the menu is that of the
-    link, less what is faster than a servo without a bus watchdog may be.
+    Returns its name, and for every motion the least d′ from any look-alike. The menu is that of the
+    link; motions faster than a servo without a bus watchdog allows are left out.
     """
     if found.fitted.load != "link":
         return NO_MOTION, {}
@@ -50,7 +50,7 @@ def separating_motion(
         rest = found.settings.menu_rest_samples
         try:
             motion = motion_like(trials[0].meta, kind)
-        except InputError:  # the trials' amplitude or period are outside what a motion may have
+        except InputError:  # the trials' amplitude or period is out of range for a motion
             return NO_MOTION, {}
         planned = planned_trial(trials[0], motion, payload, rest)
         if _largest_rate_rad_s(planned) > UNWATCHED_RATE_RAD_S:
@@ -66,7 +66,7 @@ def _largest_rate_rad_s(trial: Trial) -> float:
 
 
 def _simulated(plant: Plant, trial: Trial) -> Trial:
-    """Planned trial as a plant runs it."""
+    """Planned trial with the outputs of a simulated plant."""
     compiled = CompiledModel(plant.step_model(trial.meta.dof, "twin"))
     y = run_trial(compiled, trial)
     outputs: dict[str, Array] = {
@@ -76,7 +76,7 @@ def _simulated(plant: Plant, trial: Trial) -> Trial:
 
 
 def _separation(found: Diagnosis, trial: Trial, other: LookAlike) -> float:
-    """d′ that is left when another effect is fitted to a trial, to first order."""
+    """d′ that remains after another effect is fitted to a trial, to first order."""
     common = [k for k, q in enumerate(found.fit_parameters) if q.trial in (None, 0)]
     parameters = [found.fit_parameters[k] for k in common]
     residuals = Residuals(found.plant, [trial], parameters, found.settings)

@@ -1,4 +1,4 @@
-"""Notes on the trials of a diagnosis: what of them was used, and what the noise floor knows."""
+"""Notes on the trials of a diagnosis: which were used, and what the noise floor covers."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from models.gap.residuals.group_words import groups_in_words
 VARIATION_IN_WORDS: Final[Mapping[str, str]] = {
     "eccentricity_m": "place of the payload", "sync_s": "clock", "frame_m": "mocap frame",
 }  # fmt: skip
-"""Kinds of variation between trials whose names a person does not read."""
+"""Displayed names of kinds of variation between trials; others are shown as they are."""
 
 
 def notes_in_words(document: GapDocument) -> list[str]:
-    """One phrase for each thing that a reader has to know of the trials."""
+    """One phrase for each note on the trials."""
     notes = (
         _odd_trials(document), _separate_joints(document), _goal_not_followed(document),
         _nuisance_bias(document), _rows_fitted(document), _own_error(document), _patterns(document),
@@ -28,7 +28,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
 
 
 def _odd_trials(document: GapDocument) -> str:
-    """Trials that were left out, and by how much they differ; empty if none was."""
+    """Outlier trials that were left out, and by how much they differ; empty if there are none."""
     rows = "; ".join(
         f"{o.name} ({o.payload_kg:g} kg) differs from {_from_what(o)}" for o in document.odd_trials
     )
@@ -36,7 +36,7 @@ def _odd_trials(document: GapDocument) -> str:
 
 
 def _from_what(odd: OddTrial) -> str:
-    """What a trial that was left out differs from, and by how much."""
+    """What an outlier trial differs from, and by how much."""
     if odd.variation:
         return (
             f"its repetition in the {variation_in_words(odd.variation)} by "
@@ -56,7 +56,7 @@ def variation_in_words(kind: str) -> str:
 
 
 def _separate_joints(document: GapDocument) -> str:
-    """That effects differ between the joints; empty where they are alike, as tried first."""
+    """Note that each joint has its own strength; empty where one strength was fitted to both."""
     if not document.settings.separate_joints:
         return ""
     return "no effect that is alike in both joints explains the gap: each has its own strength here"
@@ -72,7 +72,9 @@ def _goal_not_followed(document: GapDocument) -> str:
 
 
 def _nuisance_bias(document: GapDocument) -> str:
-    """Variations in which all trials would have to differ alike; empty if in none."""
+    """Variations in which all trials would have to differ in the same way; empty if
+    there are none.
+    """
     kinds = ", ".join(
         f"{variation_in_words(kind)} by {z:+.0f} standard deviations"
         for kind, z in document.nuisance_bias.items()
@@ -100,10 +102,11 @@ def _own_error(document: GapDocument) -> str:
 
 
 def _patterns(document: GapDocument) -> str:
-    """Trials for which nobody measured how the plant's own error varies; empty if there are none.
+    """Trials for which the variation of the plant's own error was not measured; empty if there are
+    none.
 
-    Told where the mean error is known: on other motions that lacks as well. Of other loads than the
-    link nothing can be measured.
+    Only trials with a known mean error are listed; on other motions the patterns are unknown as
+    well. For other loads than the link no patterns can be measured.
     """
     floor = document.noise_floor
     known = floor.own_error if floor.learned and "di" in floor.signals else {}
@@ -126,7 +129,9 @@ def _amplification(document: GapDocument) -> str:
 
 
 def _link(document: GapDocument) -> str:
-    """What is known of the link; empty where that it may have changed refused no effect."""
+    """What is assumed of the link; empty unless it is fixed or a possible change led to
+    a refusal.
+    """
     if document.settings.same_link:
         return "the link is taken for the one that the plant was identified on, as said"
     refused = {r.effect.replace("_", " ") for r in document.refused if r.kind == "improbable"}
@@ -139,7 +144,7 @@ def _link(document: GapDocument) -> str:
 
 
 def _plant(document: GapDocument) -> str:
-    """That the values of the plant count as known; empty where they are refitted freely."""
+    """Note that the plant's values count as known; empty where they are refitted freely."""
     settings = document.settings
     return (
         "the plant was identified on other trials, so its values count as known within "
@@ -151,7 +156,7 @@ def _plant(document: GapDocument) -> str:
 
 
 def _changed(document: GapDocument) -> list[str]:
-    """Conditions of the trials that no trial of the plant has, and what follows."""
+    """Conditions of the trials that no trial of the plant has, and their consequence."""
     return [_changed_in_words(row) for row in document.changed_conditions]
 
 

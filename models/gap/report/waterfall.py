@@ -16,12 +16,12 @@ from models.trials.trial import Trial, TrialSet
 
 
 def waterfall_steps(found: Diagnosis, trials: TrialSet) -> list[tuple[str, float]]:
-    """Error on held-out trials, in noise floors: as given, refitted, with each effect in turn.
+    """Error on held-out trials, in noise floors: of the diagnosed plant, then after each fit.
 
-    Common fit parameters are fitted to the trials of the study's split and then held. On the
-    held-out trials only the variation between trials is fitted, as the noise floor allows it, from
-    where it ended in the trials of the same payload: a large gap that is not yet explained affects
-    it.
+    Common fit parameters are fitted to the trials of the study's split and then fixed. On the
+    held-out trials only the variation between trials is fitted, within its prior. It starts from
+    the fitted variation of the trials with the same payload, since a large gap that is not yet
+    explained distorts it.
     """
     fit, held_out = trials.split()
     fitted, tested = (_estimator(found, t.trials) for t in (fit, held_out if held_out else fit))
@@ -61,7 +61,9 @@ def _floors(tested: GaussNewton, values: Array, fitted: GaussNewton) -> float:
 
 
 def _handed_over(tested: GaussNewton, values: Array, fitted: GaussNewton) -> Array:
-    """Fitted values by name: common ones, and a trial's own by its payload."""
+    """Fitted values for another estimator: common ones by name, those of a trial by name and
+    payload.
+    """
     by_key = dict(zip(_keys(fitted.residuals), values, strict=True))
     return np.array([by_key.get(key, 0.0) for key in _keys(tested.residuals)])
 

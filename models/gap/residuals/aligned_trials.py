@@ -1,7 +1,7 @@
-"""Trials of one motion, cut so that their rows are the same times of the motion.
+"""Trials of one motion, cut so that equal rows are equal times of the motion.
 
-What trials of a motion have in common, and how they scatter, is averaged row by row. A recording
-that was started by hand has a rest of its own before the motion, and an end of its own.
+Common errors and scatter of the trials of a motion are averaged row by row. A recording that was
+started by hand has its own rest before the motion, and its own end.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from models.trials.motion_start import motion_start
 from models.trials.trial import Trial, TrialSet
 
 MOST_CUT: Final = 0.1
-"""Largest part of a motion that is cut off for a shorter trial of it [assumed]."""
+"""Largest part of a motion that is cut off to match a shorter trial of it [assumed]."""
 
 
 def aligned(trials: TrialSet) -> TrialSet:
-    """Trials whose rest is that of their goals, those of one motion with equal rests and ends.
+    """Trials whose rest is that of their goals; those of one motion get equal rests and ends.
 
-    A trial that is shorter than others by more than `MOST_CUT` leaves them as they are.
+    Trials are not cut to match one that is shorter by more than `MOST_CUT`.
     """
     starts = [motion_start(t) for t in trials]
     motions: dict[str, list[int]] = defaultdict(list)
@@ -42,7 +42,7 @@ def aligned(trials: TrialSet) -> TrialSet:
 
 
 def _rows(trial: Trial, rest: int, kept: slice) -> Trial:
-    """Rows of a trial, so many of them before the start of its motion."""
+    """Rows `kept` of a trial, with `rest` rows before the start of its motion."""
     meta = msgspec.structs.replace(trial.meta, rest_samples=rest)
     columns = {name: column[kept] for name, column in trial.columns.items()}
     return replace(trial, meta=meta, columns=columns)

@@ -1,6 +1,6 @@
 """Parameters of the fit: directions in parameters and outputs of the twin that may close a gap.
 
-A fit parameter at zero leaves the plant as it is. There are three kinds: `nuisance` holds for all
+A fit parameter at zero leaves the plant unchanged. There are three kinds: `nuisance` holds for all
 trials and never counts as missing; `trial` varies from trial to trial with a known standard
 deviation, and so belongs to the noise floor; `effect` is searched for. All are linear in the
 plant's parameters, p = p_0 + Σ w θ, so one run with exact sensitivities serves all of them.
@@ -33,28 +33,29 @@ FRAME_TURNS: Final = {
 
 @dataclass(frozen=True)
 class FitParameter:
-    """One direction."""
+    """One direction of the fit."""
 
     name: str  # Name of the parameter of the plant, or of the variation
     kind: Kind
-    # How far each parameter, and each output at once, moves per unit
+    # Change of each plant parameter per unit
     parameters: Mapping[str, float] = field(default_factory=dict)
+    # Direct change of each output per unit
     outputs: Mapping[str, float] = field(default_factory=dict)
-    standard_deviation: float = math.inf  # Of the prior around zero; infinite for none
+    standard_deviation: float = math.inf  # Of the prior around zero; infinite without a prior
     low: float = -math.inf
     high: float = math.inf
     trial: int | None = None  # Index of the only trial that it acts on
-    effect: str = ""  # Effect that it belongs to; empty for none
+    effect: str = ""  # Effect that it belongs to; empty if none
     fitted_last: bool = False
 
 
 def plant_with_every_effect(plant: Plant) -> Plant:
-    """Plant that holds every effect it can; those that it lacked at zero strength."""
+    """Plant with every effect that it can have; added effects have zero strength."""
     return plant_with_searched_effects(plant, candidate_effects(plant))
 
 
 def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
-    """Plant that holds effects as a search begins: those that it lacked at zero strength."""
+    """Plant with some effects at the start of a search; added effects have zero strength."""
     full = plant.with_effects(*names)
     added = [EFFECTS[e].search_start for e in names if e not in plant.effects]
     start = {n: v for own in added for n, v in own.items() if n in full.parameters}
@@ -62,11 +63,11 @@ def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
 
 
 def candidate_effects(plant: Plant) -> list[str]:
-    """Effects that may be missing: all that a plant of this kind can hold.
+    """Effects that may be missing: all that a plant of this kind can have.
 
-    Of a plant that is not the link those that it holds already are nuisance: where it was
-    identified on the very trials that the gap is looked for in, its own effects made up for what
-    was missing, and elsewhere they take up the error of their equations.
+    For a plant other than the link, the effects that it already has are nuisance. If it was
+    identified on the trials of the diagnosis, they compensated for what was missing; otherwise they
+    absorb the error of their equations.
     """
     every = applicable(DRIVES[plant.drive], LOADS[plant.load])
     if LOADS[plant.load].kind == "link":
@@ -110,7 +111,7 @@ def trial_fit_parameters(
 ) -> list[FitParameter]:
     """Variation between trials: pressure, friction, payload, clock and frame of each trial.
 
-    `plant`: as given; of loads other than the link nothing varies.
+    For loads other than the link nothing varies.
     """
     if LOADS[plant.load].kind != "link":
         return []
@@ -139,7 +140,7 @@ def trial_fit_parameters(
 
 
 def is_alike_in_joints(name: str) -> bool:
-    """Whether an effect's strength is first taken as the same in every joint."""
+    """Whether an effect first has one common strength for all joints."""
     effect = EFFECTS[name]
     own = effect.of_each_joint or effect.port in ("bend_torque", "stiffness")
     return bool(effect.per_joint) and not own
@@ -150,9 +151,9 @@ def effect_fit_parameters(
 ) -> list[FitParameter]:
     """Fit parameters of one effect: its strength first, then others that may be fitted.
 
-    A servo's effect is the same in every joint, but for offsets (`Effect.of_each_joint`); that of
-    the bend may differ by plane. Both then have a strength for each. What the plant believes of the
-    staircase of its goals may be wrong in each joint by itself.
+    A servo's effect has one strength for all joints, except offsets (`Effect.of_each_joint`). A
+    bending effect may differ by plane and has a strength for each. The assumed staircase of the
+    goals (`goal shape`) may be wrong in each joint separately.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
@@ -203,5 +204,5 @@ def _relative(q: Parameter, fraction: float) -> FitParameter:
 
 
 def _owned(full: Plant, dof: int) -> list[str]:
-    """Parameters of the plant that a twin of `dof` joints has."""
+    """Parameters of the plant that a twin with `dof` joints has."""
     return [v.name for v in full.step_model(dof, "twin").parameters]

@@ -1,4 +1,4 @@
-"""Groups of trials as a person reads them, from the keys by which documents name them."""
+"""Groups of trials in words, from the keys that documents use."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ _KEY: Final = re.compile(
     r"(?P<dof>\d+)dof (?P<motion>.+?) (?P<amplitude>[-+.\de]+)rad (?P<period>[-+.\de]+)s "
     r"(?P<phase>[-+.\de]+)rad( (?P<rows>\d+)x(?P<step>[-+.\de]+)s)?(?P<conditions>( \S+=\S+)*)"
 )
-"""Of `models.gap.residuals.residuals.trial_group_key`, with or without length and step."""
+"""Form of `models.gap.residuals.residuals.trial_group_key`, with or without length and step."""
 _COUNTS: Final = {1: "one joint", 2: "two joints"}
 
 
 def motion_in_words(key: str) -> str:
-    """Return the motion and the conditions of a group of trials; the key where it has another
-    form.
-    """
+    """Motion and conditions of a group of trials; the key itself if it has another form."""
     found = _KEY.fullmatch(key)
     if found is None:
         return key
@@ -41,7 +39,7 @@ def motion_in_words(key: str) -> str:
 
 
 def groups_in_words(keys: Iterable[str]) -> str:
-    """Return groups of trials in words, their length told where else two would read alike."""
+    """Groups of trials in words, with their length where two would read the same."""
     words = {key: motion_in_words(key) for key in keys}
     times = Counter(words.values())
     return "; ".join(
@@ -50,7 +48,7 @@ def groups_in_words(keys: Iterable[str]) -> str:
 
 
 def _condition(text: str) -> str:
-    """A condition "load_mass_kg=0.5" as "load mass 0.5 kg"."""
+    """Condition such as "load_mass_kg=0.5" as "load mass 0.5 kg"."""
     name, _, value = text.partition("=")
     return f"{without_unit(name)} {value} {symbol_of(unit_of(name) or '1')}".rstrip()
 

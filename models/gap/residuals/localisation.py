@@ -1,9 +1,9 @@
 """Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
 
-The residual in noise floors is brought back to time and its power compared region by region with a
-block bootstrap: differences of repeated trials hold no common gap, so blocks of them, drawn with
-random signs, show the effect of noise alone (without repetitions, white noise does). A region
-counts where it stays significant under a false-discovery rate (Benjamini and Hochberg 1995).
+The residual in noise floors is transformed back to time and its power compared region by region
+with a block bootstrap: differences of repeated trials hold no common gap, so blocks of them, drawn
+with random signs, show the effect of noise alone (without repetitions, white noise does). A region
+counts if it stays significant under a false-discovery rate (Benjamini and Hochberg 1995).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from models.trials.trial import Trial
 class GapRegion:
     """One region of one signal, by one factor."""
 
-    signal: str  # For example tip_x_m, "phase", "3/8"
+    signal: str  # For example tip_x_m; factor and level: "phase", "3/8"
     factor: str
     level: str
     floors: float  # Root mean square of the residual in noise floors; 1 is noise
-    mean: float  # Its mean, with sign: measured minus simulated
+    mean: float  # Signed mean residual, in noise floors: measured minus simulated
     p: float  # Fraction of the bootstrap's draws that are as large
     significant: bool = False  # Under the false-discovery rate
 
@@ -91,7 +91,7 @@ def _pairs(own: Sequence[Trial], rows: Array, samples: int) -> Array:
 def _noise(
     rng: np.random.Generator, pairs: Array, shape: tuple[int, ...], block: int, draws: int
 ) -> Iterator[Array]:
-    """Draws of noise for one signal, each (trials, n): all at once would fill the memory."""
+    """Draws of noise for one signal, each (trials, n), one by one to save memory."""
     trials, samples = shape[0], shape[-1]
     if not len(pairs):
         for _ in range(draws):
@@ -119,7 +119,7 @@ def _drawn_power(
 
 
 def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str], Array]:
-    """Weights by factor and level, (trials, n)."""
+    """Masks by factor and level, (trials, n)."""
     angle = np.array([t.joint[:, 0] for t in own])
     rate = np.gradient(angle, own[0].step_s, axis=1)
     time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
@@ -190,7 +190,7 @@ def _bands(
 
 
 def _significant(regions: list[GapRegion], rate: float) -> list[GapRegion]:
-    """Regions, those that pass the false-discovery rate marked."""
+    """Regions with those marked that pass the false-discovery rate."""
     order = sorted(range(len(regions)), key=lambda k: regions[k].p)
     limit = 0
     for rank, k in enumerate(order, start=1):

@@ -1,4 +1,4 @@
-"""Simulation of trials in lockstep: several of one length and step at once, on two threads."""
+"""Simulation of trials in lockstep: several of equal length and step at once, on two threads."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from models.plant.step_model import StepModel
 from models.trials.trial import Trial
 
 WORKERS: Final = 2
-"""Threads that simulate; CasADi lets go of the interpreter meanwhile."""
+"""Threads that simulate; CasADi releases the interpreter lock meanwhile."""
 
 LANES: Final = 4
-"""Trials in lockstep: what a register of AVX2 holds."""
+"""Trials in lockstep: as many as a register of AVX2 holds."""
 
 MOST_ROWS: Final = 40_000
-"""Rows of all trials of a batch, where it holds more than one: the derivatives of a row take 5 kB
+"""Most rows of all trials of a batch, if it holds more than one: the derivatives of a row take 5 kB
 for the link with every effect and two joints [assumed]."""
 
 
@@ -53,7 +53,7 @@ class LockstepRuns:
         self._batches: dict[tuple[int, ...], list[Batch]] = {}
 
     def outputs(self, which: Iterable[int], p: Callable[[int], Array]) -> dict[int, Array]:
-        """Outputs (n, outputs) of some trials."""
+        """Outputs (n, outputs) of some trials; `p` gives the parameters by index."""
 
         def run(batch: Batch) -> list[Array]:
             own = np.stack([p(k) for k in batch.trials])
@@ -68,11 +68,10 @@ class LockstepRuns:
         wanted: NDArray[np.bool_],
         use: Callable[[int, Array], Result],
     ) -> dict[int, Result]:
-        """What is made of the derivatives of the outputs of some trials.
+        """Results of `use` on the derivatives of the outputs of some trials.
 
-        Shapes: `wanted` (moved,).
-        `wanted`: parameters to differentiate by; derivatives by the others are zero.
-        `use`: from an index and the derivatives (n, outputs, moved) to the result.
+        `wanted`, shape (moved,): parameters to differentiate by; derivatives by the others are
+        zero. `use` reduces the derivatives (n, outputs, moved) of the trial with an index.
         """
 
         def run(batch: Batch) -> list[Result]:
@@ -100,7 +99,9 @@ class LockstepRuns:
         }
 
     def _in_batches(self, which: Sequence[int]) -> list[Batch]:
-        """Batches of trials of one length and step, as many for each worker, the largest first."""
+        """Batches of trials of equal length and step, equally many per worker, the
+        largest first.
+        """
         alike: dict[tuple[int, float], list[int]] = {}
         for k in which:
             alike.setdefault((len(self._trials[k]), self._trials[k].step_s), []).append(k)

@@ -1,4 +1,4 @@
-"""Residuals of some rows of some trials, with the simulations of all of them."""
+"""Residuals of some rows of some trials, from simulations of all of them."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ class SquaredError:
 
 
 class PartialResiduals(Residuals):
-    """Residuals in which only the given rows count; trials without any are left out.
+    """Residuals in which only some rows count; trials without any are left out.
 
-    Shapes: `counted` (n,).
-    `counted`: 1 for each row that counts, 0 otherwise, by index of the trial.
-    `derivatives`: from values and the fit parameters wanted to the derivatives of `whole`, as
-    `Residuals.jacobian`: one run of all trials serves every part of them.
+    `counted`: by index of the trial, 1 for each row that counts, 0 otherwise, shape (n,).
+    `derivatives`: returns the derivatives of `whole` from values and the wanted fit parameters, as
+    `Residuals.jacobian` does: one run of all trials serves every part of them.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class PartialResiduals(Residuals):
         ]
 
     def jacobian(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
-        """As `Residuals.jacobian`, cut out of the derivatives of all trials."""
+        """Derivatives as in `Residuals.jacobian`, selected from those of all trials."""
         every = self._derivatives(values, wanted)
         slopes = [s[part] for s, part in zip(every, self._parts, strict=True) if part]
         return [
@@ -57,7 +56,7 @@ class PartialResiduals(Residuals):
         ]
 
     def squared_errors(self, values: Array) -> dict[str, SquaredError]:
-        """Raw errors by signal, over the rows that count and where something was measured.
+        """Raw errors by signal, over the rows that count and were measured.
 
         Shapes: `values` (p,).
         """

@@ -1,9 +1,9 @@
-"""Prior of the fit parameters: what nuisance and the variation between trials may do by chance.
+"""Prior of the fit parameters: how far nuisance and the variation between trials go by chance.
 
-Each costs ½ (θ_k / s_k)², with its standard deviation s_k. A clock that differs in all trials alike
-is no variation between them: the nuisance `synchronisation` holds it, up to what counts as
-synchronised (`GapSettings.clock_limit_s`). The mean over the trials therefore costs as if it were
-known. Without that, six clocks that are 8 ms late cost little, and hide an offset of 18 ms.
+Each costs ½ (θ_k / s_k)², with its standard deviation s_k. A clock error common to all trials is no
+variation between them: the nuisance `synchronisation` models it, up to what counts as synchronised
+(`GapSettings.clock_limit_s`). So the mean over the trials costs as if it were known. Otherwise six
+clocks that are 8 ms late would cost little, and would hide an offset of 18 ms.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ SHARED_AS_NUISANCE: Final = ("sync_s",)
 """Kinds of trial variation whose common part is a nuisance within bounds."""
 
 KNOWN_FRACTION: Final = 0.01
-"""Standard deviation of a mean that counts as known, over that of one by chance [assumed]: small
-enough to hold the mean, large enough to keep matrices regular."""
+"""Standard deviation of a mean that counts as known, over its standard deviation by chance
+[assumed]: small enough to hold the mean, large enough to keep matrices regular."""
 
 
 def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:
-    """Precision of each fit parameter's own prior, shape (p,); 0 for none."""
+    """Precision of each fit parameter's own prior, shape (p,); 0 without a prior."""
     deviation = np.array([q.standard_deviation for q in fit_parameters])
     return np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
 

@@ -33,21 +33,22 @@ from models.trials.trial import Trial
 _FOLLOWED: Final = "goal_{j}_rad angle_{j}_rad current_{j}_a"
 
 LARGEST_DERIVATIVE: Final = 1e60
-"""Larger ones are those of a simulation that runs away; their squares would overflow [assumed]."""
+"""Largest derivative that counts: a simulation that diverges exceeds it, and its square would
+overflow [assumed]."""
 
 
 @dataclass(frozen=True)
 class TrialGroup:
     """Trials of one motion, whose spectra can be compared coefficient by coefficient."""
 
-    key: str  # Motion, its amplitude, period and number of joints, and the trial's other conditions
+    key: str  # See `trial_group_key`
     trials: tuple[int, ...]
-    signals: tuple[str, ...]  # That simulation and measurement share
-    coefficients: int  # Number that is kept
+    signals: tuple[str, ...]  # Signals that both simulation and measurement have
+    coefficients: int  # Number of coefficients that are used
 
 
 def trial_group_key(trial: Trial) -> str:
-    """Condition of a trial apart from payload and repetition."""
+    """Key of a trial's conditions apart from payload and repetition."""
     m = trial.meta
     conditions = "".join(f" {name}={value:.5g}" for name, value in sorted(m.conditions.items()))
     return (
@@ -69,7 +70,7 @@ def check_duration(trial: Trial, settings: GapSettings = DEFAULT_SETTINGS) -> No
 
 
 class Residuals:
-    """Residuals of the twin that holds every effect, over trials, as spectra."""
+    """Residual spectra of the twin with every effect, over trials."""
 
     def __init__(
         self,
@@ -158,14 +159,14 @@ class Residuals:
         return [np.stack([slopes[k] for k in g.trials]) for g in self.groups]
 
     def goal_not_followed(self) -> dict[str, int]:
-        """First row that no longer counts, of each trial whose joint does not follow its goal."""
+        """First row that is not used, for each trial whose joint does not follow its goal."""
         return {
             t.name: int(rows.sum())
             for t, rows in zip(self.trials, self._follows, strict=True) if not rows.all()
         }  # fmt: skip
 
     def _usual_errors_rad(self) -> list[Array]:
-        """Largest following error of each joint of the twin as given, rad, by trial."""
+        """Largest following error of each joint of the diagnosed plant's twin, rad, by trial."""
         runs, result = self._runs(np.zeros(len(self.fit_parameters))), []
         for k, trial in enumerate(self.trials):
             joints = range(1, trial.goal_rad.shape[1] + 1)
@@ -188,7 +189,7 @@ class Residuals:
     ) -> Array:
         """Spectra (signals, K, wanted) of a trial's derivatives (n, outputs, moved).
 
-        A derivative that overflows says nothing and counts as zero.
+        A derivative that overflows counts as zero.
         """
         acting = wanted & self._acts[k]
         moved = self._moved[:, acting]
@@ -216,10 +217,7 @@ class Residuals:
         return rows
 
     def as_counted(self, g: TrialGroup, spectra: Array) -> Array:
-        """Spectra (…, trials, signals, K) in which only the rows that count are not zero.
-
-        Shapes: `spectra` (..., trials, signals, K).
-        """
+        """Spectra (..., trials, signals, K) recomputed with the unused rows set to zero."""
         result = spectra.copy()
         for a, k in enumerate(g.trials):
             rows, trial = self._follows[k], self.trials[k]
@@ -239,13 +237,12 @@ class Residuals:
 def rows_that_follow(
     trial: Trial, usual_error_rad: Array, settings: GapSettings = DEFAULT_SETTINGS
 ) -> Array:
-    """1 for each row up to where a joint no longer follows its goal, 0 after.
+    """1 for each row before a joint stops following its goal, 0 after, shape (n,).
 
     There the current saturates and the joint falls behind. Two such falls differ, so no simulation
-    follows them. Where angle or current were not measured every row counts.
+    reproduces them. Where angle or current were not measured, every row counts.
 
     Shapes: `usual_error_rad` (joints,).
-    Returns shape (n,).
     """
     joints = range(1, trial.meta.dof + 1)
     if any(q not in trial.columns for j in joints for q in _FOLLOWED.format(j=j).split()):
@@ -258,7 +255,7 @@ def rows_that_follow(
 
 
 def interpolate_missing(rows: Array) -> Array:
-    """Rows with what is missing interpolated; zero where all is missing."""
+    """Rows with missing values interpolated; zero if all are missing."""
     seen = np.isfinite(rows)
     if seen.all():
         return rows

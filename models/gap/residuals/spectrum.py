@@ -16,36 +16,30 @@ Array = NDArray[np.float64]
 
 
 def coefficient_count(samples: int, step_s: float, highest_hz: float) -> int:
-    """Number of coefficients of a trial that are kept."""
+    """Number of coefficients of a trial that are used."""
     return min(samples, max(4, int(2 * samples * step_s * highest_hz)))
 
 
 def coefficient_frequencies_hz(coefficients: int, samples: int, step_s: float) -> Array:
-    """Frequencies of the first coefficients of a trial of so many samples, shape (K,)."""
+    """Frequencies of the first coefficients of a trial, shape (K,)."""
     return np.arange(coefficients) / (2 * samples * step_s)
 
 
 def cosine_transform(rows: Array, coefficients: int) -> Array:
-    """First coefficients (K, …) of rows (n, …).
-
-    Shapes: `rows` (n, ...).
-    """
+    """First coefficients (K, ...) of rows (n, ...)."""
     return np.asarray(dct(rows, type=2, norm="ortho", axis=0)[:coefficients])
 
 
 def inverse_cosine_transform(coefficients: Array, samples: int) -> Array:
-    """Rows (n, …) of coefficients (K, …).
-
-    Shapes: `coefficients` (K, ...).
-    """
+    """Rows (n, ...) of coefficients (K, ...)."""
     return np.asarray(idct(coefficients, type=2, norm="ortho", axis=0, n=samples))
 
 
 def smoothed_power(power: Array, width_fraction: float, least_coefficients: int) -> Array:
     """Mean of power over neighbouring coefficients.
 
-    Shapes: `power` (..., K).
-    `width_fraction`: half width of the window, as a fraction of the frequency.
+    `width_fraction`: half width of the window, as a fraction of the frequency. Shapes: `power`
+    (..., K).
     """
     count = power.shape[-1]
     total = np.concatenate([np.zeros((*power.shape[:-1], 1)), np.cumsum(power, axis=-1)], axis=-1)

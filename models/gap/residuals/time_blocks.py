@@ -1,10 +1,9 @@
 """Blocks of time of a single trial: contiguous parts that begin in motion, each a trial of its own.
 
-Where there is one trial, no payload, motion or repetition can be left out. Rows that are masked in
-the simulation of the whole are hardly left out: a joint that nothing holds carries every error of
-its torque along, so the rows after a masked block say what happened in it. A block that begins at
-its own measured coordinate and rate carries nothing over; this is multiple shooting
-[Bock 1983; Baake et al. 1992] with measured starts.
+With one trial, no payload, motion or repetition can be left out. Masking rows in a simulation of
+the whole trial leaves little out: a free joint accumulates every torque error, so the rows after a
+masked block reveal what happened in it. A block that begins at its own measured coordinate and rate
+carries nothing over; this is multiple shooting [Bock 1983; Baake et al. 1992] with measured starts.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ BLOCK: Final = ", block "
 def in_time_blocks(
     plant: Plant, trials: TrialSet, settings: GapSettings = DEFAULT_SETTINGS
 ) -> TrialSet:
-    """Blocks of a single trial, where the plant can begin in motion; else the trials as they are.
+    """Blocks of a single trial, if the plant can begin in motion; otherwise the trials unchanged.
 
-    `plant`: its drive declares a rate at the start if a trial may begin in motion.
-    `settings`: tuned numbers: the number of blocks, and the least rows of each.
+    A plant can begin in motion if its drive declares a rate at the start.
     """
     if len(trials) != 1:
         return trials
@@ -45,7 +43,6 @@ def in_time_blocks(
 
 
 def is_time_block(trial: Trial) -> bool:
-    """Whether a trial is a block of another."""
     return BLOCK in trial.meta.motion
 
 

@@ -20,13 +20,10 @@ def bounded_candidate(
     free: Array,
     refused: list[RefusedEffect],
 ) -> Candidate | None:
-    """Candidate inside its bounds; None where its strength ended at one, or nothing is gained.
+    """Candidate within its bounds; None where its strength ended at one, or nothing is gained.
 
     Other parameters of the effect that ended at a bound keep the plant's value, and the rest is
-    fitted again.
-
-    Shapes: `free` (p,).
-    `refused`: gets an entry where the strength ended at a bound.
+    fitted again. A strength that ended at a bound adds an entry to `refused`.
     """
     parameters = estimator.residuals.fit_parameters
     strengths = strength_names(estimator, candidate.effects)
@@ -57,7 +54,6 @@ def bounded_candidate(
 
 
 def strength_names(estimator: GaussNewton, effects: tuple[str, ...]) -> set[str]:
-    """Names of the strengths of some effects."""
     residuals = estimator.residuals
     full, dof = plant_with_every_effect(residuals.plant), residuals.trials[0].meta.dof
     return {name for effect in effects for name in full.strengths(effect, dof)}

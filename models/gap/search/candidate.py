@@ -15,7 +15,7 @@ from models.plant.effects import EFFECTS
 
 @dataclass
 class Candidate:
-    """A candidate (one effect, or two) and its fit."""
+    """Candidate of the search (one effect, or two) and its fit."""
 
     effects: tuple[str, ...]
     point: FitPoint
@@ -24,11 +24,11 @@ class Candidate:
     # The same on a link that did not change since the plant was identified
     least_on_same_link: float
     predicted: float = 0.0  # Fall of the cost that derivatives predict
-    # Fall of the cost on trials left out and of the nuisance's prior, and what it must exceed; not
-    # a number before cross-validation
+    # Fall of the cost on held-out trials and of the nuisance's prior; NaN before cross-validation
     held_out_gain: float = np.nan
+    # Value that `held_out_gain` must exceed; NaN before cross-validation
     held_out_error: float = np.nan
-    # Fit parameters of its own that keep their first value because they ended at a bound
+    # Its fit parameters that ended at a bound and keep the plant's value
     held: frozenset[int] = frozenset()
 
     @property
@@ -38,16 +38,17 @@ class Candidate:
 
     @property
     def hope(self) -> float:
-        """Score that a screened candidate may reach, halfway to the prediction of derivatives.
+        """Score that a screened candidate may reach if the gain that derivatives predict comes
+        true.
 
-        Its refit may leave the link as it was.
+        It assumes an unchanged link, since the refit may undo the change of the link.
         """
         score = 2 * self.gain - self.least_on_same_link**2
         return score + max(self.predicted - self.gain, 0.0)
 
     @property
     def separation(self) -> float:
-        """Its d′: root of twice the fall of the cost."""
+        """Its d′: the square root of twice the fall of the cost."""
         return float(np.sqrt(max(2 * self.gain, 0.0)))
 
     def missed_fraction(self, settings: GapSettings) -> float:
@@ -59,26 +60,24 @@ class Candidate:
 
 @dataclass
 class SearchResult:
-    """Result of the effect search."""
-
-    before: FitPoint  # Fit of nuisance and trial variation alone, and with the named effects
-    after: FitPoint
+    before: FitPoint  # Fit of nuisance and trial variation alone
+    after: FitPoint  # Fit with the named effects
     # In order of inclusion, without those deleted again
     named: list[str] = field(default_factory=list)
     # Refitted candidates of each round, best first
     rounds: list[list[Candidate]] = field(default_factory=list)
-    # D′ of every effect in the first round's screen
+    # d′ of every effect in the first round's screen
     screened: dict[str, float] = field(default_factory=dict)
     # Effects that these trials could not show at any strength within bounds
     unexcited: list[str] = field(default_factory=list)
-    chosen: list[Candidate] = field(default_factory=list)  # Included in each round
-    # Candidates whose strength ended at a bound, and what the acceptance takes out
+    chosen: list[Candidate] = field(default_factory=list)  # Included candidate of each round
+    # Candidates whose strength ended at a bound, and effects that the acceptance takes out
     refused: list[RefusedEffect] = field(default_factory=list)
     # Best fit of each set of effects that was tried, against the same floor
     explored: dict[frozenset[str], FitPoint] = field(default_factory=dict)
 
     def explore(self, effects: Sequence[str], point: FitPoint) -> None:
-        """Keep a fit of a set of effects where it is the best so far."""
+        """Store the fit of a set of effects if it is the best so far."""
         key = frozenset(effects)
         if key not in self.explored or point.cost < self.explored[key].cost:
             self.explored[key] = point
@@ -87,14 +86,14 @@ class SearchResult:
 def beyond_limits(
     candidate: Candidate, found: SearchResult, left: float, settings: GapSettings
 ) -> tuple[float, float, float]:
-    """What a candidate has beyond its limits, in squared d′; it passes those that it exceeds.
+    """Margins by which a candidate exceeds its limits, in squared d′; it passes those above zero.
 
-    The limit grows with what is left beside a candidate, as in an F-test, and with the error of the
-    equations that were included before: at most 10 to 20 % of their d′ for a candidate whose
-    strength is the same everywhere, 35 % for any other.
+    The limit grows with the residual that a candidate leaves, as in an F-test, and with the
+    equation error of the effects that were included before: at most 10 to 20 % of their d′ for a
+    candidate whose strength is the same everywhere, 35 % for any other.
 
-    Returns beyond its least d′; beside an error of the equations before; the same if its strength
-    is not consistent.
+    Returns the margin over its least d′; the margin that also allows for the equation error of
+    earlier effects; and the same if its strength is not consistent.
     """
     beyond = 2 * candidate.gain - max(left, 1.0) * candidate.least**2
     missed = missed_by(found.chosen, settings)

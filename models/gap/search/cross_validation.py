@@ -1,13 +1,12 @@
 """Cross-validation of an effect on trials that its values were not fitted to.
 
 Whole payloads are left out in turn (where there is one, other conditions such as a gain, motions,
-or repetitions), and the effects fitted without them. What an effect does not act on says nothing
-about it: a current limit that only the heaviest payload meets is tested on repetitions. Both models
+or repetitions), and the effects are fitted without them. Only trials that an effect acts on can
+test it: a current limit that only the heaviest payload meets is tested on repetitions. Both models
 are linear around their fits, which costs no simulation. The nuisance keeps the values of all
-trials: extrapolating it to another payload is not tested here. What these values cost by their
-prior counts once: a turn of the mocap's frame far beyond its prior predicts what is left out as
-well as the tilt that it stands for. The variation of a trial that was left out is fitted to it,
-within its prior.
+trials: extrapolating it to another payload is not tested here. The prior cost of these values
+counts once: a turn of the mocap's frame far beyond its prior predicts the held-out trials as well
+as the tilt that it stands for. The variation of a held-out trial is fitted to it, within its prior.
 """
 
 from __future__ import annotations
@@ -31,11 +30,13 @@ FOLD_KEYS: Final[Mapping[str, Callable[[Trial], object]]] = {
     "conditions": lambda t: sorted(t.meta.conditions.items()),
     "motions": lambda t: (t.meta.motion, t.meta.amplitude_rad, t.meta.period_s),
 }
-"""What trials that are left out together have in common, by what is left out."""
+"""Property shared by trials that are left out together, by the name of what is left out."""
 
 
 def held_out_gains(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
-    """Fall of the cost on each fold that was left out, shape (folds,); with one trial, on that."""
+    """Fall of the cost on each held-out fold, shape (folds,); on the trial itself where there is
+    one.
+    """
     size = _contributions(estimator, without, with_)
     return np.array(
         [
@@ -52,11 +53,9 @@ def held_out_gain(
 ) -> tuple[float, float]:
     """Sum of `held_out_gains` and `nuisance_prior_fall`, and what it must exceed.
 
-    The parameters are the same.
-
-    An effect shows in some payloads more than in others, so that the variation of the gains from
-    fold to fold tells nothing of its truth: the gain of one that shows on one payload alone would
-    not exceed its standard error, whatever its size. What speaks against it are folds that lose.
+    An effect shows more in some payloads than in others, so the variation of the gains between
+    folds is no evidence against it: an effect that shows at one payload alone would never exceed
+    its standard error, whatever its size. Folds that lose are evidence against it.
     """
     gains = held_out_gains(estimator, without, with_)
     gain = float(gains.sum()) + nuisance_prior_fall(estimator, without, with_)
@@ -64,18 +63,17 @@ def held_out_gain(
 
 
 def nuisance_prior_fall(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> float:
-    """Fall of the cost of the common nuisance by its prior; the parameters are the same."""
+    """Fall of the prior cost of the common nuisance."""
     common = [q.trial is None for q in estimator.residuals.fit_parameters]
     before, after = (np.where(common, point.values, 0.0) for point, _ in (without, with_))
     return 0.5 * float(before @ estimator.prior @ before - after @ estimator.prior @ after)
 
 
 def left_out_folds(trials: Sequence[Trial], contributions: Array, least: float) -> list[list[int]]:
-    """Indices of the trials that are left out together, in at least two folds where there are.
+    """Indices of the trials that are left out together; at least two folds where possible.
 
-    Shapes: `contributions` (trials,).
-    `contributions`: square of what an effect changes in each trial, in noise floors.
-    `least`: sum of these in a fold from which the effect acts on it.
+    `contributions`, shape (trials,), is the squared change of each trial by the effect, in noise
+    floors; `least` is the sum in a fold above which the effect acts on it.
     """
     for key in (*FOLD_KEYS.values(), _repetition):
         keys = [str(key(t)) for t in trials]
@@ -91,7 +89,7 @@ def _repetition(trial: Trial) -> object:
 
 
 def _contributions(estimator: GaussNewton, without: FittedModel, with_: FittedModel) -> Array:
-    """Square of what a candidate changes in each trial, in noise floors, shape (trials,)."""
+    """Squared change of each trial by a candidate, in noise floors, shape (trials,)."""
     (_, before), (point, free) = without, with_
     values = np.where((free != 0) & (before == 0), 0.0, point.values)
     change = [a - b for a, b in zip(estimator.residuals.residuals(values), point.rows, strict=True)]
@@ -141,7 +139,7 @@ def _step(
     index: NDArray[np.intp],
     values: Array,
 ) -> Array:
-    """Least-squares step of some fit parameters, their priors included."""
+    """Least-squares step of some fit parameters, including their priors."""
     if not len(index):
         return np.empty(0)
     precision = estimator.precision[index]

@@ -1,10 +1,10 @@
-"""Strengths of an effect to which no step from zero leads.
+"""Strengths of an effect that no step from zero leads to.
 
-An effect with a dead zone shows nothing where it is absent, like a limit never met. Its derivatives
+An effect with a dead zone shows nothing below it, like a limit that is never met. Its derivatives
 vanish there, so strengths are tried one by one: fractions of the bound and, where the effect itself
-reads a first strength from the trials (`Effect.dead_zone_strength`), that one too. Then between the
-best and its neighbours. Of any other effect far strengths are tried from the present fit and from
-the plant as given.
+reads a first strength from the trials (`Effect.dead_zone_strength`), that one too; then values
+between the best and its neighbours. Strengths far from zero are tried for any other effect too,
+from the present fit and from the plant that is diagnosed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from models.plant.effects import EFFECTS
 def unexcited_effects(
     estimator: GaussNewton, point: FitPoint, base: Array, of: Mapping[str, Array]
 ) -> list[str]:
-    """Effects whose whole range changes these trials by less than can be told apart.
+    """Effects whose whole range changes these trials too little to be detected.
 
     Shapes: `base` (p,).
     """
@@ -52,16 +52,17 @@ def strengths_far_from_zero(
     free: Array,
     flat: bool,
 ) -> list[FitPoint]:
-    """Points at strengths of an effect to which no step from zero leads.
+    """Points at strengths of an effect that no step from zero leads to.
 
-    A plant that was identified without an effect may have made up for it: excessive damping looks
-    like a low-pass of the sensor. Then a far strength lowers the cost, although no step does. Nor
-    does one lead to a low-pass of a current with a saw-tooth, which is gone at any strength. An
-    effect with a dead zone gets a ladder, and a short fit from its best rung: the nuisance around
-    it may have made up for the effect.
+    A plant that was identified without an effect may have compensated for it: excessive damping
+    looks like a low-pass of the sensor. Then a far strength lowers the cost, although no step does.
+    Nor does a step lead to a low-pass of a current with a saw-tooth, which vanishes at any
+    strength. An effect with a dead zone gets a ladder of strengths, and a short fit from its best
+    rung, since the nuisance may have compensated for the effect.
 
     Shapes: `own` (p,), `free` (p,).
-    `others`: further values of the other fit parameters, with derivatives: the plant as given.
+
+    `others`: further starts with derivatives, such as the plant that is diagnosed.
     """
     if flat:
         steps, found = estimator.settings.candidate_start_steps, []
@@ -83,10 +84,10 @@ def strengths_far_from_zero(
 def _promising_strength(
     estimator: GaussNewton, given: FitPoint, own: Array, free: Array, cost: float
 ) -> list[FitPoint]:
-    """Fit from the plant as given and a far strength, where derivatives promise less cost.
+    """Fit from the diagnosed plant and a far strength, where derivatives predict a lower cost.
 
-    The nuisance fit may have made up for an effect as if the link had changed, and no step leads
-    back: a dead time of 39 ms ended as 4 ms beside another link. The plant as given knows the link.
+    The nuisance fit may have compensated for an effect by a changed link, and no step leads back: a
+    dead time of 39 ms ended as 4 ms beside another link. The diagnosed plant has the right link.
     """
     rows, fractions = [], estimator.settings.distant_bound_fractions
     for point in _distant_strengths(estimator, given, own, fractions):

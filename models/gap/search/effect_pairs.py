@@ -20,7 +20,7 @@ def promising_pairs(
 ) -> list[tuple[EffectPair, FitPoint]]:
     """Pairs whose derivatives predict the largest fall of the cost, each after one step.
 
-    `free`: fit parameters that are fitted with some effects, ndarray of bool.
+    `free` returns the fit parameters that are fitted with some effects, ndarray of bool.
     """
     rows = []
     for pair in itertools.combinations(effects, 2):

@@ -2,14 +2,14 @@
 
 One round of the search, repeated after each inclusion with everything tried again:
 
-1. Screen: from the present fit, and from the plant as given, one step of all free fit parameters
-   together with those of a candidate, its cost measured by simulation. Effects with a dead zone are
-   tried at several strengths (`models.gap.search.dead_zone_effects`).
-2. Refit the best from several starts, of further ones those that may pass.
-3. Include the best where its gain exceeds what it shows without a gap
-   (`models.gap.search.null_distribution`), on a link that changed as the fit with it says, and its
-   gain on payloads left out exceeds the losses. A further effect must also stand out beside
-   the error of the equations before it. Where none does, pairs are tried.
+1. Screen: from the present fit, and from the plant that is diagnosed, one step of all free fit
+   parameters together with those of a candidate, its cost measured by simulation. Effects with a
+   dead zone are tried at several strengths (`models.gap.search.dead_zone_effects`).
+2. Refit the best from several starts; in further rounds only those that may pass.
+3. Include the best if its gain exceeds its gain where nothing is missing
+   (`models.gap.search.null_distribution`), on a link that changed as in its fit, and its gain on
+   held-out payloads exceeds the losses. A further effect must also exceed the equation error of
+   the effects before it. Where none does, pairs are tried.
 4. Delete effects included before that are no longer needed.
 """
 
@@ -38,13 +38,13 @@ from models.gap.search.several_starts import refitted_from_both_signs, refitted_
 from models.gap.search.strength_consistency import strengths_hold
 
 ReportProgress = Callable[[str, int], None]
-"""Called after each part of the work: a phrase, and how many follow at least."""
+"""Called after each part of the work with a phrase and the least number of parts to follow."""
 
 
 class EffectSearch:
     """Search over the effects of a catalogue.
 
-    `estimator`: of residuals whose fit parameters are nuisance, trial variation and effects.
+    The fit parameters of `estimator` are nuisance, trial variation and effects.
     """
 
     def __init__(
@@ -69,15 +69,15 @@ class EffectSearch:
 
     @cached_property
     def nuisance_fit(self) -> FitPoint:
-        """Link and set-up refitted; from then on the floor allows for the gap that is left."""
+        """Fit of link and set-up; it widens the floor by a fraction of the remaining gap."""
         before = self.estimator.start()
-        for _ in range(self.settings.widening_rounds):  # the floor depends on the gap that is left
+        for _ in range(self.settings.widening_rounds):  # the floor depends on the remaining gap
             self._widen(before)
             before = self.estimator.fit_nuisance(self.estimator.at(before.values))
         return before
 
     def first_round(self) -> SearchResult:
-        """Every effect alone, screened and the best ones refitted; nothing is named yet."""
+        """Screen every effect alone and refit the best ones; nothing is named yet."""
         before = self.nuisance_fit
         self.report("nuisance fitted", 2 + self._most_refitted())
         flat = unexcited_effects(self.estimator, before, self.base, self.of)
@@ -86,7 +86,7 @@ class EffectSearch:
         return found
 
     def search_without(self, earlier: SearchResult, effects: Collection[str]) -> SearchResult:
-        """Search from an earlier first round on, without effects that were refused."""
+        """Repeat the search from an earlier first round, without effects that were refused."""
         self.held[:] = False
         self.excluded = frozenset(effects)
         found = replace(earlier, named=[], chosen=[], refused=[], rounds=earlier.rounds[:1])
@@ -94,7 +94,7 @@ class EffectSearch:
         return self.include(found)
 
     def include(self, found: SearchResult) -> SearchResult:
-        """Include the best candidates of the last round, and go on with further rounds."""
+        """Include the best candidates of the last round, and continue with further rounds."""
         while len(found.named) < self.settings.most_named:
             here = found.after
             if found.named:
@@ -133,7 +133,7 @@ class EffectSearch:
 
     @cached_property
     def held_out(self) -> HeldOut:
-        """Parts of the trials that are left out in turn; first used after the nuisance fit."""
+        """Folds of the trials that are left out in turn; first used after the nuisance fit."""
         return HeldOut(self.estimator)
 
     @property
@@ -142,14 +142,14 @@ class EffectSearch:
         return self.first.floor.learned
 
     def _most_refitted(self) -> int:
-        """Candidates that are refitted; all of a rigid load, simulated in no time."""
+        """Candidates to refit; all of them for a rigid load, whose simulation is fast."""
         few = self.learned or self.estimator.residuals.plant.load == "link"
         return self.settings.refitted_candidates if few else len(self.of)
 
     def candidate(
         self, effects: tuple[str, ...], point: FitPoint, here: FitPoint, predicted: float = 0.0
     ) -> Candidate:
-        """Effects with their fit; `here` is that without them."""
+        """Candidate of some effects from their fit; `here` is the fit without them."""
         same = self.unchanged_null.for_link_change(self.settings.least_link_change, self.settings)
         least = self.least(effects, point), same.least(effects)
         return Candidate(effects, point, here.cost - point.cost, *least, predicted)
@@ -158,7 +158,8 @@ class EffectSearch:
         """Least d′ that effects must reach together in a fit that holds them.
 
         A hidden effect may look like a change of the link, which the fit with the effect does not
-        need: the plant's own error is that of a link that changed as that fit says, if it may have.
+        need. So the plant's own error is that of a link changed as in this fit, at most as in the
+        nuisance fit.
         """
         fitted = link_change(self.fit_parameters, point.values, self.settings)
         change = 0.0 if self.settings.same_link else min(fitted, self.first.floor.link_change)
@@ -224,7 +225,7 @@ class EffectSearch:
             fits = before, (bounded.point, self._free_of(bounded, found))
             bounded.held_out_gain, bounded.held_out_error = held_out_gain(self.estimator, *fits)
             gained = bounded.held_out_gain > bounded.held_out_error
-            if without is not None:  # simulated: what a linear model predicts does not count
+            if without is not None:  # by simulation; a linear prediction does not count
                 errors = self.held_out.errors(*fits[1])
                 if lowers_held_out_error(errors, without, self.learned, self.settings):
                     passed.append((errors.fraction_of(self.held_out.given), bounded))
@@ -233,15 +234,16 @@ class EffectSearch:
         return min(passed, key=lambda row: row[0])[1] if passed else None
 
     def _free_of(self, candidate: Candidate, found: SearchResult) -> Array:
-        """Fit parameters of a candidate beside what is named."""
+        """Free fit parameters of a candidate together with the named effects."""
         free = self.free([*found.named, *candidate.effects])
         free[list(candidate.held)] = False
         return free
 
     def _stands_out(self, candidate: Candidate, found: SearchResult) -> bool:
-        """Whether a candidate passes its limits, also beside the error of earlier equations.
+        """Whether a candidate exceeds its limits, including the equation error of earlier effects.
 
-        That shifts no trials alike: beside it, one that removes a nuisance bias need not stand out.
+        That error shifts no trials alike, so it does not count against a candidate that removes a
+        nuisance bias.
         """
         left = self.mean_residual(candidate.point)
         alone, beside, doubted = beyond_limits(candidate, found, left, self.settings)
@@ -252,7 +254,7 @@ class EffectSearch:
         return beside > 0 and (doubted > 0 or strengths_hold(*fit, own))
 
     def _explains_bias(self, candidate: Candidate, found: SearchResult) -> bool:
-        """Whether trials vary by chance with a further effect, and do not without it."""
+        """Whether a further effect removes the nuisance bias of the trials."""
         biased = bool(found.named and self.nuisance_bias(found.after))
         return biased and not self.nuisance_bias(candidate.point)
 
@@ -261,24 +263,24 @@ class EffectSearch:
         return excessive_nuisance_bias(self.fit_parameters, point, self.settings)
 
     def mean_residual(self, point: FitPoint) -> float:
-        """Mean squared residual, in noise floors that allow for the equations' error."""
+        """Mean squared residual, in noise floors that allow for the equation error."""
         return mean_square(self.estimator.whitened(point.rows))
 
     def dispersion(self, point: FitPoint) -> float:
-        """The same, at least 1, at most what counts as explained."""
+        """Mean squared residual, at least 1 and at most what counts as explained."""
         return float(np.clip(self.mean_residual(point), 1.0, self.null_distribution.explained))
 
     def has_gap(self, point: FitPoint) -> bool:
-        """Whether more is left than noise explains."""
+        """Whether the residual exceeds what noise explains."""
         return self.mean_residual(point) > self.null_distribution.explained
 
     def _is_open(self, point: FitPoint) -> bool:
-        """Whether so much is left that more starts and pairs are tried."""
+        """Whether the residual is so large that more starts and pairs are tried."""
         least = min(self.null_distribution.explained, self.settings.open_residual)
         return self.mean_residual(point) > least
 
     def _pairs(self, found: SearchResult) -> Candidate | None:
-        """Best pair of effects, by the prediction of derivatives, then refitted."""
+        """Best pair of effects by the prediction of derivatives, refitted."""
         if len(found.named) + 2 > self.settings.most_named or self.excluded:
             return None
         here, own = found.after, (found.named, self._choices(found), self.free)
@@ -287,7 +289,7 @@ class EffectSearch:
         return self._accept(sorted(refitted, key=lambda c: c.score, reverse=True), found)
 
     def _widen(self, point: FitPoint) -> None:
-        """Allow for repetitions that differ, a fraction of the gap, and a changed link."""
+        """Widen the floor by the scatter of repetitions, a part of the gap, and a changed link."""
         residuals = self.estimator.residuals
         change = link_change(self.fit_parameters, point.values, self.settings)
         floor = replace(self.first.floor, link_change=change)
@@ -302,7 +304,7 @@ class EffectSearch:
         self.estimator = GaussNewton(residuals, wider)
 
     def _flatten(self, found: SearchResult) -> None:
-        """Fit in SI units: once the first effect is named, no spectrum tells what is noise."""
+        """Fit in SI units after the first effect, when no learned floor separates noise."""
         residuals = self.estimator.residuals
         floor = flattened(self.first.floor, residuals.groups, found.after.rows)
         self.estimator = GaussNewton(residuals, floor)
@@ -312,7 +314,7 @@ class EffectSearch:
         found.explored = {frozenset(found.named): found.after}
 
     def _delete(self, found: SearchResult) -> None:
-        """Delete effects that are no longer needed beside what came later."""
+        """Delete effects that are no longer needed beside those included later."""
         for effect in found.named[:-1]:
             rest = [e for e in found.named if e != effect]
             values = found.after.values.copy()

@@ -2,10 +2,11 @@
 
 Payloads, other conditions and motions are left out in turn; repetitions where the trials differ in
 none of these, blocks of time where there is one trial (`models.gap.residuals.time_blocks`; of a
-plant that cannot begin in motion, rows of the one simulation). Around a fit of all trials a few
-Gauss–Newton steps without the fold, priors kept, give the values that the other trials would have
-given. With these the fold is simulated as the plant file would simulate it: without any variation
-of the trial, without shift of the frame. The errors are compared with those of the plant as given.
+plant that cannot begin in motion, rows of the one simulation). Starting from a fit of all trials, a
+few Gauss–Newton steps without the fold, with the priors, give the values that the other trials
+alone determine. With these the fold is simulated as the plant file would simulate it: without
+variation of the trial and without a shift of the frame. The errors are compared with those of the
+plant that is diagnosed.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ from models.plant.plant import Plant
 from models.trials.trial import Trial
 
 LEAST_SQUARE = 1e-300
-"""Least mean square: a ratio of errors that are exactly zero is 1."""
+"""Least mean square, so that the ratio of two errors of zero is 1."""
 
 Fold = dict[int, Array]
-"""Rows that are left out together, 1 each, by index of the trial."""
+"""Rows that are left out together: 1 for each such row, by index of the trial."""
 
 
 def held_out_folds(
     trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
 ) -> dict[str, list[Fold]]:
-    """Folds by what is left out."""
+    """Folds, by the name of what is left out."""
     found: dict[str, list[Fold]] = {}
     for words, key in FOLD_KEYS.items():
         folds = _by_value(trials, key)
@@ -67,7 +68,7 @@ def _by_value(trials: Sequence[Trial], key: Callable[[Trial], object]) -> list[F
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of a model on what it was not fitted to."""
+    """Errors of a model on trials that it was not fitted to."""
 
     folds: tuple[Mapping[str, SquaredError], ...]
 
@@ -101,14 +102,14 @@ class HeldOutErrors:
 
 
 def _ratio(own: float, other: float) -> float:
-    """Ratio of roots of two squares; a model that does not stay finite is infinitely worse."""
+    """Ratio of the roots of two squares; a model that does not stay finite counts as far worse."""
     if not np.isfinite(own):
         return 1e6
     return float(np.sqrt((own + LEAST_SQUARE) / (other + LEAST_SQUARE)))
 
 
 class HeldOut:
-    """Left-out parts of the trials of a search, each with an estimator of all others."""
+    """Folds of the trials of a search, each with an estimator of all other trials."""
 
     def __init__(self, estimator: GaussNewton) -> None:
         self.estimator, self.residuals = estimator, estimator.residuals
@@ -137,7 +138,7 @@ class HeldOut:
         return GaussNewton(remaining, self.estimator.floor), own
 
     def _derivatives(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
-        """Derivatives of all trials; those of the last values are kept."""
+        """Derivatives of all trials, cached for the last values."""
         key = values.tobytes(), wanted.tobytes()
         if self._known[0] != key:
             self._known = key, self.residuals.jacobian(values, wanted)
@@ -164,11 +165,8 @@ class HeldOut:
 def is_written(plant: Plant, residuals: Residuals, k: int, free: Array) -> bool:
     """Whether a fit parameter changes the plant that would be written.
 
-    The variation of a trial, a shift of the mocap frame and its clock are no parameters of a plant
-    that does not have the effect.
-
-    Shapes: `free` (p,).
-    `free`: fit parameters that were fitted: the effects among them would be added.
+    The variation of a trial does not. A shift of the mocap frame and its clock do only if the plant
+    has that effect, or it is among the effects in `free`, shape (p,), which would be added.
     """
     q = residuals.fit_parameters[k]
     if q.trial is not None:
@@ -187,10 +185,10 @@ def is_written(plant: Plant, residuals: Residuals, k: int, free: Array) -> bool:
 def lowers_held_out_error(
     with_: HeldOutErrors, without: HeldOutErrors, learned: bool, settings: GapSettings
 ) -> bool:
-    """Whether an effect lowers the errors on what it was not fitted to.
+    """Whether an effect lowers the held-out errors.
 
-    With a learned floor d′ has already told the effect from noise: any fall is enough. Without one
-    the mean fall over the folds must exceed its standard error (the one-standard-error rule of
+    With a learned floor d′ has already separated the effect from noise: any fall is enough. Without
+    one the mean fall over the folds must exceed its standard error (the one-standard-error rule of
     Breiman et al. 1984) and a least fraction.
     """
     fraction = with_.fraction_of(without)
@@ -202,10 +200,10 @@ def lowers_held_out_error(
 
 
 def flattened(floor: NoiseFloor, groups: Sequence[TrialGroup], rows: Sequence[Array]) -> NoiseFloor:
-    """Floor with the power of a residual and the same at every frequency.
+    """Floor with the power of a residual, equal at all frequencies.
 
     A fit against it lowers the error in SI units. Without a learned floor the spectrum of the
-    residual says little about noise: it discounts the slow errors, which are the largest.
+    residual contains the gap itself and would discount the slow errors, which are the largest.
 
     Shapes: `rows` (trials, signals, K).
     """

@@ -1,10 +1,10 @@
 """Null distribution: d′ of each effect where nothing is missing.
 
 The plant's own error resembles some effects more than others, and it grows with the change of the
-link since the plant was identified. How much was measured on rigs without any hidden effect, their
-link changed: `null_distribution.json`, written by `python -m models.gap.training own-error`. An
-effect is named only beyond that. With two joints d′ of friction is as large on an unchanged link:
-what noise and patterns do not hold differs from trial to trial.
+link since the plant was identified. d′ was measured on rigs without any hidden effect, their link
+changed: `null_distribution.json`, written by `python -m models.gap.training own-error`. An
+effect is named only if it exceeds that. With two joints d′ of friction is as large on an unchanged
+link: the part that noise and patterns do not cover differs from trial to trial.
 """
 
 from __future__ import annotations
@@ -30,33 +30,33 @@ from models.plant.plant import Plant
 PATH: Final = Path(__file__).with_name("null_distribution.json")
 
 OwnErrorKnown = Literal["patterns", "curves", "other_payloads", "nothing"]
-"""What is known of the plant's own error on trials: also how it varies from link to link
+"""What is known of the plant's own error on trials: also its variation from link to link
 (`models.gap.estimation.model_discrepancy`), its mean curves, these at other payloads alone, or
-nothing: the plant was identified on other motions."""
+nothing, where the plant was identified on other motions."""
 
 KEY_ENDS: Final[Mapping[OwnErrorKnown, str]] = {
     "patterns": "", "curves": " without patterns", "other_payloads": " at other payloads",
     "nothing": " on other motions",
 }  # fmt: skip
-"""Follows the number of joints in the key of a distribution that was measured with less known."""
+"""Suffix to the number of joints in the key of a distribution that was measured with less known."""
 
 MIDDLE: Final = 0.5
-"""Payload in kg of the distribution at other payloads, in the middle of two of `STUDY_KG`; as much
-is unknown of the error at all of its payloads."""
+"""Payload in kg of the distribution at other payloads, in the middle between two of `STUDY_KG`; the
+fraction of the error that is unknown is the same at all of its payloads."""
 STUDY_KG: Final = (0.0, 1.0, 2.0)
-"""Payloads that its plants were identified with."""
+"""Payloads in kg that the plants of the calibration were identified with."""
 
 
 @dataclass(frozen=True)
 class KnownError:
     """What is known of the plant's own error on some trials."""
 
-    patterns: bool = True  # Whether they are known of the motion of any trial
+    patterns: bool = True  # Whether patterns are known for the motion of any trial
     # Fraction of the trials whose motion the plant was not identified on
     other_motions: float = 0.0
-    # What is unknown of the error at the payloads of the other trials
-    # (`models.gap.estimation.payload_transfer`), as a fraction of what is unknown in the middle of
-    # two payloads that are 1 kg apart; the mean over all trials
+    # Unknown part of the error at the payloads of the other trials
+    # (`models.gap.estimation.payload_transfer`), as a fraction of the unknown part in the middle
+    # between two payloads 1 kg apart; the mean over all trials
     other_payloads: float = 0.0
 
 
@@ -66,30 +66,29 @@ class NullDistribution(
     """Distribution of d′ where nothing is missing; the content of `null_distribution.json`."""
 
     sets: int = 0  # Data sets without an effect that it was measured on
-    # Least d′ of a named effect, in standard deviations of its d′ here. That of the settings: the
-    # file does not hold it.
+    # Least d′ of a named effect, in standard deviations of its d′ here; taken from the settings,
+    # not from the file
     threshold: float = DEFAULT_SETTINGS.least_threshold
-    # Mean squared residual, in noise floors, up to which nothing counts as left, on a link that
-    # changed by one
+    # Largest mean squared residual, in noise floors, that counts as noise on a link that changed by
+    # one
     explained: float
     explained_growth: float = 0.0  # Growth of its logarithm with the change of the link
-    # Whether it was measured with a floor pooled with repetitions at hand
+    # Whether it was measured with a floor pooled with the repetitions of the diagnosis
     # (`models.gap.estimation.measured_floor`); the search then does the same
     repetitions_pooled: bool = False
-    # Root mean square of d′ by effect on a link that changed by one, and on an unchanged one, at
-    # least 1; 1 for effects that are not listed
+    # Root mean square of d′ by effect on a link that changed by one, at least 1; 1 for effects that
+    # are not listed
     standard_deviation: dict[str, float] = {}
-    unchanged_deviation: dict[str, float] = {}
+    unchanged_deviation: dict[str, float] = {}  # The same on an unchanged link
 
     def for_link_change(
         self, change: float, settings: GapSettings = DEFAULT_SETTINGS
     ) -> NullDistribution:
         """Distribution for a link that changed by another amount.
 
-        A residual of `GapSettings.noise_residual` is noise on any link.
-
-        `change`: relative to the links that it was measured on
-        (`models.gap.estimation.link_change`).
+        `change` is relative to the links that it was measured on
+        (`models.gap.estimation.link_change`). A residual of `GapSettings.noise_residual` is noise
+        on any link.
         """
         explained = self.explained * float(np.exp(self.explained_growth * (change - 1)))
         return msgspec.structs.replace(
@@ -111,7 +110,7 @@ class NullDistribution(
 
 
 def null_distributions() -> dict[str, NullDistribution]:
-    """Measured null distributions of the link, by number of joints."""
+    """Measured null distributions of the link, by number of joints and what is known."""
     if not PATH.exists():
         return {}
     return msgspec.json.decode(PATH.read_bytes(), type=dict[str, NullDistribution])
@@ -143,10 +142,9 @@ def null_distribution_of(
 ) -> NullDistribution:
     """Null distribution of a plant: as measured for the link, assumed for any other load.
 
-    `known`: what is known of the plant's own error on them. Without patterns that counts which was
-    measured without, if it was. On motions and at payloads that the plant was not identified on the
-    variance of d′ is at least that of one joint there, with two joints too [assumed], in as far as
-    the trials are of these.
+    Without known patterns the distribution that was measured without them is used, if there is one.
+    On motions and at payloads that the plant was not identified on, the variance of d′ is at least
+    that of one joint there, with two joints too [assumed], weighted by the fraction of such trials.
     """
     measured = null_distributions() if plant.load == "link" else {}
     assumed = NullDistribution(
@@ -178,7 +176,7 @@ def _of_separate_joints(known: NullDistribution, dof: int) -> NullDistribution:
 
 
 def _larger(own: NullDistribution, other: NullDistribution, part: float) -> NullDistribution:
-    """Distribution of trials of which a part has the larger variance of both, for each effect."""
+    """Distribution in which a fraction `part` of the trials has the larger variance of the two."""
     pairs = (
         (own.standard_deviation, other.standard_deviation),
         (own.unchanged_deviation, other.unchanged_deviation),
@@ -202,10 +200,10 @@ def calibrated_null_distribution(
 ) -> NullDistribution:
     """Null distribution from data sets without an effect.
 
-    d′ counts in roots of the residual, as in the search; its variance is linear in the square of
-    the change of the link. The largest of each effect is left out: one rig that no plant describes
-    would set the size for all effects. The residual is log-normal, mean and standard deviation of
-    its logarithm linear in the change of the link.
+    d′ is divided by the root of the residual, as in the search; its variance is linear in the
+    square of the change of the link. The largest d′ of each effect is left out: one rig that no
+    plant describes would set the size for all effects. The residual is log-normal; mean and
+    standard deviation of its logarithm are linear in the change of the link.
     """
     effects = sorted({e for row in separations for e in row})
     size = np.sqrt(np.maximum(left, 1.0))
@@ -229,7 +227,7 @@ def calibrated_null_distribution(
 def _deviations(separation: Array, change: Array) -> tuple[float, float]:
     """Standard deviation of d′ on an unchanged link and on one that changed by one.
 
-    By the largest likelihood; where all links changed alike the former is 1.
+    Maximum likelihood; the former is at least 1.
     """
 
     def cost(p: Array) -> float:
@@ -244,7 +242,7 @@ def _deviations(separation: Array, change: Array) -> tuple[float, float]:
 def _largest_residuals(logarithm: Array, change: Array, quantile: float) -> tuple[float, float]:
     """Quantile of the residual on a link that changed by one, and the growth of its logarithm.
 
-    By the largest likelihood; the standard deviation grows with the change, or stays.
+    Maximum likelihood; the standard deviation does not fall with the change.
     """
 
     def cost(p: Array) -> float:

@@ -1,4 +1,4 @@
-"""Refusals: fitted values at a bound, sums that no real body has, effects that do not hold."""
+"""Refusals: fitted values at a bound, sums that no real body has, effects that fail a test."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from models.plant.plant import Plant
 class OffendingValue:
     """Fitted value at a bound, or a sum beyond its limit."""
 
-    index: tuple[int, ...]  # Fit parameters that are to blame
-    name: str  # Parameter of the plant or variation, or the sum in words; its SI unit
-    unit: str
+    index: tuple[int, ...]  # Fit parameters that cause it
+    name: str  # Parameter of the plant or variation, or the sum in words
+    unit: str  # SI unit
     value: float
     limit: float
-    said: str  # The same as one sentence
+    said: str  # Reason in one sentence
 
 
 def values_at_bounds(
@@ -36,10 +36,11 @@ def values_at_bounds(
     free: Array,
     settings: GapSettings,
 ) -> list[OffendingValue]:
-    """Fitted values of nuisance and effects that ended at a bound away from the plant as given.
+    """Fitted values of nuisance and effects that ended at a bound and differ from the diagnosed
+    plant.
 
-    The strength of an effect that the plant lacks counts at zero too, be that its bound or not: the
-    fit found none of it, in no plane of the bending.
+    The strength of an effect that the plant lacks also counts at zero, whether that is its bound or
+    not, if it is zero in every plane of the bending.
 
     Shapes: `free` (p,).
     """
@@ -73,7 +74,7 @@ def values_at_bounds(
 
 
 def _is_strength(q: FitParameter) -> bool:
-    """Whether it is the strength of an effect: only those have no prior."""
+    """Whether a fit parameter is the strength of an effect: only those have no prior."""
     return bool(q.effect) and np.isinf(q.standard_deviation)
 
 
@@ -84,7 +85,7 @@ def impossible_values(
     fit_parameters: Sequence[FitParameter],
     free: Array,
 ) -> list[OffendingValue]:
-    """Sums that the plant to be written violates and the plant as given does not.
+    """Sums whose limits the plant to be written exceeds and the diagnosed plant does not.
 
     Shapes: `free` (p,).
     """
@@ -113,28 +114,27 @@ RefusalKind = Literal[
 ]  # fmt: skip
 """A value ended at a bound; a sum that no real body has; the strength of a further effect differs;
 the effect does not lower the held-out error; some signal's held-out error would rise by more than
-`GapSettings.harm_fraction`; one of these two, but the effect is believed: it is named and not
-written; it is more probable that the effect stands in for something else; or that nothing is
+`GapSettings.harm_fraction`; one of the last two, but the effect is probable enough to be named,
+though not written; the effect more probably stands in for something else; more probably nothing is
 missing."""
 
 
 class RefusedEffect(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Effect that was taken out again, or a refitted value that was undone."""
 
-    # Name, or several joined by " + "; empty where the value is nuisance, which then keeps the
-    # value of the plant as given
+    # Name, or several joined by " + "; empty for a nuisance value, which then keeps the plant's
+    # value
     effect: str
     kind: RefusalKind
-    reason: str  # One sentence without its full stop
-    name: str  # Parameter, sum or signal that is to blame; empty for all signals together
-    # Of it; a held-out error is a fraction of that without the effect or of the plant as given
+    reason: str  # Reason as one sentence without its full stop
+    name: str  # Parameter, sum or signal that caused it; empty for all signals together
+    # Its value; a held-out error is a fraction of that without the effect or of the diagnosed plant
     value: float
-    limit: float
+    limit: float  # Limit of this value
     unit: str
 
 
 def refusal_of_value(effect: str, kind: RefusalKind, found: OffendingValue) -> RefusedEffect:
-    """Refusal because of a fitted value."""
     return RefusedEffect(
         effect=effect, kind=kind, reason=found.said, name=found.name, value=found.value,
         limit=found.limit, unit=found.unit,
@@ -145,7 +145,6 @@ def refusals(
     effects: Iterable[str], kind: RefusalKind, reason: str, value: float = 0.0,
     limit: float = 0.0, name: str = "",
 ) -> list[RefusedEffect]:  # fmt: skip
-    """Refusals of several effects for one reason."""
     return [
         RefusedEffect(
             effect=e, kind=kind, name=name, value=value, limit=limit, unit="1", reason=reason

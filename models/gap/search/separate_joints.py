@@ -1,8 +1,8 @@
-"""Difference of the joints: an effect of one servo, which no strength for both explains.
+"""Difference of the joints: an effect of one servo, which no common strength explains.
 
-Every effect first has one strength for all joints (`GapSettings.separate_joints`). Where the best
-of them leaves a gap, and by derivatives one with a strength for each joint would explain much more,
-the search with one strength would go on in vain.
+Every effect first has one strength for all joints (`GapSettings.separate_joints`). The search with
+one strength is given up where its best effect leaves a gap and, by derivatives, an effect with a
+strength for each joint would explain much more.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def joints_differ(
 ) -> bool:
     """Whether effects with a strength for each joint explain much more than those with one.
 
-    `search`: after its first round, with one strength for all joints.
-    `separate`: the same fit parameters, with a strength for each joint.
+    `search` has completed its first round with one strength; `separate` holds the same fit
+    parameters with a strength for each joint.
     """
     best = max(found.rounds[0], key=lambda c: c.gain, default=None)
     if best is None or not search.has_gap(best.point):

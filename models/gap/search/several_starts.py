@@ -1,4 +1,4 @@
-"""Fits of an effect from several starts: the cost has valleys that no step leads out of."""
+"""Fits of an effect from several starts, because the cost has local minima."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def refitted_from_both_signs(
 ) -> FitPoint:
     """Fit from a screened start, from zero and from the other sign.
 
-    The present fit is among the starts, so the cost of a nested model never rises. What is
-    `fitted_last` is freed where the others ended.
+    The present fit is among the starts, so the cost of a nested model never rises. Parameters that
+    are `fitted_last` are freed where the others ended.
 
-    Shapes: `free`, `own` (p,).
-    `free`, `own`: fit parameters that are fitted, and those of the effect among them.
+    `free` and `own`, shape (p,): fit parameters that are fitted, and those of the effect among
+    them.
     """
     settings = estimator.settings
     starts = [screened]
@@ -48,14 +48,16 @@ def refitted_from_far_strengths(
     strengths: Sequence[int],
     is_open: Callable[[FitPoint], bool],
 ) -> FitPoint:
-    """Fit of a choice; where much is left, also from strengths far from the search's.
+    """Fit of a candidate; where the residual stays large, also from strengths far from the
+    search's.
 
-    A delay and friction that compensate each other form separate valleys of the cost, and no step
-    leads from one into the next.
+    A delay and friction that compensate each other form separate minima of the cost, and no step
+    leads from one to the next.
+
+    `chosen` and `here`: fit of the candidate so far, and the fit without it. `is_open`: whether the
+    residual is large enough to try more starts.
 
     Shapes: `free` (p,).
-    `chosen`, `here`: fit of the choice so far, and the fit without it.
-    `is_open`: whether so much is left that more starts are worth their time.
     """
     settings = estimator.settings
     best = estimator.fit(chosen, free, settings.nuisance_fit_steps)

@@ -30,7 +30,7 @@ from models.gap.residuals.spectrum import Array
 class StrengthConsistency:
     """Difference of an effect's strengths between payloads, signals and bands."""
 
-    standard_deviation: float  # D of the module's text, as a fraction of the strength
+    standard_deviation: float  # D of the module's docstring, as a fraction of the strength
     probability: float  # Of a larger χ² if strengths differ by no more than is tolerated
     tolerated: float  # Fraction by which they may differ
     holds: bool  # Whether one strength fits everywhere
@@ -70,12 +70,12 @@ def strength_consistency_of(
 def strengths_hold(
     estimator: GaussNewton, point: FitPoint, free: Array, own: Iterable[Array]
 ) -> bool:
-    """Whether the strengths of several effects are the same everywhere."""
+    """Whether each of several effects has the same strength everywhere."""
     return all(strength_consistency_of(estimator, point, free, row).holds for row in own)
 
 
 def _blocks(estimator: GaussNewton, part: Sequence[Array]) -> Iterator[list[Array]]:
-    """Contribution of an effect, a payload, signal and band at a time."""
+    """Contribution of an effect, one payload, signal and band at a time."""
     residuals, bands = estimator.residuals, estimator.settings.consistency_bands
     for g, group in enumerate(residuals.groups):
         payload = np.array([residuals.trials[k].meta.payload_kg for k in group.trials])
@@ -96,7 +96,7 @@ def _bands(group: TrialGroup, count: int) -> list[slice]:
 def _released(
     estimator: GaussNewton, point: FitPoint, free: Array, blocks: Array
 ) -> tuple[Array, Array]:
-    """Scores and information of the blocks' strengths, the common fit parameters refitted."""
+    """Scores and information of the blocks' strengths, with the common fit parameters refitted."""
     index = np.flatnonzero(free)
     estimator.linearise(point, free)
     slopes = np.concatenate([s[:, index] for s in point.slopes])

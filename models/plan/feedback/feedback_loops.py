@@ -6,10 +6,10 @@ The loop of a joint is filter, integrator, delay and twin::
 
 The integrator is the correction itself; one period of delay stands for the loop and the bus. F is a
 gain and a notch at the first mode of the link, whose frequency falls with the payload: without it
-the mode limits the gain. The estimate of the tip counts as exact: the observer is the twin's own
+the mode limits the gain. The estimate of the tip is assumed exact: the observer is the twin's own
 link, driven by the measured angles. Loop shaping with python-control: the gain is the highest with
-which all linearisations at that payload keep the margins, at rest and sliding, and with a link that
-is 20 % stiffer or softer than the plant says.
+which all linearisations at that payload keep the margins, at rest and sliding, and with a link 20 %
+stiffer or softer than the plant.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
 SIZE_RAD: Final = 0.03
-"""Largest correction [assumed]: 3 cm at the tip, half of what rigid kinematics leaves."""
+"""Largest correction [assumed]: 3 cm at the tip, half of the error of rigid kinematics."""
 RATE_RAD_S: Final = 0.16
 """Largest rate of a correction: the largest one fades out within 0.2 s."""
 INNOVATION_A: Final = 0.25
 """Innovation of a current above which the estimate is not trusted. Measured on the rig with 1.3 kg,
 circle of 0.45 m in 6 s: 0.05 A, 0.07 A where the link is a fifth stiffer than the plant, 0.34 A
-with 0.5 kg that the robot does not know of, whose tip is 10 mm off its path."""
+with 0.5 kg that the robot has no information of, whose tip is 10 mm off its path."""
 SPARE_DB: Final = 0.5
 SPARE_RAD: Final = float(np.radians(3.0))
-"""Margin kept beyond the required one, for other payloads than those of the grid [assumed]."""
+"""Margin beyond the required one, for payloads between those of the grid [assumed]."""
 VARIANTS: Final = ((True, 1.0), (False, 1.0), (True, 0.8), (True, 1.2))
-"""Linearisations at a payload: sliding or at rest, factor on the stiffness of the link."""
+"""Linearisations at a payload: whether sliding or at rest, and factor on the link's stiffness."""
 DEPTHS: Final = (0.1, 0.2, 0.35)
 WIDTHS: Final = (0.5, 0.8, 1.2, 1.8)
 PLACES: Final = (0.95, 1.0, 1.1)
 """Notches that are tried: damping of numerator and denominator, frequency over that of the mode."""
 LIGHT: Final = 0.3
-"""Damping ratio below which a mode is one of the link."""
+"""Damping ratio below which a mode belongs to the link."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class ShapedLoops:
 
 
 def frequencies(period_s: float) -> Array:
-    """Return the angular frequencies at which loops are judged, up to Nyquist's."""
+    """Angular frequencies at which loops are evaluated, up to Nyquist's."""
     end = np.pi / period_s
     return np.concatenate([np.geomspace(0.05, 2.0, 50), np.arange(2.05, 30.0, 0.05),
                            np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
@@ -79,7 +79,6 @@ def frequencies(period_s: float) -> Array:
 def design_feedback(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
 ) -> FeedbackDesign:
-    """Design the feedback of a plan."""
     twins = LinearTwins(plant, dof, period_s)
     filters: list[tuple[RateFilter, ...]] = []
     responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
@@ -99,7 +98,7 @@ def design_feedback(
 def margins_of(
     design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
 ) -> tuple[tuple[LoopMargins, ...], ...]:
-    """Least margins of each loop at each payload, the other loop closed."""
+    """Least margins of each loop at each payload, with the other loop closed."""
     return _margins(shaped_loops(design, twins, payloads_kg), twins.dof)
 
 
@@ -151,12 +150,12 @@ def _opened(
 
 
 def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
-    """Return a filter as python-control has it."""
+    """Filter as a python-control system."""
     return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
 
 
 def keeps_margins(design: FeedbackDesign) -> bool:
-    """Whether every loop keeps the margins that are required."""
+    """Whether every loop keeps the required margins."""
     return all(
         m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
         for own in design.margins
@@ -180,7 +179,7 @@ def _link_mode_rad_s(twins: LinearTwins, payload_kg: float) -> float:
 
 
 def _integrated(own: control.StateSpace, rates_rad_s: Array) -> Response:
-    """Filter, integrator and the period of delay."""
+    """Response of filter, integrator and the period of delay."""
     z = np.exp(1j * rates_rad_s * own.dt)
     return np.asarray(frequency_response(own, rates_rad_s)[:, 0, 0] * own.dt / (z - 1.0))
 
@@ -199,7 +198,7 @@ def _shaped(plants: list[Response], mode_rad_s: float, period_s: float) -> RateF
         if gain > 0.0 and (best is None or gain > best[0]):
             a, b, c, d = (_rows(m) for m in (own.A, own.B, gain * own.C, gain * own.D))
             best = gain, RateFilter(a=a, b=b, c=c, d=d)
-    if best is None:  # a plant without gain: no feedback at all keeps the margins
+    if best is None:  # a plant without gain: only zero feedback keeps the margins
         return RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((0.0,),))
     return best[1]
 

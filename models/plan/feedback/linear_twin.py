@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 DRY_FRICTION: Final = (
     "coulomb_friction_", "load_dependent_friction_", "stribeck_friction_", "stiction_",
 )  # fmt: skip
-"""Beginnings of the parameters that are 0 while the joints slide."""
+"""Prefixes of the parameters that are 0 while the joints slide."""
 STIFFNESS: Final = ("root_stiffness_", "span_stiffness_")
-"""Beginnings of the parameters that the stiffness of the link scales."""
+"""Prefixes of the parameters that scale with the stiffness of the link."""
 _SETTLE_STEPS: Final = 200
 
 
@@ -58,10 +58,10 @@ class LinearTwins:
         self, payload_kg: float, angles_rad: Array | None = None, *, sliding: bool = True,
         stiffness: float = 1.0,
     ) -> control.StateSpace:  # fmt: skip
-        """Return the twin about rest, with goals as inputs; names carry units.
+        """Twin linearised about rest, with goals as inputs; names carry units.
 
-        Shapes: `angles_rad` (dof,).
-        `sliding`: whether dry friction is left out, as while the joints move.
+        `sliding`: whether dry friction is left out, as while the joints move. Shapes: `angles_rad`
+        (dof,).
         """
         model, dof = self._model, self.dof
         p = model.parameter_values(self._changes(sliding, stiffness))
@@ -106,7 +106,7 @@ def frequency_response(system: control.StateSpace, rates_rad_s: Array) -> NDArra
 
 
 SLOWEST_RAD_S: Final = 0.05
-"""Slower poles are states that do not move."""
+"""Least rate of a mode: slower poles are states that do not move."""
 
 
 def modes(system: control.StateSpace) -> list[LinearMode]:

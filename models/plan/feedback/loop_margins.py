@@ -11,14 +11,14 @@ Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
 LEAST_GAIN_DB: Final = 6.0
 LEAST_PHASE_RAD: Final = float(np.radians(45.0))
-"""Margins that every loop has to keep (requirement)."""
+"""Margins that every loop must keep (requirement)."""
 
 
 def gain_margin(loop: Response) -> float:
-    """Factor by which the gain may rise until the loop is unstable; infinite for any.
+    """Factor by which the gain may rise until the loop is unstable; infinite if it never is.
 
-    The loop is an integrator around a stable plant: it is stable at small gain, and the least gain
-    at which its response meets −1 ends that.
+    The loop is an integrator around a stable plant, so it is stable at small gain. It stays stable
+    up to the least gain at which its response reaches −1.
 
     Shapes: `loop` (n,).
     """
@@ -30,7 +30,7 @@ def gain_margin(loop: Response) -> float:
 
 
 def phase_margin_rad(loop: Response) -> float:
-    """Least distance of the phase from −180° where the gain is 1; infinite where it never is.
+    """Least distance of the phase from −180° where the gain is 1; infinite if it never is.
 
     Shapes: `loop` (n,).
     """
@@ -54,7 +54,7 @@ def crossover_rad_s(loop: Response, rates_rad_s: Array) -> float:
 
 
 def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> float:
-    """Highest factor on every loop with which all keep the margins; 0 for none."""
+    """Highest factor on every loop with which all keep the margins; 0 if there is none."""
     by_gain = min(gain_margin(loop) for loop in loops) * 10.0 ** (-gain_db / 20.0)
     for factor in min(by_gain, 1e6) * np.geomspace(1.0, 1e-3, 120):
         if all(phase_margin_rad(factor * loop) >= phase_rad for loop in loops):
@@ -63,7 +63,7 @@ def highest_gain(loops: list[Response], gain_db: float, phase_rad: float) -> flo
 
 
 def _between(loop: Response, at: NDArray[np.intp], before: Array, after: Array) -> Response:
-    """Response where a quantity known at both ends of intervals is zero, by a straight line."""
+    """Response at the zeros of a quantity, interpolated linearly within each interval."""
     change = before[at] - after[at]
     part = np.divide(before[at], change, out=np.zeros(len(at)), where=change != 0.0)
     return np.asarray(loop[at] + part * (loop[at + 1] - loop[at]))

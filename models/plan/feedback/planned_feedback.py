@@ -1,4 +1,4 @@
-"""Feedback of a plan that was inverted: loops for its grid, and what a stiffer link changes."""
+"""Feedback of an inverted plan: loops for its grid, and the changes by a stiffer link."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def with_feedback(
     plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
     found: Sequence[Inverse],
 ) -> tuple[TipPlan, str]:  # fmt: skip
-    """Add feedback; where it cannot be, return the plan as it was, and why.
+    """Add feedback; if that is impossible, return the plan unchanged, and the reason.
 
-    It needs loops that keep the margins, and limits that leave room for corrections.
+    Feedback needs loops that keep the margins, and limits that leave room for corrections.
     """
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
     if not keeps_margins(design):

@@ -1,11 +1,12 @@
-"""Probing motion of a plan: its goals, and what its currents tell of stiffness and payload.
+"""Probing motion of a plan: its goals, and the features of its currents that depend on stiffness
+and payload.
 
-A motion of four tones around the first mode of the link with the heaviest payload. Below the mode
-a link that is stiffer takes the current of a lighter payload; around it the two differ. The twin
-says what the currents are over a grid of stiffness and payload. Seen through the noise they are a
-few features (principal components of the whitened currents). The noise holds what the plant does
-not know as well: friction, damping, hysteresis, creep, the servo's inertia, gain and timing. So the
-features are those in which stiffness and payload show beside all of that.
+The motion has four tones around the first mode of the link with the heaviest payload. Below the
+mode a stiffer link needs the current of a lighter payload; around it the two differ. The twin
+predicts the currents over a grid of stiffness and payload. They are reduced to a few features
+(principal components of the whitened currents). The noise includes what the plant does not know:
+friction, damping, hysteresis, creep, the servo's inertia, gain and timing. So the features are
+those in which stiffness and payload stand out from all of that.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tone:
-    """Tone of the motion that swells and fades."""
+    """Tone of the motion, with an amplitude that rises and falls."""
 
     over_mode: float  # Frequency over that of the first mode with the heaviest payload
     amplitude_rad: float
@@ -48,7 +49,7 @@ TONES: Final = (
 """The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
 have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
 stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
-motion tell no more and leave 20 mm of swing after it in place of 6 mm."""
+motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
@@ -56,10 +57,10 @@ payload: 3 s and 2 s for the link of the study and 2 kg."""
 STIFFER: Final = 0.3
 STIFFNESS_STEP: Final = 0.05
 PAYLOAD_STEP_KG: Final = 0.125
-"""Range and steps of the grid [assumed]; the payloads are those of the plan and a step more. The
-step is that of the study's link, and in proportion to the largest payload of another."""
+"""Range and steps of the grid [assumed]; its payloads are those of the plan and a step more. The
+step is that of the study's link, scaled to the largest payload of another link."""
 FEATURES: Final = 14
-"""Beyond them nothing is left: 0.3 standard deviations on the grid at most."""
+"""Number of features: further ones add at most 0.3 standard deviations on the grid."""
 NOISE_A: Final = 0.055
 CORRELATION: Final = 0.9
 """Deviation of a current's sample from the twin, and its correlation from sample to sample, as
@@ -73,11 +74,11 @@ UNKNOWN: Final = {
     "rotor_inertia_": 0.02, "position_gain_": 0.02, "root_damping": 0.3, "span_damping": 0.3,
     "hysteresis_share": 0.3, "creep_share": 0.3, "directional_stiffness": 0.3,
 }  # fmt: skip
-"""Relative standard deviations of what the plant does not know, by the beginnings of names; names
-that end in `_` have one of their own for each joint [assumed]."""
+"""Relative standard deviations of uncertain plant parameters, by prefix; names that end in `_` have
+one value for each joint [assumed]."""
 UNKNOWN_DELAY_S: Final = 0.002
 UNKNOWN_BIAS_A: Final = 0.05
-"""The same for the timing of the currents and a constant of each [assumed]."""
+"""The same for the timing of the currents and a constant offset of each [assumed]."""
 ROOM: Final = 0.9
 """Part of the limits of current and following error that the predicted motion may use [assumed]."""
 
@@ -85,7 +86,7 @@ ROOM: Final = 0.9
 def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
     """Goals of a probing motion, shape (n, dof), from rest to rest at zero.
 
-    `dof`: joints; the second moves a quarter of a period later.
+    The second joint moves a quarter of a period later.
     """
     period_rows = 2.0 * np.pi / mode_rad_s / period_s
     rows, still = (round(n * period_rows) for n in (PERIODS, REST_PERIODS))
@@ -102,7 +103,6 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
 def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
-    """Design the probing motion of a plan."""
     linear = LinearTwins(plant, twin.dof, twin.period_s).at(payloads_kg[-1])
     light = [m.frequency_rad_s for m in modes(linear) if m.damping < 0.3]
     if not light or light[0] * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
@@ -139,7 +139,10 @@ def design_probe(
 
 
 def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = False) -> float:
-    """Standard deviation that the relative stiffness is expected to have after the motion."""
+    """Expected standard deviation of the relative stiffness after the motion.
+
+    `known`: whether the payload is known.
+    """
     p, masses = np.array(probe.expected), np.array(probe.payloads_kg)
     i = int(np.argmin(np.abs(probe.stiffness)))
     j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)

@@ -1,4 +1,4 @@
-"""Differences that a stiffer link makes to a plan: goals, currents, what the observer misses."""
+"""Changes of a plan by a stiffer link: goals, currents, and the observer's error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from models.plant.step_model import names
 
 Array = NDArray[np.float64]
 STIFFER: Final = 0.2
-"""Relative stiffness over which the differences are taken: that which a plan has to bear."""
+"""Relative change of stiffness over which the differences are taken: the one a plan
+must tolerate."""
 MORE_FRICTION: Final = 0.2
 """The same for friction [assumed]."""
 DECIMALS: Final = 5
@@ -30,10 +31,9 @@ MOVING_RAD_S: Final = 0.1
 def stiffness_slopes(
     plant: Plant, twin: TipTwin, inverter: Inverter, found: Inverse, driven: CompiledModel
 ) -> StiffnessSlopes:
-    """Derive a plan for one payload by the relative stiffness of the link.
+    """Differentiate a plan for one payload by the relative stiffness of the link.
 
-    `driven`: the plant's link, driven by measured angles with the payload given: the observer's
-    link.
+    `driven`: the link of the observer, driven by measured angles at a known payload.
     """
     changes = {
         n: (1.0 + STIFFER) * p.value for n, p in plant.parameters.items() if n.startswith(STIFFNESS)
@@ -62,7 +62,7 @@ def stiffness_slopes(
 
 
 def _seen_tip_m(driven: CompiledModel, twin: TipTwin, own: Inverse) -> Array:
-    """Tip of the plant's link under the joint angles of a run, shape (n, dof)."""
+    """Tip of the observer's link for the joint angles of a run, shape (n, dof)."""
     angle = twin.angle_rad(own.outputs)
     u = np.column_stack([angle, np.full(len(angle), own.payload_kg)])
     p = driven.model.parameter_values()

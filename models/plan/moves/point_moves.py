@@ -21,8 +21,7 @@ Array = NDArray[np.float64]
 def rate_limited(start_rad: Array, end_rad: Array, limits: Limits, period_s: float) -> Array:
     """Goals of the fastest move within rate and acceleration, all joints together, shape (n, dof).
 
-    Shapes: `start_rad`, `end_rad` (dof,).
-    `start_rad`, `end_rad`: first and last goals; the last row is the end.
+    The last row is the end. Shapes: `start_rad`, `end_rad` (dof,).
     """
     distance, most = float(np.max(np.abs(end_rad - start_rad))), limits.acceleration_rad_s2
     rate = min(limits.rate_rad_s, math.sqrt(distance * most))

@@ -1,9 +1,10 @@
 """Inverse of held approaches of the twin over places and payloads, with the first mode at rest.
 
-A twin that has moved does not end where it would lie relaxed: inner friction, friction of the
+A twin that has moved does not come to rest at its relaxed position: inner friction, friction of the
 joints and creep keep the tip 1 to 7 mm short of it. So a map holds the goals that bring the tip to
-a place by an approach from upright, a ramp of `RAMP_S` and a hold of `HOLD_S`: those of the relaxed
-twin for a place that lies farther by the shortfall, which is measured on the twin at some places.
+a place by an approach from upright, a ramp of `RAMP_S` and a hold of `HOLD_S`. They are the goals
+of the relaxed twin for a place that lies farther by the shortfall, which is measured on the twin at
+some places.
 """
 
 from __future__ import annotations
@@ -25,18 +26,19 @@ PLACES: Final = {1: 41, 2: 25}
 """Places along an axis, by joints: between two of them, 54 mm apart, the goals of a rigid link
 curve by 0.3 mm of the tip (h²/8 · x/(1 - x²)^(3/2) at 0.5 m)."""
 LARGEST_RAD: Final = 0.8
-"""Largest goal that is mapped: beyond any limit, so that the limit is what refuses [assumed]."""
+"""Largest goal that is mapped: beyond any limit, so that the limit refuses it [assumed]."""
 CLOSE_M: Final = 2e-4
 """Distance of the resting tip from the place at which the search ends [assumed]."""
 RAMP_S: Final = 4.0
 HOLD_S: Final = 10.0
-"""Approach whose end is mapped [assumed]. Between 1 s and 60 s of holding the tip of the demo's
-twin goes on by up to 1.5 mm without payload, 5 mm with 1 kg and 2.5 mm with 2 kg."""
+"""Ramp and hold of the mapped approach [assumed]. Between 1 s and 60 s of holding, the tip of the
+demo's twin moves on by up to 1.5 mm without payload, 5 mm with 1 kg and 2.5 mm with 2 kg."""
 SPARSE: Final = (-1.0, -0.6, -0.17, 0.0, 0.17, 0.6, 1.0)
-"""Places of the shortfall, over the largest coordinate; denser at upright, where it sets in.
-Measured on the twin of the demo, 2DOF, 2 kg: interpolation leaves 0.4 mm, 0.14 mm RMS."""
+"""Places where the shortfall is measured, over the largest coordinate; denser near upright, where
+it begins. Measured on the twin of the demo, 2DOF, 2 kg: interpolation leaves 0.4 mm, 0.14 mm RMS.
+"""
 MOST_SHORT_M: Final = 0.1
-"""Larger shortfall that counts as none known: the link has folded [assumed]."""
+"""Largest shortfall that counts: beyond it the link has folded [assumed]."""
 STEPS: Final = 12
 PROBE_RAD: Final = 1e-3
 
@@ -86,7 +88,7 @@ def _held_goals(twin: TipTwin, places: Array, payload_kg: float) -> Array:
 
 
 def _shortfall_m(twin: TipTwin, places: Array, relaxed: Array, payload_kg: float) -> Array:
-    """Places less those at which a held approach to the relaxed goals ends, as the goals' shape."""
+    """Places minus the ends of held approaches to the relaxed goals, in the shape of the goals."""
     sparse = np.rint((np.array(SPARSE) + 1.0) / 2.0 * (len(places) - 1)).astype(int)
     short = np.full((len(sparse),) * twin.dof + (twin.dof,), np.nan)
     for index in product(range(len(sparse)), repeat=twin.dof):
@@ -106,7 +108,7 @@ def _shortfall_m(twin: TipTwin, places: Array, relaxed: Array, payload_kg: float
 
 
 def _filled(short: Array) -> Array:
-    """Shortfalls with the nearest known one where there is none; zeros where none is known."""
+    """Shortfalls with missing ones replaced by the nearest; zeros if none is known."""
     known = np.argwhere(~np.isnan(short[..., 0]))
     if not len(known):
         return np.zeros_like(short)
@@ -118,11 +120,11 @@ def _filled(short: Array) -> Array:
 
 
 def _relaxed_goals(twin: TipTwin, places: Array, slope: Array, payload_kg: float) -> Array:
-    """Goals at which the relaxed tip lies at every place, by index; NaN where it cannot."""
+    """Goals at which the relaxed tip lies at every place, by index; NaN where there are none."""
     found = np.full((len(places),) * twin.dof + (twin.dof,), np.nan)
     zero = np.zeros(twin.dof)
     rest = twin.resting_tip_m(zero, payload_kg)
-    # From the middle outwards, each from the nearest that was found, with its slope.
+    # From the middle outwards, each from its nearest solved neighbours, with the slope there.
     order = sorted(
         product(range(len(places)), repeat=twin.dof),
         key=lambda k: float(np.hypot(*_two(places[list(k)]))),

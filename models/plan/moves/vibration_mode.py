@@ -13,15 +13,13 @@ from models.plan.twin_sensitivity import TipTwin
 
 Array = NDArray[np.float64]
 MOST_DAMPED: Final = 0.5
-"""Damping ratio above which a mode is no vibration [assumed]."""
+"""Damping ratio above which a mode does not count as vibration [assumed]."""
 SEEN: Final = 0.1
-"""Least part of the tip's largest modal motion along an axis at which a mode counts [assumed]."""
+"""Least part of the tip's largest modal motion along an axis for a mode to count [assumed]."""
 
 
 @dataclass(frozen=True)
 class VibrationMode:
-    """One mode."""
-
     rate_rad_s: float  # Natural angular frequency, undamped
     damping_ratio: float  # Fraction of the critical damping
 

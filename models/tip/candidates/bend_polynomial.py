@@ -11,8 +11,6 @@ __all__ = ["BendPolynomial"]
 
 
 class BendPolynomial(PolynomialTip):
-    """Polynomial of the observer's signed bend and its rate."""
-
     name: ClassVar[str] = "bend polynomial"
     summary: ClassVar[str] = (
         "a polynomial of the joint angles and the observer's signed bend and its rate"
@@ -21,5 +19,4 @@ class BendPolynomial(PolynomialTip):
     corrects: ClassVar[bool] = False
 
     def chosen(self, dof: int) -> Sequence[str]:
-        """Angles, bends and rates of the bends."""
         return [name for name in motion_names(dof) if not name.startswith("joint_rate")]

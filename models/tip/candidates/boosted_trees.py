@@ -18,18 +18,18 @@ __all__ = ["BoostedTrees"]
 ITERATIONS: Final = 30
 LEARNING_RATE: Final = 0.15
 SMALLEST_LEAF: Final = 40
-"""Rows in a leaf: 0.7 s of motion. All three assumed."""
+"""Fewest rows in a leaf: 0.7 s of motion. All three [assumed]."""
 DECIMALS: Final = 9
-"""Digits of the inputs that a split may look at, in their SI units. Values that differ by rounding
-only, such as those of a joint at rest, would lie on both sides of a split between them, and another
-compiler's would fall on the other."""
+"""Digits to which inputs are rounded before training, in SI units. Otherwise a split could lie
+between values that differ only by rounding, such as those of a joint at rest, and a graph from
+another compiler would take the other branch."""
 
 
 class BoostedTrees:
     """Correction of the observer's tip by boosted trees; the variant is their depth.
 
     A tree is written as the product of its comparisons: each leaf has a factor per level, the
-    comparison or its complement, so that one row of leaves stands for all trees.
+    comparison or its complement, so that one row of leaves represents all trees.
     """
 
     name: ClassVar[str] = "boosted trees"
@@ -53,7 +53,7 @@ class BoostedTrees:
             for axis in range(3)
         ]  # fmt: skip
         for trees in self._trees:
-            for (tree,) in trees._predictors:  # between two of the rounded values
+            for (tree,) in trees._predictors:  # move splits between two rounded values
                 tree.nodes["num_threshold"] += 0.5 * 10.0**-DECIMALS
         return self
 
@@ -103,7 +103,7 @@ class BoostedTrees:
 
 
 def _leaves(nodes: Any) -> list[tuple[float, list[tuple[int, float, bool]]]]:
-    """Leaves of a tree: value, and the comparisons on the way (feature, bound, whether above)."""
+    """Leaves of a tree: value, and the comparisons on its path (feature, bound, whether above)."""
     found = []
 
     def walk(k: int, path: list[tuple[int, float, bool]]) -> None:

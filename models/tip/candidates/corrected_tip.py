@@ -12,7 +12,7 @@ __all__ = ["CorrectedTip"]
 
 
 class CorrectedTip(PolynomialTip):
-    """Observer's tip with a trained polynomial correction; degree 0 is none."""
+    """Observer's tip with a trained polynomial correction; degree 0 means no correction."""
 
     name: ClassVar[str] = "corrected observer"
     summary: ClassVar[str] = "the observer's tip with a polynomial correction of motion and payload"
@@ -20,5 +20,4 @@ class CorrectedTip(PolynomialTip):
     corrects: ClassVar[bool] = True
 
     def chosen(self, dof: int) -> Sequence[str]:
-        """Motion of joints and link, payload."""
         return (*motion_names(dof), PAYLOAD.name)

@@ -1,4 +1,4 @@
-"""Observer's own tip, without anything trained on tips."""
+"""The observer's own tip, without anything trained on tips."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ __all__ = ["ObserverTip"]
 
 
 class ObserverTip:
-    """Tip of the observer."""
-
     name: ClassVar[str] = "observer"
     summary: ClassVar[str] = "the observer's own tip, without a correction"
     variants: ClassVar[tuple[int, ...]] = (0,)

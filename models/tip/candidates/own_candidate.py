@@ -1,4 +1,4 @@
-"""Candidate of one's own: a class in a file outside of the project."""
+"""Your own candidate: a class in a file outside of the project."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def own_candidate(path: Path, others: Sequence[type[TipPredictor]]) -> type[TipP
 
 
 def _lack(found: Sequence[type], whole: Sequence[type]) -> str:
-    """What is wrong with the classes of a file."""
+    """Reason why the classes of a file are not one candidate."""
     if whole:
         return "not one"
     if not found:

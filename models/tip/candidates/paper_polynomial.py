@@ -20,5 +20,4 @@ class PaperPolynomial(PolynomialTip):
     corrects: ClassVar[bool] = False
 
     def chosen(self, dof: int) -> Sequence[str]:
-        """Angles, currents, DI."""
         return feature_names(dof)

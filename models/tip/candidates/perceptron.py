@@ -18,10 +18,10 @@ from models.tip.tip_rows import TipRows
 __all__ = ["Perceptron"]
 
 ROWS: Final = 1500
-"""Rows to fit on, equally spaced: neighbours are nearly equal."""
+"""Most rows to fit on, equally spaced, because neighbours are nearly equal."""
 ITERATIONS: Final = 80
 PENALTY: Final = 0.1
-"""L2 penalty of scikit-learn, against rows of few trials; assumed."""
+"""L2 penalty of scikit-learn, against overfitting to few trials [assumed]."""
 CORRECTION_M: Final = 1e-3
 """Unit of the fitted correction."""
 

@@ -17,13 +17,13 @@ __all__ = ["PolynomialTip", "motion_names"]
 
 
 def motion_names(dof: int) -> tuple[str, ...]:
-    """Return the signed state of joints and link: angle, its rate, bend and its rate."""
+    """Signed state of joints and link: angle, its rate, bend and its rate."""
     kinds = ("angle_{j}_rad", "joint_rate_{j}_rad_s", "bend_{j}_rad", "bend_rate_{j}_rad_s")
     return tuple(kind.format(j=j) for kind in kinds for j in range(1, dof + 1))
 
 
 class PolynomialTip:
-    """Polynomial of chosen inputs, clipped into their training box, added to a base."""
+    """Polynomial of selected inputs, clipped to their training box, added to a base."""
 
     name: ClassVar[str]
     summary: ClassVar[str]
