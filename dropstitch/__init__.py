@@ -1,9 +1,9 @@
 """Library of dropstitch: the names that programs and notebooks import.
 
-They stand in `__init__.pyi`, once, which type checkers read as well. Each is loaded from its room
-when it is first asked for, so that `import dropstitch` costs nothing (PEP 562, and SPEC 1 of
-Scientific Python). The robot's wheel holds this package too: names of `firmware_py` work there,
-those of the workshop say that it is missing. Whatever is not listed may change (docs/library.md).
+`__init__.pyi` lists them once, also for type checkers. The first access to a name imports its room,
+so that `import dropstitch` costs nothing (PEP 562, and SPEC 1 of Scientific Python). The robot's
+wheel contains this package, too: there, names of `firmware_py` work, and those of the workshop
+raise an ImportError. Names that are not listed may change (docs/library.md).
 """
 
 import ast
@@ -19,13 +19,12 @@ _MODULE_OF: Final = {
     if isinstance(node, ast.ImportFrom)
     for alias in node.names
 }
-"""Module of each name."""
 
 __all__ = ["__version__", *_MODULE_OF]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a name of the library from its room."""
+    """Import a name of the library from its room on first access."""
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = _MODULE_OF[name]
@@ -43,5 +42,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Names of the library."""
     return sorted(__all__)

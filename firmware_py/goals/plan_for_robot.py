@@ -21,7 +21,7 @@ __all__ = ["feedback_of_plan", "goals_of_plan", "innovation_places", "log_facts"
 def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
     """Return the goals of a plan, for the known payload of the configuration or the estimated one.
 
-    A plan that does not fit the joints, the period, the limits or the link is refused.
+    A plan for another robot, bundle or link is refused, and one that violates the limits.
     """
     where = f"plan {plan.path}"
     if plan.dof != config.dof:

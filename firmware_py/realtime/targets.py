@@ -1,4 +1,4 @@
-"""Targets of the project that code compares results with, each stated here only.
+"""Targets of the project that code compares results with, each defined only here.
 
 `docs/claims.toml` has the targets of all figures in the documentation; a test compares the two.
 """
@@ -9,7 +9,7 @@ from typing import Final
 
 OWN_COST_P50_NS: Final = 500_000
 OWN_COST_P99_NS: Final = 1_000_000
-"""Of a tick in real time without its wait for the bus; claims `loop-own-…`."""
+"""99th percentile of a tick's computing time, without the wait for the bus; claims `loop-own-…`."""
 
 PLANT_TIP_RMS_M: Final = {
     "held-out trials": {1: 2.0e-3, 2: 2.6e-3},
@@ -21,11 +21,11 @@ PLANT_TIP_RMS_M: Final = {
 
 DI_GAIN_DEGREE: Final = "3"
 DI_GAIN_FRACTION: Final = {"trial_2": 0.9, "unseen_20deg": 0.8}
-"""Part of the true DI's gain that the observer's DI recovers, by test; claims `study-gain-…`."""
+"""Fraction of the true DI's gain that the observer's DI retains, by test; claims `study-gain-…`."""
 
 FMU_PARITY: Final = 1e-9
-"""Largest difference of an FMU from the interpreted model, in SI units. [assumed: a nanometre]"""
+"""Largest difference between FMU and interpreted model, in SI units. [assumed: a nanometre]"""
 
 PATH_RMS_TO_RIGID: Final = {"known": 1 / 25, "unknown": 1 / 20}
-"""RMS distance of the tip from a plan's path over that of rigid kinematics, by what is known of the
-payload; claims `plans-…`."""
+"""Ratio of a plan's RMS distance from the path to that of rigid kinematics, for a known and for an
+unknown payload; claims `plans-…`."""
