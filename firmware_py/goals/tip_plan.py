@@ -72,7 +72,7 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Best recorded run so far at a payload, to which learning returns after a worse one."""
 
-    run: int  # Index in `TipPlan.learned`
+    run: int  # Index in `learned`
     goals_rad: Columns  # Goals sent
     tip_m: Columns  # Measured tip
     angle_rad: Columns  # Measured joint angles
