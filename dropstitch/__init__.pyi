@@ -1,5 +1,5 @@
-# The library of dropstitch: every public name, once. __init__.py loads a name from the module that
-# stands here when it is first asked for; docs/library.md says what each is for.
+# The library of dropstitch: every public name, once. __init__.py imports a name from the module
+# listed here on first access; docs/library.md explains each name.
 
 from firmware_py.errors import DropstitchError as DropstitchError
 from firmware_py.errors import InputError as InputError

@@ -1,4 +1,4 @@
-"""Configuration of one robot: a TOML file whose every key is checked."""
+"""Configuration of a robot: `robot.toml`, of which every key is checked."""
 
 from __future__ import annotations
 
@@ -47,29 +47,29 @@ _MAX_DOF: Final = 2
 class BusConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[bus]`: port and timing of the servos' bus."""
 
-    # Serial device, or `unix:PATH` for an emulator's socket; with wildcards the first that opens
+    # Serial device, or `unix:PATH` of an emulator's socket; with wildcards, the first that opens
     port: str
     baud: int = 1_000_000
-    reply_timeout_s: float = 0.008  # Longest wait for the servos in a tick, a second read included
-    return_delay_s: float | None = None  # Return delay to write to the servos; None leaves theirs
-    # Longest wait for a port that has gone. When it is back, every start-up check is repeated and
-    # the goals blend from the measured position. 0 leaves the robot stopped.
+    reply_timeout_s: float = 0.008  # Longest wait for the servos in a tick, retry included
+    return_delay_s: float | None = None  # Return delay to write to the servos; None keeps theirs
+    # Timeout for a disconnected port. When it is back, every start-up check is repeated and the
+    # goals blend from the measured position into the motion. 0: the robot stays stopped.
     replug_s: float = 0.0
 
 
 class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Entry of `[[servos]]`; the entries are in joint order."""
+    """Entry of `[[servos]]`, one per joint in joint order."""
 
     id: int
-    model: str  # Name of the model, see `firmware_py.bus.servo_models.MODELS`
-    reverse: bool = False  # Whether the servo counts the other way (register Drive Mode)
-    # Its Homing Offset: the angle that it adds so that zero is where the link is upright
+    model: str  # Name of the model, one of `firmware_py.bus.servo_models.MODELS`
+    reverse: bool = False  # Whether the servo counts in reverse (register Drive Mode)
+    # Register Homing Offset: the servo adds this angle, so that zero is where the link is upright
     homing_offset_rad: float = 0.0
-    # Gains with which the plant was identified; None does not compare them
+    # Gains with which the plant was identified; None skips the comparison
     gains: ServoGains | None = None
 
     def assumed(self) -> AssumedSettings:
-        """Return the settings that the servo must have."""
+        """Return the settings that the plant assumes of the servo."""
         gains = self.gains.registers() if self.gains else {}
         return AssumedSettings(self.reverse, self.homing_offset_rad, gains)
 
@@ -81,15 +81,15 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     bundle: str  # Directory of the bundle, relative to the file
     bus: BusConfig
     servos: tuple[ServoConfig, ...]  # One per joint, in joint order
-    # Description of the link, relative to the file: see `firmware_py.link.link_limits`; "" for none
+    # `link.toml`, relative to the file, see `firmware_py.link.link_limits`; "" for none
     link: str = ""
     period_s: float = PERIOD_S
-    # Mass at the tip; None where it is unknown and the observer estimates it
+    # Mass at the tip; None if it is unknown and the observer estimates it
     payload_kg: float | None = None
-    # What evaluates the predictor; None takes the compiled one where the bundle has it
+    # What evaluates the predictor; None uses the compiled one if the bundle has it
     runtime: Runtime | None = None
     record: bool = True  # Whether the recorder process writes the ticks to a file
-    logs: str = "logs"  # Directory of these files, relative to the file
+    logs: str = "logs"  # Directory of the logs, relative to the file
     motion: MotionConfig = MotionConfig()  # Tables of these names
     limits: Limits = Limits()
     feedback: TrustOptions = TrustOptions()
@@ -121,7 +121,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def transmission_budget_s(self) -> float:
-        """Time that a tick can spend on transmission."""
+        """Largest transmission time of a tick."""
         return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
 
     def bus_plans(self) -> list[bus_plan.Plan]:
@@ -133,10 +133,9 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         )  # fmt: skip
 
     def goals_rad(self, *, repeated: bool = False) -> Array:
-        """Return the goals of the motion, one row per period, rest in front.
+        """Return the goals of the motion in rad, one row per period, shape (n, dof).
 
-        `repeated`: whether the table will be repeated, so that it must return to zero at its end.
-        Returns shape (n, dof), goal angles in rad.
+        The rest precedes the motion. A table that will be repeated also returns to zero at its end.
         """
         motion = self.motion.motion(self.dof)
         rest = round(self.motion.rest_s / self.period_s)
@@ -149,7 +148,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def read_config(path: Path | str) -> RobotConfig:
-    r"""Read and check `robot.toml`."""
+    """Read and check `robot.toml`."""
     path = Path(path)
     document = read_toml(path, "copy the commented robot.toml and adapt it")
     config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")
@@ -170,7 +169,7 @@ def read_config(path: Path | str) -> RobotConfig:
 def check_config(config: RobotConfig, path: Path | str) -> None:
     """Refuse values that are out of range or do not fit together.
 
-    `path`: subject of the message: the file, or what else the configuration comes from.
+    `path`: source of the configuration, named in the message.
     """
     if config.schema != SCHEMA:
         raise InputError(path, f"schema is {config.schema}", f"this version reads {SCHEMA}")

@@ -1,8 +1,8 @@
-"""JSON documents that machines write and read: one struct each, with a version and a schema.
+"""JSON documents that programs write and read: one struct each, with a version and a schema.
 
-A document is a `Document`: a frozen msgspec struct whose first field is the version of its form.
-It is read and written by one module only, through `read_document` and `write_document`; its JSON
-Schema stands in `docs/schema/`.
+A document is a `Document`: a frozen msgspec struct whose first field is the version of its format.
+Only one module reads and writes each kind, through `read_document` and `write_document`. Its JSON
+Schema is in `docs/schema/`.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Document(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     schema : int
-        Version of the form, `VERSION` of the class. A change that an old reader would misread
-        raises it.
+        Version of the format, `VERSION` of the class. It increases with every change that an old
+        reader would misread.
     """
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = ""
-    """Command that writes the document: the remedy where one is of another version."""
+    """Command that writes the document, named in the message about another version."""
 
     schema: int
 
@@ -56,7 +56,7 @@ def read_document(path: Path, kind: type[T]) -> T:
 
 
 def write_document(path: Path, document: Document) -> None:
-    """Write a document as a whole, as indented JSON; NaN and infinities become null."""
+    """Write a document atomically as indented JSON; NaN and infinities become null."""
     write_whole(path, msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
 
 

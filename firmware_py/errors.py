@@ -19,7 +19,7 @@ __all__ = ["DropstitchError", "FmuRefusal", "InputError", "SafetyTrip"]
 
 
 _LONGEST: Final = 800
-"""Characters of the longest part of a sentence; what is beyond is a file's content."""
+"""Longest part of a message in characters; the rest, from the content of a file, is cut."""
 
 
 class DropstitchError(Exception):
@@ -53,9 +53,7 @@ class FmuRefusal(DropstitchError):
 
 
 class SafetyTrip(DropstitchError):
-    """A fault stopped the robot, was seen while it stopped, or left a servo's torque
-    unconfirmed.
-    """
+    """A fault stopped the robot or occurred in the stop, or a torque off was not confirmed."""
 
     def __init__(self, reason: str, last_ticks: Any = None) -> None:
         super().__init__(reason)
@@ -63,7 +61,7 @@ class SafetyTrip(DropstitchError):
 
 
 def _one_line(text: str) -> str:
-    """Text of a library or a file on one line, without what controls a terminal."""
+    """Return text of a library or a file on one line, without terminal control characters."""
     line = " ".join(text[: 10 * _LONGEST].split())
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)
     return line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} … {line[-_LONGEST // 4 :]}"

@@ -3,15 +3,16 @@
 The same class runs on the robot, against an emulated servo and in simulated time; only bus and
 clock differ.
 
-- Slot k starts at the absolute time `start + k * period`. The motion begins with slot 0; in the
-  slots below it the arm approaches its first goal, and probes its link where a plan says so. After
-  a tick that ends late the slots that have begun are skipped: the phase is kept, and no two ticks
-  run in one slot.
+- Slot k starts at the absolute time `start + k * period`, and the motion begins with slot 0. In
+  the slots before it the arm approaches its first goal; with a plan that probes, it then probes
+  its link.
+- After a tick that overruns, the slots that have already begun are skipped. This keeps the phase,
+  and no two ticks run in one slot.
 - The remaining time of the tick bounds every wait for the bus.
 - A tick allocates no net memory and touches no disk; the garbage collector is disabled
   (`firmware_py.realtime.clock.real_time`).
-- Every end of `run` switches the torque off. If a port that has gone comes back in time, the robot
-  starts again from its measured position, with every check.
+- `run` always ends with torque off. If a disconnected port comes back within `replug_s`, the robot
+  repeats every check and starts again from its measured position.
 """
 
 from __future__ import annotations
@@ -52,10 +53,10 @@ _REPLUG_POLL_NS: Final = 50_000_000
 class ControlLoop:
     """Control loop that drives the servos along the goals of a source.
 
-    `goals`: goals of each slot, as a rule a table, see `firmware_py.goals.goal_source`.
-    `slots`: slots to run before the controlled stop; the goals repeat. None runs them once.
-    `replug_s`: longest wait for a port that has gone, after the robot has stopped; 0 does not wait.
-    `counters`: the kernel's counters, created in the thread that calls `run`.
+    `goals`: goals of each slot, usually a table; see `firmware_py.goals.goal_source`.
+    `slots`: slots to run before the controlled stop; the goals repeat. None runs the goals once.
+    `replug_s`: timeout for a disconnected port after the robot has stopped; 0 does not wait.
+    `counters`: the kernel's counters; create them in the thread that calls `run`.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class ControlLoop:
         self._signal = reason
 
     def run(self) -> RunSummary:
-        """Connect, run until the motion is over or the robot is stopped, switch the torque off."""
+        """Connect, run until the motion ends or the robot stops, and switch the torque off."""
         self._bus.connect()
         self._get_ready()
         with signals_to(self.stop):  # includes torque off: a second Ctrl-C must not skip it
@@ -133,7 +134,7 @@ class ControlLoop:
         return released
 
     def _get_ready(self) -> None:
-        """Take the measured position as the first goal, torque off."""
+        """Take the measured position as the first goal, and reset the estimator; torque is off."""
         self._supervisor.arm(self._bus.angle_rad)
         self._estimator.reset()
 
@@ -149,7 +150,7 @@ class ControlLoop:
         supervisor.start()
 
     def _port_is_back(self) -> bool:
-        """After a stop because the port had gone: wait for it and prepare the servos again."""
+        """Wait for a disconnected port and prepare a restart; False if it does not come back."""
         clock, deadline_ns = self._clock, self._clock.now_ns() + self._replug_ns
         if (
             self._bus_status is not BusStatus.PORT_GONE
@@ -162,7 +163,7 @@ class ControlLoop:
             self._service.alive()
             if not self._bus.reopen():
                 continue
-            with contextlib.suppress(InputError):  # the port may be back, the servos not yet
+            with contextlib.suppress(InputError):  # the servos may need longer than the port
                 self._bus.connect()
                 break
         else:
@@ -193,11 +194,11 @@ class ControlLoop:
             end_ns = self._tick(slot, deadline_ns)
             running = self._supervisor.state < SafetyState.STOPPING
             self._away.note(slot, running=running, following=self._supervisor.following)
-            # The next slot is the first that has not begun: a missed one is skipped.
+            # Continue with the first slot that has not begun; missed slots are skipped.
             slot = max(slot + 1, -((start_ns - end_ns) // period_ns))
 
     def _ahead(self) -> Iterator[NDArray[np.float64]]:
-        """Goals from now on, where they are known before their time."""
+        """Yield the goals from the next slot on; none if another program sends them."""
         slot = -(((self._start_ns or 0) - self._clock.now_ns()) // self._period_ns)
         while isinstance(self._goals, OwnGoals):
             yield self._goals.at(slot) + self._correction.value_rad

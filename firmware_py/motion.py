@@ -1,8 +1,8 @@
 """Reference motions: goal angles as a function of time.
 
 Rig and robot run the same motions. Before time zero a motion rests at zero. After its end it
-returns to zero within `GLIDE_S`: a wave that ends at speed continues while it is faded out, since
-an abrupt stop would excite the link.
+returns to zero within `GLIDE_S`: a wave that still moves at its end is faded out, since an abrupt
+stop would excite the link.
 
 ============ ====================================================================================
 sinusoid     the study's: two cycles 0 -> -A -> 0 -> +A -> 0 of one period each
@@ -33,7 +33,7 @@ __all__ = ["KINDS", "Motion"]
 Array = NDArray[np.float64]
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
-"""Kinds that a name alone defines."""
+"""Kinds of motion that have a name; `Motion.designed` makes others."""
 STUDY_PERIOD_S: Final = 256 * PERIOD_S
 """One cycle of the study: 256 steps of 17 ms (the study, section IV-A; docs/sources.md)."""
 STUDY_AMPLITUDE_RAD: Final = float(np.radians(30.0))
@@ -46,10 +46,10 @@ _PERIODS: Final[dict[Kind, float]] = {
 """Duration of a motion in periods."""
 
 _RUNS_ON: Final = ("sinusoid", "triangle")
-"""Motions that are still at speed at their end."""
+"""Motions that still move at their end."""
 
 _HARMONICS: Final = ((2, 5, 9, 14), (3, 7, 11, 16))
-"""Harmonics of each joint's multisine, in cycles per four periods; the joints share none."""
+"""Harmonics of each joint's multisine in cycles per four periods, with none in common."""
 
 _STEP_LEVELS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0, 0.5, -0.5, 0.0)
 _DECAY_LEVELS: Final = ((-1.0, -0.8, 0.0), (1.0, 0.8, 0.0))
@@ -63,18 +63,19 @@ class Motion:
     Attributes
     ----------
     kind : {"sinusoid", "multisine", "triangle", "steps", "decay", "designed"}
-        Kind, see the module's table.
+        Kind of motion, see the module's table.
     amplitude_rad : float
-        Largest goal of each joint.
+        Largest goal of each joint, in rad.
     period_s : float
-        Time of one cycle of the sinusoid; the other motions scale with it.
+        Time of one cycle of the sinusoid in s; the other motions scale with it.
     phase_2_rad : float
-        Phase by which joint 2 leads joint 1; the multisine ignores it. Joint 2 still starts at
-        zero: it is faded in during half a period.
+        Phase by which joint 2 leads joint 1, in rad; the multisine ignores it. Joint 2 still starts
+        at zero, because it is faded in during half a period.
     dof : int
         Number of joints, 1 or 2.
     design : MotionDocument or None
-        Series of a designed motion, see `Motion.designed`; it sets all other parameters.
+        Fourier series of a designed motion, see `Motion.designed`; it determines all other
+        parameters.
 
     Raises
     ------
@@ -91,12 +92,18 @@ class Motion:
 
     @classmethod
     def designed(cls, design: MotionDocument) -> Motion:
-        """Motion of a document.
+        """Return the motion of a document.
 
         Parameters
         ----------
         design : MotionDocument
-            Its series; the period of the motion is its duration, the amplitude its largest goal.
+            Fourier series of each joint.
+
+        Returns
+        -------
+        Motion
+            Motion whose period is the duration of the series, and whose amplitude is its largest
+            goal.
 
         Raises
         ------
@@ -129,7 +136,7 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """Time from the start to the last goal, without the return to zero."""
+        """Time from the start to the last goal in s, without the return to zero."""
         return self.period_s if self.kind == "designed" else _PERIODS[self.kind] * self.period_s
 
     def goal_rad(self, time_s: ArrayLike) -> Array:
@@ -171,9 +178,9 @@ class Motion:
         Parameters
         ----------
         step_s : float
-            Control period.
+            Control period in s.
         rest_samples : int
-            Number of zeros in front of the motion.
+            Number of rows at zero before the motion.
 
         Returns
         -------
@@ -189,7 +196,7 @@ class Motion:
         return self.goal_rad((np.arange(rest_samples + moving) - rest_samples) * step_s)
 
     def _joint(self, joint: int, time_s: Array) -> Array:
-        """Goal of one joint as a fraction of the amplitude, inside the motion."""
+        """Return the goal of one joint during the motion, as a fraction of the amplitude."""
         if self.kind == "multisine":
             return _multisine(time_s / self.duration_s, _HARMONICS[joint])
         wave, cycles = _WAVES[self.kind]
@@ -201,7 +208,7 @@ class Motion:
 
 
 def _ease(fraction: Array) -> Array:
-    """Half a cosine from 0 to 1 while `fraction` runs from 0 to 1."""
+    """Return half a cosine from 0 to 1 while `fraction` goes from 0 to 1."""
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(fraction, 0.0, 1.0)))
 
 
@@ -214,12 +221,12 @@ def _triangle(turn: Array) -> Array:
 
 
 def _steps(turn: Array) -> Array:
-    """Eight levels of equal duration; each is reached within a quarter of it."""
+    """Return eight levels of equal duration; each transition takes a quarter of it."""
     return _staircase(turn, _STEP_LEVELS, 0.25)
 
 
 def _staircase(turn: Array, levels: Sequence[float], ease_fraction: float) -> Array:
-    """Levels of equal duration from zero on, with eased transitions."""
+    """Return levels of equal duration with eased transitions, starting from zero."""
     position = turn * len(levels)
     goal, before = np.zeros_like(position), 0.0
     for k, level in enumerate(levels):
@@ -229,7 +236,7 @@ def _staircase(turn: Array, levels: Sequence[float], ease_fraction: float) -> Ar
 
 
 def _decay(turn: Array) -> Array:
-    """Two leans of three periods each: eased out, stepped back, eased to zero."""
+    """Return two leans of three periods each: eased out, stepped back, eased to zero."""
     position = turn * 6.0
     goal = np.zeros_like(position)
     for start, (lean, released, upright) in zip((0.0, 3.0), _DECAY_LEVELS, strict=True):
@@ -240,7 +247,7 @@ def _decay(turn: Array) -> Array:
 
 
 def _multisine(fraction: Array, harmonics: Sequence[int]) -> Array:
-    """Sum of harmonics over the whole duration with peak 1, faded in and out in a tenth each."""
+    """Return a sum of harmonics with peak 1, faded in and out over a tenth of the duration each."""
     fine = np.linspace(0.0, 1.0, 4097)
     scale = 1.0 / np.max(np.abs(_harmonic_sum(fine, harmonics)))
     peak_held = np.clip(
@@ -265,4 +272,4 @@ _WAVES: Final[dict[str, tuple[Callable[[Array], Array], int]]] = {
     "steps": (_steps, 1),
     "decay": (_decay, 1),
 }
-"""Shape over one turn (starts and ends at zero) and the number of turns in the motion."""
+"""Shape over one turn, which starts and ends at zero, and the number of turns in the motion."""

@@ -1,5 +1,3 @@
-"""Table `[motion]` of robot.toml, and its motion."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -16,14 +14,14 @@ __all__ = ["MotionConfig"]
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[motion]`: the reference motion, see `firmware_py.motion`."""
 
-    kind: Kind = "sinusoid"  # {"sinusoid", "multisine", "triangle", "steps", "decay"}
+    kind: Kind = "sinusoid"  # Kind of motion, see `firmware_py.motion`
     amplitude_rad: float = STUDY_AMPLITUDE_RAD  # Largest goal of each joint
     period_s: float = STUDY_PERIOD_S  # Time of one cycle of the sinusoid
     phase_2_rad: float = 0.0  # Phase by which joint 2 leads joint 1
     rest_s: float = 1.0  # Rest before the motion, the reference of the Deformation Index
-    # Motion file, relative to robot.toml, in place of kind, amplitude, period and phase
+    # Motion file, relative to robot.toml, instead of kind, amplitude, period and phase
     file: str | None = None
-    design: MotionDocument | None = None  # Content of that file
+    design: MotionDocument | None = None  # Content of the motion file
 
     def motion(self, dof: int) -> Motion:
         """Return the motion for a number of joints."""
@@ -38,10 +36,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return Motion.designed(self.design)
 
     def with_motion(self, wanted: str) -> MotionConfig:
-        """Return the table with another kind of motion, or the motion of a file.
-
-        `wanted`: name of a kind, or path of a motion file.
-        """
+        """Return the table for another motion: the name of a kind, or the path of a motion file."""
         if wanted in KINDS:
             kind = msgspec.convert(wanted, Kind)
             return msgspec.structs.replace(self, kind=kind, file=None, design=None)

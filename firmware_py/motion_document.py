@@ -32,7 +32,7 @@ __all__ = ["JointSeries", "MotionDocument", "read_motion_document"]
 
 Array = NDArray[np.float64]
 FADE_FRACTION: Final = 0.1
-"""Part of the duration in which the series is eased in, and out: that of the multisine."""
+"""Fraction of the duration for easing in, and for easing out; that of the multisine."""
 HIGHEST_FREQUENCY_HZ: Final = 10.0
 """Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
 _MAKE: Final = "write it anew with dropstitch experiment"
@@ -52,15 +52,15 @@ class MotionDocument(Document, frozen=True):
     MADE_BY: ClassVar[str] = "dropstitch experiment"
 
     duration_s: float
-    harmonics: tuple[int, ...]  # Cycles in the duration
-    joints: tuple[JointSeries, ...]  # In joint order, one or two
-    # Payload that the motion was designed for; the operator attaches it
+    harmonics: tuple[int, ...]  # Cycles per duration; 0 is a constant lean
+    joints: tuple[JointSeries, ...]  # Coefficients of one or two joints, in joint order
+    # Payload that the motion was designed for, and that you attach for the run
     payload_kg: float | None = None
     notes: str = ""
 
     @property
     def name(self) -> str:
-        """Name of the motion in trials and logs: its series alone decide it."""
+        """Name of the motion in trials and logs, derived from its series alone."""
         text = msgspec.json.encode((self.duration_s, self.harmonics, self.joints))
         return f"designed-{hashlib.sha256(text).hexdigest()[:8]}"
 
@@ -71,19 +71,16 @@ class MotionDocument(Document, frozen=True):
         return float(np.max(np.abs(self.goal_rad(fine_s))))
 
     def goal_rad(self, time_s: Array) -> Array:
-        """Goals at given times, shape (..., joints); zero before the start and after the end.
-
-        Shapes: `time_s` (...).
-        """
+        """Return goals at times of shape (...), shape (..., joints); zero outside the motion."""
         basis = fourier_basis(time_s, self.duration_s, self.harmonics)
         weights = np.array([[*j.sine_rad, *j.cosine_rad] for j in self.joints])
         return np.asarray(basis @ weights.T)
 
 
 def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) -> Array:
-    """Windowed sines and cosines of a series, shape (..., 2 harmonics).
+    """Return windowed sines and cosines of a series at times of shape (...).
 
-    Shapes: `time_s` (...).
+    Returns shape (..., 2 h) for h harmonics, sines first.
     """
     fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)
     ramp = np.minimum(fraction, 1.0 - fraction) / FADE_FRACTION
@@ -106,7 +103,7 @@ def read_motion_document(path: Path | str) -> MotionDocument:
 
 
 def check_motion_document(document: MotionDocument, where: Path | str) -> None:
-    """Refuse a series that cannot be run."""
+    """Refuse values of a series that are out of range or do not fit together."""
     count = len(document.harmonics)
     every = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
     payload_kg = 0.0 if document.payload_kg is None else document.payload_kg

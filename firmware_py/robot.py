@@ -59,23 +59,23 @@ __all__ = [
 
 
 class LoopModels(Protocol):
-    """Models that the loop evaluates in every tick; a `ModelBundle` is one."""
+    """Models that the loop evaluates in every tick, such as a `ModelBundle`."""
 
     @property
     def estimator(self) -> DeformationEstimator:
-        """Deformation Index from angle and current."""
+        """Estimator of the Deformation Index from angle and current."""
         ...
 
     @property
     def predictor(self) -> Predictor:
-        """Tip from angle, current and DI."""
+        """Predictor of the tip from angle, current and DI."""
         ...
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
     """Load the bundle that a configuration names and check that the two fit together.
 
-    `path`: its file; the path of the bundle is relative to it.
+    `path`: file of the configuration; the path of the bundle is relative to it.
     """
     bundle = ModelBundle.load(path.parent / config.bundle, config.trust.keys, config.runtime)
     manifest = bundle.manifest
@@ -94,10 +94,9 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
 
 
 def with_bundle_gains(config: RobotConfig, bundle: ModelBundle, path: Path) -> RobotConfig:
-    """Return a configuration that asks the servos for the gains of the bundle's plant.
+    """Return a configuration whose missing servo gains are those of the bundle's plant.
 
-    `config`: the configuration; gains that it does not give are those of the bundle.
-    `bundle`: bundle of the robot; without gains in its manifest nothing is changed.
+    Gains that the configuration gives stay. A bundle without gains in its manifest changes nothing.
     """
     servos = list(config.servos)
     for j, identified in enumerate(bundle.manifest.servo_gains):
@@ -126,7 +125,7 @@ def build_bus(
 ) -> DynamixelBus:
     """Return the bus that a configuration describes, over an open transport.
 
-    `opener`: opens the transport again; without it a port that has gone stays gone.
+    `opener`: opens the transport again after a disconnect; without it, `reopen` returns False.
     """
     return DynamixelBus(
         transport, config.setups(), clock, period_s=config.period_s,
@@ -137,9 +136,9 @@ def build_bus(
 
 @contextlib.contextmanager
 def open_bus(config: RobotConfig, clock: Clock) -> Iterator[DynamixelBus]:
-    """Open the bus that a configuration describes; torque off and closed at the end.
+    """Yield the bus that a configuration describes, not yet connected.
 
-    Yields the bus; `connect` has not been called yet.
+    At the end its torque is switched off and its port is closed.
     """
 
     def opener() -> Transport:
@@ -168,9 +167,8 @@ def build_loop(
 ) -> ControlLoop:
     """Return the control loop that a configuration describes, ready to run.
 
-    `goals`: goals of each slot; by default the configured motion, made to repeat where `slots` is
-    given.
-    `slots`: slots to run before the controlled stop; the goals repeat. None runs them once.
+    `goals`: goals of each slot; by default the configured motion, repeated if `slots` is given.
+    `slots`: slots to run before the controlled stop; the goals repeat. None runs the goals once.
     """
     if goals is None:
         goals = GoalTable(config.goals_rad(repeated=slots is not None))
@@ -189,7 +187,7 @@ def log_metadata(
     started: datetime,
     settings: Sequence[Mapping[str, int]] = (),
 ) -> dict[str, str]:
-    """Return the facts about a run that its log holds."""
+    """Return the metadata of the log of a run."""
     shape = shape_of_bundle(bundle.directory)
     drawn = {SHAPE_KEY: msgspec.json.encode(shape).decode()} if shape else {}
     return drawn | {

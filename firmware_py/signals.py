@@ -1,7 +1,7 @@
-"""Table of signals: names, units and descriptions of all that is exchanged between rooms.
+"""Table of signals: names, units and descriptions of the quantities that rooms exchange.
 
-From it are derived the tick record, the recorder's schema, the CSV header of a trial and the
-variables of the FMUs. A name ends in its SI unit; `{j}` stands for the joint, 1 or 2.
+The tick record, the recorder's schema, the CSV header of a trial and the variables of the FMUs
+derive from it. A name ends in its SI unit; `{j}` stands for the joint, 1 or 2.
 """
 
 from __future__ import annotations
@@ -25,14 +25,12 @@ UNIT_OF_SUFFIX: Final = {
     "a_s_rad": "A.s/rad", "v_s_rad": "V.s/rad", "rad_nm": "rad/(N.m)", "n_s_m": "N.s/m",
     "n_v": "N/V", "v_s_m": "V.s/m", "m_n": "m/N",
 }  # fmt: skip
-"""SI unit in FMI notation by suffix of a column or variable."""
+"""SI unit in FMI notation, by suffix of the name of a column or variable."""
 
 _SUFFIX = re.compile("_(" + "|".join(sorted(UNIT_OF_SUFFIX, key=len, reverse=True)) + ")$")
 
 
 class Signal(NamedTuple):
-    """Physical quantity."""
-
     name: str  # Name with the suffix of its unit
     unit: str  # SI unit; "1" for none
     description: str
@@ -45,7 +43,7 @@ def unit_of(name: str) -> str | None:
 
 
 def without_unit(name: str) -> str:
-    """Name of a column or variable without the suffix of its unit, spaces between its words."""
+    """Return the words of a name without the suffix of its unit."""
     return _SUFFIX.sub("", name).replace("_", " ")
 
 
@@ -94,7 +92,7 @@ def joint_signals(dof: int) -> tuple[Signal, ...]:
 
 
 def marker_signals(markers: int) -> tuple[Signal, ...]:
-    """Return the coordinates of so many markers, m01 first."""
+    """Return the coordinates of a number of markers, m01 first."""
     return tuple(
         Signal(f"m{i:02d}_{axis}_m", "m", f"marker {i}, world frame, {axis}")
         for i in range(1, markers + 1)
@@ -114,7 +112,7 @@ def feature_names(dof: int) -> tuple[str, ...]:
 
 
 def observer_signals(dof: int) -> tuple[Signal, ...]:
-    """Return what the observer tells a predictor beside DI: tip, payload, motion, own error."""
+    """Return the observer's signals for a predictor beside DI: tip, payload, motion, innovation."""
     joints = tuple(
         Signal(*(field.format(j=j) for field in signal))
         for j in range(1, dof + 1)

@@ -1,4 +1,4 @@
-"""Summary of a run: end, faults, timing; and the document that holds it."""
+"""Summary of a run: end, faults, timing; and its document."""
 
 from __future__ import annotations
 
@@ -23,27 +23,25 @@ __all__ = [
 
 
 class Ended(Enum):
-    """Kind of end of a run."""
-
     FINISHED = "finished"
-    """The motion, or the requested time, was over."""
+    """The motion, or the requested time, ended."""
     SIGNALLED = "signalled"
-    """A signal, like SIGINT; the robot came to a controlled stop."""
+    """A signal such as SIGINT requested a controlled stop."""
     TRIPPED = "tripped"
-    """A fault stopped the robot, was seen while it stopped, or a torque was not confirmed off."""
+    """A fault stopped the robot or occurred in the stop, or a torque off was not confirmed."""
 
 
 class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Use of the feedback of the tip in the motion of a run, approach and stop left out."""
+    """Use of the feedback of the tip during the motion of a run, without approach and stop."""
 
-    ticks: int = 0  # Ticks in which feedback was due; 0 where the run has none
-    # Those in which it did not act, or faded out, because the estimated tip was not trusted
+    ticks: int = 0  # Ticks with feedback switched on; 0 for a run without
+    # Ticks in which feedback was off or faded out, because the estimated tip was rejected
     lost_ticks: int = 0
-    reason: str = ""  # Why trust was lost last; empty where it never was
+    reason: str = ""  # Reason of the latest loss of trust; empty without one
 
     @property
     def note(self) -> str:
-        """Sentence where feedback was lost; else empty."""
+        """Sentence about a loss of feedback; empty without one."""
         if not self.lost_ticks:
             return ""
         return (
@@ -53,26 +51,26 @@ class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class InputBeyond(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Measured input that lay beyond its training range in ticks that were out of range."""
+    """Measured input of the predictor that was beyond its training range."""
 
     name: str
     unit: str  # SI unit of the values; "1" for none
-    ticks: int
-    extreme: float  # Value that was furthest beyond
-    minimum: float  # Range in the training data
-    maximum: float
+    ticks: int  # Number of ticks beyond the range
+    extreme: float  # Value farthest beyond the range
+    minimum: float  # Lower end of the range in the training data
+    maximum: float  # Upper end of the range in the training data
 
 
 class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Why ticks of a run were outside the predictor's training range."""
+    """Reasons why ticks of a run were outside the predictor's training range."""
 
-    # Angles, currents and DI that were beyond their ranges, in the predictor's order
+    # Angles, currents and DI beyond their ranges, in the predictor's order
     inputs: tuple[InputBeyond, ...] = ()
-    other_ticks: int = 0  # Ticks out of range in which none of them was
+    other_ticks: int = 0  # Ticks out of range in which none of these inputs was
 
     @property
     def note(self) -> str:
-        """Continuation of a sentence on how many ticks were out of range; empty without any."""
+        """Continuation of a sentence about the ticks out of range; empty without reasons."""
         told = []
         for row in self.inputs:
             shown = SMALL_CURRENT if row.unit == "A" else signal_unit(row.name)
@@ -92,22 +90,19 @@ class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Result of a run."""
-
     ended: Ended
-    reason: str  # Cause of the end, one sentence
+    reason: str  # Cause of the end, as a sentence
     ticks: int
-    bus_faults: dict[str, int]  # Ticks by status of the bus, OK left out
-    out_of_range: int  # Ticks in which the predictor's inputs lay outside its training range
+    bus_faults: dict[str, int]  # Number of ticks by bus status, without OK
+    out_of_range: int  # Ticks with an input of the predictor outside its training range
     timing: Timing  # Histograms, misses and their causes
     records: NDArray[np.void]  # (n,), the last ticks, oldest first
     telemetry_drops: int  # Ticks that the recorder did not receive
-    replugs: int = 0  # Times that the robot continued after its port had gone
+    replugs: int = 0  # Number of restarts after a disconnect of the port
     released: bool = True  # Whether every servo confirmed torque off at the end
-    # Kinds of fault that stopped the robot or were seen while it stopped
+    # Kinds of fault that stopped the robot or occurred while it stopped
     faults: frozenset[Fault] = frozenset()
-    held_up_ticks: int = 0  # Ticks without fresh data in which the host held up the loop's thread
-    # How often feedback of the tip acted
+    held_up_ticks: int = 0  # Ticks without fresh data because the host delayed the loop's thread
     feedback: FeedbackUse = field(default_factory=FeedbackUse)
 
     def document(
@@ -118,10 +113,7 @@ class RunSummary:
         logged_ticks: int | None = None,
         out_of_range_reasons: RangeReasons | None = None,
     ) -> RunDocument:
-        """Return everything but the records as a document.
-
-        `bus_plan`: name of the plan by which the servos were read.
-        """
+        """Return a document with everything except the records."""
         return RunDocument(
             schema=RunDocument.VERSION, ended=self.ended.value, reason=self.reason,
             ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
@@ -137,25 +129,27 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     MADE_BY: ClassVar[str] = "dropstitch run"
 
+    # "finished": the motion or the requested time ended; "signalled": a signal stopped the robot;
+    # "tripped": a fault
     ended: Literal["finished", "signalled", "tripped"]
-    reason: str
-    ticks: int
-    bus_faults: dict[str, int]
-    out_of_range: int
-    telemetry_drops: int
-    replugs: int
-    released: bool
+    reason: str  # Cause of the end, as a sentence
+    ticks: int  # Number of ticks
+    bus_faults: dict[str, int]  # Number of ticks by bus status, without OK
+    out_of_range: int  # Ticks with an input of the predictor outside its training range
+    telemetry_drops: int  # Ticks that the recorder did not receive
+    replugs: int  # Number of restarts after a disconnect of the port
+    released: bool  # Whether every servo confirmed torque off at the end
     timing: TimingSummary
-    log: str | None
-    bus_plan: str  # Name of the plan by which the servos were read
-    held_up_ticks: int = 0
-    # Sentence where the currents of the run fit another payload than the told one, or where the
-    # estimated payload is beyond those of the plan; else empty
+    log: str | None  # File of the log; null without one
+    bus_plan: str  # Name of the plan for reading the servos
+    held_up_ticks: int = 0  # Ticks without fresh data because the host delayed the loop's thread
+    # Sentence if the currents contradict the payload of robot.toml, or if the estimated payload is
+    # beyond those of the plan; else empty
     payload_note: str = ""
     feedback: FeedbackUse = FeedbackUse()
-    # Ticks that the log holds; None where there is no log, or the recorder did not say
+    # Ticks in the log; null without a log, or if the recorder did not report them
     logged_ticks: int | None = None
-    # Which inputs of the predictor were beyond their ranges in the ticks out of range
+    # Inputs of the predictor that were beyond their ranges
     out_of_range_reasons: RangeReasons = RangeReasons()
 
 

@@ -1,4 +1,4 @@
-"""Log of the loop's ticks: their records, durations, causes of misses and fault counts."""
+"""Log of the loop's ticks: records, durations, causes of missed deadlines, fault counts."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from firmware_py.summary import FeedbackUse
 
 Array = NDArray[np.float64]
 LONGEST_STEP_SLOTS: Final = 100
-"""Largest step of an estimator: after a leap of the clock it must not compute for long."""
+"""Longest step of an estimator: it bounds the computation after a jump of the clock."""
 _HELD_UP_NS: Final = 1_000_000
-"""Delay by the host that can cost an answer: half of what a read leaves for the host. [assumed]"""
+"""Delay by the host that can make a read fail: half of a read's margin for the host. [assumed]"""
 
 
 class Tick(NamedTuple):
     """Inputs, results and time marks of one tick."""
 
     slot: int
-    missed: int  # Slots missed since the previous tick
-    goal_rad: Array  # (dof,), goals sent, angles and currents measured
+    missed: int  # Slots skipped since the previous tick
+    goal_rad: Array  # Goals sent, shape (dof,) as are the measured angles and currents
     angle_rad: Array
     current_a: Array
     estimate: Estimate  # Deformation Index and payload
-    prediction: Prediction  # Tip and its prediction interval
+    prediction: Prediction  # Predicted tip and its prediction interval
     state: SafetyState  # State of the supervisor after the tick
-    trust: TrustState  # Whether corrections by the estimated tip act
+    trust: TrustState  # Trust in the estimated tip that feedback uses
     status: BusStatus  # The worse result of read and write
     stale_ticks: int  # Age of the measured data in ticks
-    alert: int  # Alert bits of the servos
+    alert: int
     bus_wait_ns: int  # Time spent waiting for the servos
     sample_late_ns: int  # Time from the deadline to the request for the measurement
     marks_ns: tuple[int, ...]  # Deadline, then the ends of the stages from "wake" to "write"
 
 
 class TickLog:
-    """Log of the ticks of a run; a tick adds nothing to the memory in use."""
+    """Log of the ticks of a run, in constant memory."""
 
     def __init__(
         self, dof: int, period_ns: int, telemetry: Telemetry, counters: Counters, keep: int
@@ -73,34 +73,34 @@ class TickLog:
 
     @property
     def drops(self) -> int:
-        """Records that the telemetry did not take."""
+        """Records that the telemetry dropped."""
         return self._telemetry.drops
 
     def records(self) -> NDArray[np.void]:
-        """Copy of the records kept, oldest first."""
+        """Return a copy of the latest records, oldest first."""
         return self._ring.ordered()
 
     def bus_faults(self) -> dict[str, int]:
-        """Ticks by status of the bus, OK left out."""
+        """Return the number of ticks by bus status, without OK."""
         return {s.name.lower(): n for s, n in self._statuses.items()}
 
     def feedback(self, reason: str) -> FeedbackUse:
-        """Return in how many ticks of the motion feedback of the tip was due, and did not act."""
+        """Return in how many ticks of the motion feedback was on, and in how many it was lost."""
         lost = self._lost_feedback
         return FeedbackUse(
             ticks=self._with_feedback, lost_ticks=lost, reason=reason if lost else ""
         )
 
     def start(self) -> None:
-        """Count the kernel's delays from now on."""
+        """Start to count the thread's run-queue delay."""
         self._run_delay_ns = self._counters.run_delay_ns()
 
     def start_computing(self) -> None:
-        """Note that the tick waits for nothing from now on."""
+        """Mark the end of the wait for the bus: from here on the tick only computes."""
         self._counters.start_computing()
 
     def hand_over(self) -> None:
-        """Count and send the previous tick: its record is complete only after its end."""
+        """Count the previous tick and send its record, which is complete only after its end."""
         if self._ring.count:
             self.timing.add(*self._finished)
             self._telemetry.put(self._ring.latest())
@@ -132,10 +132,7 @@ class TickLog:
         self._stages_ns, self._tick = stages_ns, tick
 
     def close(self, end_ns: int) -> None:
-        """Complete the latest record at the end of its tick.
-
-        `end_ns`: end of the tick, on the clock of the loop.
-        """
+        """Complete the latest record at the end of its tick, a time of the loop's clock."""
         bus_wait_ns, marks_ns = self._tick.bus_wait_ns, self._tick.marks_ns
         lateness_ns, busy_ns = self._stages_ns[0], end_ns - marks_ns[1]
         log_ns = end_ns - marks_ns[-1]

@@ -25,21 +25,21 @@ sync read or fast sync read
     One silent servo makes the whole packet unusable.
 direct or indirect block
     The velocity lies between position and current (10 bytes, 12 on a legacy PRO). Indirect
-    addresses gather the two into 6 bytes. Two more bytes, torque enable and bus watchdog, tell in
-    every tick whether the servo drives (7 bytes in all on a legacy PRO, which has no watchdog).
-    Offered only where the indirect addresses lie in EEPROM: those of the X series are lost in a
-    reboot, and the block would then hold zeros that look like data.
+    addresses gather the two into 6 bytes. Two more bytes, torque enable and bus watchdog, show in
+    every tick whether the servo holds torque (7 bytes in all on a legacy PRO, which has no
+    watchdog). Offered only if the indirect addresses lie in EEPROM: those of the X series are lost
+    in a reboot, and the block would then hold zeros that look like data.
 goals and the next read in one burst
     Not offered. Protocol 2.0 has no instruction that writes and reads, so the burst has as many
     bytes as its two packets, and every goal would be one period older.
 
-The fastest plan that the servos answer is used: `DynamixelBus.connect` tries them in order.
+`DynamixelBus.connect` tries the plans in order and uses the fastest that the servos answer.
 
-A read that fails is repeated in the same tick (`firmware_py.bus.feedback`). With 2 % of the answers
-of two servos lost or damaged, three ticks in a row without data, which stop the robot, occur every
-15,000 ticks without and every 10^9 ticks with a second read. The first read ends early enough to
-leave the second the time that an exchange took at the start; where both do not fit, it has all of
-the time.
+A read that fails is retried in the same tick (`firmware_py.bus.feedback`). With 2 % of the answers
+of two servos lost or damaged, three consecutive ticks without data, which stop the robot, occur
+every 15,000 ticks without a retry and every 10^9 ticks with it. The first attempt ends early enough
+to leave the retry the time that an exchange took at start-up; if both do not fit, the first attempt
+has all of the time.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ STATUS_OVERHEAD: Final = 11
 """Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
 FACTORY_RETURN_DELAY_S: Final = 500e-6
 RESERVE_NS: Final = 2_000_000
-"""Part of a slot that is kept for the rest of the tick."""
+"""Part of a slot that is reserved for the rest of the tick."""
 RETRY_MARGIN_NS: Final = 2_000_000
-"""Time kept for a second read beyond its usual duration: one period of the adapter's latency timer,
-1 ms, and as much again for the host."""
+"""Margin of a retry beyond its usual duration: one period of the adapter's latency timer, 1 ms, and
+another 1 ms for the host."""
 SERVO_BAUD_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
-"""Rates that the servos offer, from the PRO's factory setting on."""
+"""Baud rates of the servos, from the PRO's factory setting up."""
 
 _INSTRUCTION_OVERHEAD: Final = 14
 _GOAL_BYTES: Final = 1 + 4
@@ -81,7 +81,6 @@ class Plan(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Name in messages and logs."""
         return ("fast " if self.fast else "") + "sync read" + (", indirect" * self.indirect)
 
     @property
@@ -99,7 +98,7 @@ class Plan(NamedTuple):
 
     @property
     def read_twice_s(self) -> float:
-        """Time of a tick in which the read is repeated once."""
+        """Time of a read and its retry."""
         return 2 * self.read_s + RETRY_MARGIN_NS * 1e-9
 
     @property
@@ -147,7 +146,7 @@ def available_s(period_s: float, reply_timeout_s: float) -> float:
 
 
 def require_any(candidates: list[Plan], budget_s: float, where: Path | str) -> None:
-    """Refuse candidates of which none fits into the budget."""
+    """Refuse a list of plans, fastest first, if none fits the budget."""
     if candidates[0].total_s > budget_s:
         require_time(plain(candidates), budget_s, where)
 

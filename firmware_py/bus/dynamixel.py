@@ -40,12 +40,10 @@ class DynamixelBus:
     """Servos of one control table on one bus; implements `firmware_py.bus.servo_bus.ServoBus`.
 
     `period_s`: control period; the servos' watchdog is set to at least three periods.
-    `return_delay_s`: return delay to write to every servo that has a different one; None writes
-    nothing.
-    `reply_timeout_s`: longest wait for the servos in a tick; `connect` refuses servos that are
-    slower.
-    `opener`: opens the transport anew, or raises InputError; without it a port that has gone stays
-    gone.
+    `return_delay_s`: return delay for every servo; None keeps theirs.
+    `reply_timeout_s`: longest wait for the servos in a tick; `connect` refuses slower servos.
+    `opener`: opens the transport again after a disconnect, or raises InputError; without it,
+    `reopen` returns False.
     """
 
     def __init__(
@@ -89,21 +87,17 @@ class DynamixelBus:
 
     @property
     def late_ns(self) -> int:
-        """Time by which the last measurement is later than the start of its read; 0 after none."""
+        """Delay of the last measurement after the start of its read; see `ServoBus`."""
         return self._feedback.late_ns
 
     @property
     def wait_ns(self) -> int:
-        """Time spent waiting for the servos since the start."""
         return self._port.wait_ns
 
     # In the loop -------------------------------------------------------------------------------
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure all servos with one sync read, or two; all are fresh or none is.
-
-        `deadline_ns`: end of the wait for the answers, on the bus's clock.
-        """
+        """Measure all servos with one sync read and at most one retry; all are fresh or none is."""
         feedback = self._feedback
         try:
             status = feedback.take(deadline_ns)
@@ -127,17 +121,14 @@ class DynamixelBus:
             self.alert |= self._feedback.standing
 
     def _hardware_errors(self, read: Callable[[int, RegisterField], int | None]) -> int:
-        """Return the hardware error bits of all servos, or-ed."""
+        """Return the bitwise or of the hardware errors of all servos."""
         bits = 0
         for id_ in self._models:
             bits |= read(id_, self._table[Register.HARDWARE_ERROR]) or 0
         return bits
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Send all goals with one sync write, which no servo answers.
-
-        Shapes: `goal_rad` (dof,).
-        """
+        """Send all goals, shape (dof,), with one sync write, which no servo answers."""
         self._port.deadline_ns = deadline_ns
         try:
             return self._goals.put(goal_rad)
@@ -148,7 +139,7 @@ class DynamixelBus:
     # Around the loop ---------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Check and prepare every servo, torque off; choose the plan."""
+        """Check and prepare every servo, torque off, and choose the plan of the reads."""
         self.alert, self._driving = 0, False
         self.firmware_versions = tuple(map(self._preparation.prepare, self._servos))
         if (status := self._choose_plan()) > BusStatus.RETRIED:
@@ -163,16 +154,16 @@ class DynamixelBus:
             )
 
     def found_settings(self) -> tuple[dict[str, int], ...]:
-        """Return the settings of every servo on which the plant depends; nothing is written."""
+        """Return the servo settings that the plant depends on, without writing any."""
         return tuple(map(self._preparation.found, self._servos))
 
     def _follow(self, plan: Plan) -> None:
-        """Read the servos by this plan from now on."""
+        """Use a plan for all further reads."""
         self.plan = plan
         self._feedback = FeedbackReader(self._port, self._packets, self._clock, self._models, plan)
 
     def _choose_plan(self) -> BusStatus:
-        """Follow the fastest plan that the servos answer; return the status of the last attempt."""
+        """Use the fastest plan that the servos answer; return the status of the last attempt."""
         status = BusStatus.OK
         for plan in self._plans:
             if plan.indirect and not all(map(self._preparation.gather, self._servos)):
@@ -187,7 +178,7 @@ class DynamixelBus:
     def _check_replies(self) -> None:
         """Measure the duration of an exchange; refuse servos or adapters that are too slow.
 
-        They are slow in every exchange, a busy computer in some: the lower quartile decides.
+        The lower quartile decides: a slow adapter delays every exchange, a busy computer only some.
         """
         taken_ns = []
         for _ in range(_TRIAL_READS):
@@ -208,10 +199,8 @@ class DynamixelBus:
     def torque(self, on: bool) -> BusStatus:
         """Switch the torque of every servo, and arm or disarm its watchdog.
 
-        Every servo is tried, whatever the others answer. One counts as off where it has confirmed
-        the instruction and then reports that its torque is off.
-
-        Returns OK where every servo confirmed it, else TIMEOUT.
+        Every servo is switched, even if another one fails. A servo counts as off once it has
+        confirmed the instruction and then reports torque off. The result is OK or TIMEOUT.
         """
         watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
@@ -229,7 +218,7 @@ class DynamixelBus:
         return BusStatus.OK if good else BusStatus.TIMEOUT
 
     def _switch(self, id_: int, on: bool) -> bool:
-        """Switch the torque of one servo; return whether it has confirmed it."""
+        """Switch the torque of one servo; return whether the servo confirmed it."""
         registers, cell = self._registers, self._table[Register.TORQUE_ENABLE]
         for _ in range(SETUP_ATTEMPTS):
             if not registers.put(id_, cell, int(on)):
@@ -239,7 +228,7 @@ class DynamixelBus:
         return False
 
     def reopen(self) -> bool:
-        """Open the port again after it had gone; nothing is sent to the servos yet."""
+        """Open a disconnected port again, if it is back; nothing is sent to the servos yet."""
         if self._opener is None:
             return False
         with contextlib.suppress(OSError):

@@ -1,10 +1,10 @@
 """Feedback of all servos, angle and current, by one sync read or fast sync read.
 
-Where the plan uses indirect addresses, the answer also tells whether each servo drives: a servo
-that has rebooted or was stopped by its watchdog is known in the next tick.
+With indirect addresses the answer also shows whether each servo holds torque, so that a reboot or a
+stop by the watchdog is detected in the next tick.
 
-The SDK's group reader returns zeros for a missing answer and drops the alert bit. This module takes
-the answers one by one and does neither (docs/sources.md, "Dynamixel SDK").
+The SDK's group reader returns zeros for a missing answer and drops the alert bit. This module
+parses each answer itself and does neither (docs/sources.md, "Dynamixel SDK").
 """
 
 from __future__ import annotations
@@ -40,20 +40,21 @@ ID, ERROR, DATA = 4, 8, 9
 ALERT_BIT, ERROR_NUMBER = 0x80, 0x7F
 
 _DISTINCT_LENGTHS: Final = 8
-"""Exchanges in which a late answer is recognised: four ticks. An adapter delays by up to 16 ms."""
+"""Exchanges over which a late answer is recognised: four ticks with a retry each. An adapter delays
+answers by up to 16 ms."""
 _FAST_HEADER, _FAST_FRAME = 8, 4
-"""Bytes in front of the first servo's part; bytes of each part around its data: error, id, CRC."""
+"""Bytes before the first servo's part; bytes of each part around its data: error, id, CRC."""
 _SIGNS: Final = (
     (Register.TORQUE_ENABLE, 0, TORQUE_LOST),
     (Register.BUS_WATCHDOG, WATCHDOG_TRIPPED, STOPPED_BY_WATCHDOG),
 )
-"""Register, value that shows a servo that does not drive, and the alert bit for it."""
+"""Register, its value when a servo does not hold torque, and the alert bit for that."""
 _CODES: Final = {1: "b", 2: "h", 4: "i"}
-"""Signed format codes of `struct` by size."""
+"""Format code of `struct` for a signed value, by its size."""
 
 
 class FeedbackReader:
-    """Reader of servos of one control table by one plan; all are fresh or none is."""
+    """Reader of servos of one control table by one plan; all servos are fresh or none is."""
 
     def __init__(
         self,
@@ -78,14 +79,14 @@ class FeedbackReader:
             for register, value, bit in _SIGNS
             if register in order
         ]
-        # Bits of the joints: that have answered, of these to the latest attempt, all.
+        # Bit masks of joints: answered, answered to the latest attempt, all.
         self._answered, self._by_latest, self._all_joints = 0, 0, (1 << len(models)) - 1
         self._extra_bytes = self._first_extra_bytes = 0
-        # The bytes never change; making them once saves 20 µs in every tick.
+        # The bytes never change; building them once saves 20 µs in every tick.
         self._instructions = [packets.finished(self._ask(k)) for k in range(_DISTINCT_LENGTHS)]
 
     def _ask(self, extra_bytes: int) -> list[int]:
-        """Return the instruction of the plan; the packet handler fills in header and CRC."""
+        """Return the read instruction of the plan; the packet handler fills in header and CRC."""
         block, size = self._plan.block, self._plan.block.size + extra_bytes
         instruction = INST_FAST_SYNC_READ if self._plan.fast else INST_SYNC_READ
         parameters = [block.address & 0xFF, block.address >> 8, size & 0xFF, size >> 8, *self._ids]
@@ -95,13 +96,12 @@ class FeedbackReader:
         ]  # fmt: skip
 
     def take(self, deadline_ns: int) -> BusStatus:
-        """Read; if that fails and time allows, read once more.
+        """Read the servos; if that fails and time allows, retry once.
 
-        The first attempt ends early enough for the second, where there is time for both. An answer
-        has no number, so a late one could pass for the answer to the next read: after a failed
-        attempt the next one requests a different number of bytes. An answer to the first attempt
-        that arrives during the second was measured in this tick, so it is used for a servo whose
-        second answer is missing.
+        The first attempt ends early enough for a retry, if there is time for both. Answers have no
+        sequence number, so a late one could pass for the answer to the next read. Therefore each
+        attempt after a failure requests a different number of bytes. A late answer to the first
+        attempt was still measured in this tick: it is used for a servo that misses the retry.
         """
         port, now_ns, usual_ns = self._port, self._clock.now_ns, self.usual_ns
         kept_ns = usual_ns + RETRY_MARGIN_NS
@@ -140,7 +140,7 @@ class FeedbackReader:
         bare = STATUS_OVERHEAD + self._plan.block.size
         length, first_length = bare + self._extra_bytes, bare + self._first_extra_bytes
         outcome, seen, replies = BusStatus.OK, 0, 0
-        while replies < len(self._ids):  # a damaged answer counts, one from elsewhere not
+        while replies < len(self._ids):  # damaged answers count, those of other ids do not
             packet, result = self._packets.rxPacket(self._port, False)
             if result == COMM_RX_TIMEOUT:
                 return max(outcome, BusStatus.TIMEOUT)
@@ -163,7 +163,7 @@ class FeedbackReader:
         return outcome
 
     def _take_together(self) -> BusStatus:
-        """Take the common packet: error, id, data and CRC of each; the last CRC covers it all."""
+        """Parse the common packet: error, id, data, CRC of each servo; the last CRC covers all."""
         bare = self._plan.block.size + _FAST_FRAME
         strides = (bare + self._extra_bytes, bare + self._first_extra_bytes)
         while True:
@@ -206,7 +206,7 @@ class FeedbackReader:
 
 
 def _layout(table: ControlTable, block: Block, order: list[Register]) -> struct.Struct:
-    """Return the layout of the registers that are evaluated, in order, in a block."""
+    """Return the layout of some registers, in order, in a block."""
     parts, end = "<", 0
     for register in order:
         cell, offset = table[register], block.offsets[register]

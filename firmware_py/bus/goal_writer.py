@@ -1,4 +1,4 @@
-"""Goals of all servos, sent by one sync write, which no servo answers."""
+"""Writer of the goals of all servos by one sync write, which no servo answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import Model
 
 _FIRST: Final = 12
-"""Offset of the first servo's bytes, behind header, id, length, instruction, address and size."""
+"""Offset of the first servo's bytes: header, id, length, instruction, address and size precede."""
 _CRC: Final = 2
 
 
@@ -38,15 +38,12 @@ class GoalWriter:
             start = len(instruction) + 1
             self._goals.append(slice(start, start + size))
             instruction += (servo_id, *bytes(size))
-        # Only goals and CRC change.
+        # Only goals and CRC change from tick to tick.
         self._packet = bytearray(packets.finished([*instruction, *bytes(_CRC)]))
         self._crc_before = packets.updateCRC(0, self._packet, _FIRST)
 
     def put(self, goal_rad: NDArray[float64]) -> BusStatus:
-        """Send the goals.
-
-        Shapes: `goal_rad` (dof,).
-        """
+        """Send the goals, shape (dof,)."""
         encode, packet, packets = self._cell.encode, self._packet, self._packets
         for model, place, angle_rad in zip(
             self._models, self._goals, goal_rad.tolist(), strict=True

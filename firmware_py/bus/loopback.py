@@ -1,7 +1,7 @@
-"""Servos in memory without physics: they answer at once and stand at their goal.
+"""Servos in memory without physics: they answer at once and are always at their goal.
 
-They serve to measure the own cost of a tick, the SDK's packets included: their work is done while
-the port waits for an answer.
+They serve to measure the computing time of a tick, the SDK's packets included: their own work is
+done while the port waits for an answer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _MEMORY_BYTES: Final = 1024
 
 
 class LoopbackTransport:
-    """A `firmware_py.bus.transport.Transport` with servos at its end."""
+    """Transport with servos in memory at its other end."""
 
     def __init__(self, models: Mapping[int, Model]) -> None:
         self._models = models
@@ -45,22 +45,20 @@ class LoopbackTransport:
                 self.put(id_, register, raw)
 
     def put(self, id_: int, register: Register, raw: int) -> None:
-        """Set a register."""
         cell = self._models[id_].table[register]
         self.memory[id_][cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def get(self, id_: int, register: Register) -> int:
-        """Return the raw value of a register."""
         cell = self._models[id_].table[register]
         return cell.decode(self.memory[id_], cell.address)
 
     def write(self, data: bytes) -> int:
-        """Accept an instruction; it is carried out by the next `read`."""
+        """Accept an instruction, which the next `read` executes."""
         self._pending += data
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Carry out the instructions written and return the answers."""
+        """Execute the instructions written so far and return the answers."""
         while len(self._pending) > _LENGTH_END:
             end = _LENGTH_END + int.from_bytes(
                 self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
@@ -71,7 +69,7 @@ class LoopbackTransport:
         return data
 
     def discard_input(self) -> None:
-        """Carry out the instructions written and drop the answers."""
+        """Execute the instructions written so far and drop the answers."""
         self.read(0, 0)
         self._answers = b""
 
@@ -103,7 +101,7 @@ class LoopbackTransport:
                 self._store(parameters[start], address, parameters[start + 1 : start + 1 + size])
 
     def _load(self, id_: int, address: int, size: int) -> list[int]:
-        """Read bytes, through the indirect addresses where the address is one of theirs."""
+        """Read bytes, directly or through the indirect addresses."""
         memory, indirect = self.memory[id_], self._models[id_].table.indirect
         data = []
         for each in range(address, address + size):

@@ -5,9 +5,9 @@ Differences from dynamixel-sdk 4.1.0 as shipped (docs/sources.md, "Dynamixel SDK
 - A read blocks in the kernel until bytes arrive. As shipped it polls, which uses 13–31 % of a
   processor and under SCHED_FIFO keeps the kernel's worker from delivering the bytes.
 - The deadline of the caller is the only timeout. As shipped one lost answer costs 34 ms.
-- The deadline holds while bytes keep coming, too: after it the port is read once more, for what was
-  there in time, and an exchange takes `EXCHANGE_BYTES` at most. As shipped a flood is read for
-  ever.
+- The deadline also holds while bytes keep coming. After it the port is read once more, for bytes
+  that arrived in time, and an exchange takes `EXCHANGE_BYTES` at most. As shipped a flood is read
+  for ever.
 - Time is monotonic, or simulated. As shipped it is the wall clock.
 - A status packet is searched in whole byte strings, not byte by byte, which saves about 20 µs in
   every tick.
@@ -40,13 +40,13 @@ from firmware_py.bus.transport import Transport
 from firmware_py.realtime.clock import Clock
 
 EXCHANGE_BYTES: Final = 4096
-"""Bytes that one exchange takes at most; a line of 4 Mbaud delivers 3200 in the 8 ms of a tick."""
+"""Most bytes of one exchange; a line of 4 Mbaud delivers 3200 in the 8 ms of a tick."""
 _READ_SIZE: Final = 1024
-"""Bytes of one read, which are examined without a look at the clock: about 1 ms at worst."""
+"""Bytes of one read. They are parsed without a look at the clock, which takes 1 ms at worst."""
 _MAX_PACKET: Final = 1024
 _LONGEST_WAIT_NS: Final = 1_000_000_000
 HEADER: Final = b"\xff\xff\xfd"
-"""Begin of a packet, which no body may hold: stuffing breaks it."""
+"""Start of a packet; byte stuffing keeps it out of the body."""
 _STUFFED: Final = HEADER + b"\xfd"
 _RESERVED, _ID, _LENGTH, INSTRUCTION = 3, 4, 5, 7
 _STATUS: Final = 0x55
@@ -84,7 +84,7 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         self.is_open = False
 
     def replace(self, transport: Transport) -> None:
-        """Continue with another transport, in place of one that has gone."""
+        """Continue with another transport after a disconnect."""
         self._transport = transport
         self._begin_exchange()
         self.is_open, self.is_using = True, False
@@ -95,19 +95,19 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         self._transport.discard_input()
 
     def setBaudRate(self, baudrate: int) -> bool:
-        """Return whether this is the rate that the transport was opened with; it is not changed."""
+        """Return whether this is the rate of the open transport, which is not changed."""
         return bool(baudrate == self.baudrate)
 
     def getBytesAvailable(self) -> int:
-        """Return the number of bytes received and not yet read."""
+        """Return the number of bytes received but not yet read."""
         return len(self._received)
 
     def readPort(self, length: int) -> bytes:
         """Return up to `length` bytes, waiting for the first one until the deadline.
 
-        The first read after the deadline returns what is there, every further one nothing.
+        The first read after the deadline returns the bytes that are there, further ones none.
         """
-        if length <= 0:  # the SDK subtracts what it has from the length that a damaged packet names
+        if length <= 0:  # negative if a damaged packet names a wrong length
             return b""
         if not self._received:
             self._receive()
@@ -135,10 +135,7 @@ class DeadlinePort(PortHandler):  # type: ignore[misc]  # the SDK is untyped
         """Do nothing: only `deadline_ns` counts."""
 
     def isPacketTimeout(self) -> bool:
-        """Return whether the exchange is over.
-
-        It is where the deadline has passed, the clock was set back before it, or too much has come.
-        """
+        """Return whether the exchange is over: deadline, clock set back, or too many bytes."""
         remaining_ns = self.deadline_ns - self._clock.now_ns()
         over = self._room <= 0 or not 0 < remaining_ns <= _LONGEST_WAIT_NS
         return not self._received and over
@@ -174,7 +171,7 @@ def _begins_status(packet: bytes, highest_id: int) -> bool:
 
 
 def _next_header(packet: bytes) -> int:
-    """Return the offset behind the first byte at which the next header may begin."""
+    """Return the offset, beyond the first byte, at which the next header may begin."""
     start = packet.find(HEADER, 1)
     return start if start > 0 else max(1, len(packet) - len(HEADER))
 
@@ -183,13 +180,13 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
     """Protocol 2.0 of the SDK on byte strings, with correct stuffing."""
 
     def updateCRC(self, crc_accum: int, data_blk_ptr: Any, data_blk_size: int) -> int:
-        """Return the CRC over the first bytes; the SDK would build its table on every call."""
+        """Continue a CRC over the first bytes; the SDK would rebuild its table on every call."""
         for byte in data_blk_ptr[:data_blk_size]:
             crc_accum = (crc_accum << 8 & 0xFFFF) ^ _CRC_TABLE[crc_accum >> 8 ^ byte]
         return crc_accum
 
     def rxPacket(self, port: DeadlinePort, fast_option: bool) -> tuple[bytes, int]:
-        """Receive the next status packet; bytes in front of it are dropped."""
+        """Receive the next status packet; bytes before it are dropped."""
         highest_id = BROADCAST_ID if fast_option else MAX_ID
         packet, wanted, result = b"", _SHORTEST, int(COMM_RX_CORRUPT)
         while True:
@@ -215,7 +212,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return packet, result
 
     def addStuffing(self, packet: list[int]) -> list[int]:
-        """Return the packet with FD after every FF FF FD from the instruction on, length corrected.
+        """Insert FD after every FF FF FD from the instruction on, and correct the length.
 
         Header and CRC are not changed: `txPacket` fills them in.
         """
@@ -235,10 +232,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return self.send(port, self.finished(txpacket))
 
     def finished(self, txpacket: list[int]) -> bytes:
-        """Return an instruction as it is sent.
-
-        `txpacket`: instruction; header, stuffing and CRC are filled in, the list is not changed.
-        """
+        """Return an instruction as bytes to send, with header, stuffing and CRC filled in."""
         packet = self.addStuffing(txpacket)
         packet[:4] = (*HEADER, 0)
         crc = self.updateCRC(0, packet, len(packet) - 2)
@@ -246,7 +240,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return bytes(packet)
 
     def send(self, port: DeadlinePort, packet: bytes) -> int:
-        """Send a finished instruction that is answered; bytes received before are dropped.
+        """Send a finished instruction that expects an answer; drop bytes received before.
 
         Returns COMM_SUCCESS or another result of the SDK.
         """
@@ -255,10 +249,7 @@ class PacketHandler(Protocol2PacketHandler):  # type: ignore[misc]  # the SDK is
         return self._write(port, packet)
 
     def tell(self, port: DeadlinePort, packet: bytes) -> int:
-        """Send a finished instruction that is not answered.
-
-        Returns COMM_SUCCESS or another result of the SDK.
-        """
+        """Send a finished instruction that no servo answers; return the result of the SDK."""
         result = self._write(port, packet)
         if result == COMM_SUCCESS:
             port.is_using = False

@@ -1,4 +1,4 @@
-"""Access to single registers outside the loop, with repeated attempts."""
+"""Access to single registers outside the loop, with retries."""
 
 from __future__ import annotations
 
@@ -27,10 +27,8 @@ class RegisterAccess:
     def ask(self, id_: int, cell: RegisterField) -> int | None:
         """Read a register once.
 
-        The SDK's own `readTxRx` accepts a late answer to an earlier write: its CRC then passes for
-        data. Here an answer of a different length is dropped.
-
-        Returns raw value; None where no valid answer came before the port's deadline.
+        The SDK's `readTxRx` accepts a late answer to an earlier write and takes its CRC for data.
+        Here an answer of another length is dropped. None means a timeout or a refused read.
         """
         result = self._packets.readTx(self._port, id_, cell.address, cell.size)
         while result == COMM_SUCCESS:
@@ -44,7 +42,7 @@ class RegisterAccess:
         return None
 
     def ping(self, id_: int) -> bool:
-        """Return whether a servo answers a ping, which it does at every status return level."""
+        """Return whether a servo answers a ping, which works at every status return level."""
         self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
         try:
             result: int = self._packets.ping(self._port, id_)[1]
@@ -54,10 +52,7 @@ class RegisterAccess:
         return result == int(COMM_SUCCESS)
 
     def get(self, id_: int, cell: RegisterField) -> int | None:
-        """Read a register, up to three times.
-
-        Returns raw value; None where every attempt failed or the port has gone.
-        """
+        """Read a register in up to three attempts; None if all fail or the port is disconnected."""
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
             try:
@@ -69,7 +64,7 @@ class RegisterAccess:
         return None
 
     def put(self, id_: int, cell: RegisterField, raw: int) -> bool:
-        """Write a register, up to three times."""
+        """Write a register in up to three attempts; return whether the servo confirmed it."""
         data = list(cell.encode(raw))
         for _ in range(SETUP_ATTEMPTS):
             self._port.deadline_ns = self._clock.now_ns() + SETUP_TIMEOUT_NS
@@ -85,10 +80,10 @@ class RegisterAccess:
         return False
 
     def _tell(self, id_: int, cell: RegisterField, data: list[int]) -> int | None:
-        """Write once; return the error byte of the answer, None without one.
+        """Write once; return the error byte of the answer, None without an answer.
 
-        The SDK's own `writeTxRx` accepts a late answer to an earlier read, so that a servo passes
-        for switched off that never heard of it. The answer to a write carries no data.
+        The SDK's `writeTxRx` accepts a late answer to an earlier read, and so may report torque off
+        for a servo that never received the instruction. The answer to a write carries no data.
         """
         packets, port = self._packets, self._port
         if packets.writeTxOnly(port, id_, cell.address, cell.size, data) != COMM_SUCCESS:

@@ -62,7 +62,6 @@ class RegisterField(NamedTuple):
     writable: bool = True  # Whether a program may write it
 
     def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
-        """Return the raw value at `offset` of received bytes."""
         return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
 
     def encode(self, raw: int) -> bytes:
@@ -76,8 +75,8 @@ class RegisterField(NamedTuple):
 class Block:
     """Contiguous span of registers, fetched by one read."""
 
-    address: int  # Address of the first byte; number of bytes
-    size: int
+    address: int  # Address of the first byte
+    size: int  # Number of bytes
     offsets: Mapping[Register, int]
 
 
@@ -89,7 +88,7 @@ class Indirect(NamedTuple):
     entries: int
 
     def entry_of(self, address: int) -> int | None:
-        """Return the address of the entry for an address of the data; None outside the data."""
+        """Return the address of the entry of a data address; None outside the data."""
         k = address - self.data
         return self.address + 2 * k if 0 <= k < self.entries else None
 
@@ -99,13 +98,13 @@ class ControlTable:
     """Registers of one family of servos."""
 
     name: str  # Family, as the e-Manual groups it
-    # Registers of the family; a register that is missing does not exist there
+    # Registers of the family; it has no others
     cells: Mapping[Register, RegisterField]
-    # First address of the RAM area; everything below is EEPROM, locked while torque is on
+    # First address of the RAM area; below it is EEPROM, which is locked while torque is on
     ram_start: int
     indirect: Indirect
-    # Whether some firmware answers a fast sync read. The first such version is published for some
-    # models only, so `DynamixelBus.connect` tries it.
+    # Whether some firmware answers a fast sync read. ROBOTIS publishes the first such version for
+    # some models only, so `DynamixelBus.connect` tries it.
     fast_sync_read: bool
 
     def __getitem__(self, register: Register) -> RegisterField:
@@ -162,7 +161,7 @@ def _table(
 def _with_ram_at(
     ram_start: int, table: ControlTable, name: str, indirect: Indirect
 ) -> ControlTable:
-    """Return a table with the registers of another, the RAM area shifted as a whole."""
+    """Return a table with the registers of another, with the RAM area moved to an address."""
     shift = ram_start - table.ram_start
     cells = {
         register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
@@ -198,7 +197,7 @@ LEGACY_PRO: Final = _table(
         Register.GOAL_VELOCITY: RegisterField(600, 4, _SIGNED),
         Register.GOAL_CURRENT: RegisterField(604, 2, _SIGNED),
         Register.PROFILE_VELOCITY: RegisterField(600, 4, _SIGNED),  # the goal velocity limits it
-        Register.PROFILE_ACCELERATION: (606, 4),  # called goal acceleration there
+        Register.PROFILE_ACCELERATION: (606, 4),  # the e-Manual calls it goal acceleration
         Register.MOVING: RegisterField(610, 1, False, _READ_ONLY),
         Register.PRESENT_POSITION: RegisterField(611, 4, _SIGNED, _READ_ONLY),
         Register.PRESENT_VELOCITY: RegisterField(615, 4, _SIGNED, _READ_ONLY),
@@ -210,7 +209,7 @@ LEGACY_PRO: Final = _table(
     },
     fast_sync_read=False,  # docs/sources.md, "Control tables"
 )
-"""H54 and H42 `-R`. It has no bus watchdog and only a proportional position gain."""
+"""H54 and H42 `-R`: no bus watchdog, and only a proportional position gain."""
 
 PRO_P: Final = _table(
     "PRO(A) and P",
@@ -258,7 +257,8 @@ X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
 """X series (XM430): the table of the P with the RAM area at addresses 448 lower."""
 
 ANSWERS_ALL: Final = 2
-"""Status return level at which a servo answers every instruction; below it confirms no write."""
+"""Status return level at which a servo answers every instruction; below it, writes are not
+confirmed."""
 POSITION_MODE: Final = 3
 """Value of the operating mode register in which the goal is an angle."""
 
@@ -275,7 +275,7 @@ HARDWARE_ERRORS: Final = (
 )  # fmt: skip
 """Meaning of the bits of the hardware error register, from bit 0 on."""
 TORQUE_LOST, STOPPED_BY_WATCHDOG = 1 << 8, 1 << 9
-"""Alert bits of this project beside those: a servo that should drive does not."""
+"""Alert bits that this project adds: a servo that should hold torque does not."""
 _ADDED_ALERTS: Final = {
     TORQUE_LOST: "its torque went off", STOPPED_BY_WATCHDOG: "its watchdog stopped it",
 }  # fmt: skip

@@ -1,7 +1,7 @@
 """Interface between loop and servos: angles and currents in, goals out, faults as values.
 
-A fault never raises inside the loop. `read` and `write` return a `BusStatus`; the arrays keep the
-last valid measurement, and the caller knows its age from the number of reads since.
+A fault never raises inside the loop. `read` and `write` return a `BusStatus`; the arrays hold the
+last valid measurement, and the caller counts the reads since as its age.
 `firmware_py.bus.dynamixel` implements the interface.
 """
 
@@ -25,8 +25,7 @@ class BusStatus(IntEnum):
     RETRIED = 1
     """Fresh data, from the second read of the tick."""
     ALERT = 2
-    """Fresh data; at least one servo reports a hardware error, or does not drive although it
-    should."""
+    """Fresh data; at least one servo reports a hardware error, or has lost its torque."""
     TIMEOUT = 3
     """An answer was missing at the deadline."""
     CORRUPT = 4
@@ -43,21 +42,21 @@ class BusStatus(IntEnum):
 
 
 class ServoBus(Protocol):
-    """Bus as the loop uses it: real, or in memory.
+    """Bus of the servos as the loop uses it, real or in memory.
 
     Attributes
     ----------
     dof : int
         Number of joints.
     angle_rad, current_a : ndarray, shape (dof,)
-        The last valid measurement, overwritten in place.
+        The last valid measurement in rad and A, overwritten in place.
     alert : int
         Alert bits of all servos, or-ed; see `firmware_py.bus.registers.describe_alert`.
     late_ns : int
-        Time by which the last measurement is later than the start of its read, because
-        the second attempt made it; 0 where the first did, and after a read that failed.
+        Delay of the last measurement after the start of its read in ns, if the retry delivered it;
+        0 if the first attempt did, and after a read that failed.
     wait_ns : int
-        Time spent waiting for the servos since the start.
+        Total time spent waiting for the servos, in ns.
     """
 
     dof: int
@@ -67,12 +66,12 @@ class ServoBus(Protocol):
 
     @property
     def late_ns(self) -> int:
-        """Time by which the last measurement is later than the start of its read."""
+        """Delay of the last measurement after the start of its read."""
         ...
 
     @property
     def wait_ns(self) -> int:
-        """Time spent waiting for the servos since the start."""
+        """Total time spent waiting for the servos."""
         ...
 
     def connect(self) -> None:
@@ -81,7 +80,7 @@ class ServoBus(Protocol):
         Raises
         ------
         InputError
-            If a servo is unfit for the run.
+            If a servo does not answer, or is not set up for the run.
         """
         ...
 
@@ -91,7 +90,12 @@ class ServoBus(Protocol):
         Parameters
         ----------
         deadline_ns : int
-            End of the wait for the answers, on the clock of the bus.
+            End of the wait for the answers, in ns on the clock of the bus.
+
+        Returns
+        -------
+        BusStatus
+            Whether the arrays hold a fresh measurement, or why not.
         """
         ...
 
@@ -101,18 +105,23 @@ class ServoBus(Protocol):
         Parameters
         ----------
         goal_rad : ndarray, shape (dof,)
-            Goal angles.
+            Goal angles in rad.
         deadline_ns : int
-            End of the slot, on the clock of the bus.
+            End of the slot, in ns on the clock of the bus.
+
+        Returns
+        -------
+        BusStatus
+            OK if the goals were sent; no servo confirms them.
         """
         ...
 
     def torque(self, on: bool) -> BusStatus:
-        """Switch the torque of every servo; OK where every servo confirmed it."""
+        """Switch the torque of every servo; OK if every servo confirmed it."""
         ...
 
     def reopen(self) -> bool:
-        """Open a port again that had gone; call `connect` before the servos are driven."""
+        """Open a disconnected port again, if it is back; then call `connect` before driving."""
         ...
 
     def close(self) -> None:

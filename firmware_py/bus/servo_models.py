@@ -31,29 +31,29 @@ def round_half_away(value: float) -> int:
     if not math.isfinite(value):
         raise ValueError(f"{value} is not a finite number")
     magnitude = math.floor(abs(value))
-    if abs(value) - magnitude >= 0.5:  # exact, where adding 0.5 first could round up 0.49999…
+    if abs(value) - magnitude >= 0.5:  # exact; adding 0.5 first could round up 0.49999…
         magnitude += 1
     return -magnitude if value < 0 else magnitude
 
 
 @dataclass(frozen=True)
 class Model:
-    """Servo model: control table and resolutions.
+    """Servo model: control table, and conversion of raw register values to SI units.
 
     Attributes
     ----------
     number : int
-        Value of the model number register.
+        Value of the register Model Number, which identifies the servo.
     name : str
         Name on the type plate.
     table : ControlTable
-        Registers.
+        Registers of the servo's family.
     pulses_per_turn : int
         Pulses per turn of the output shaft.
     zero_pulse : int
-        Raw position at zero angle: 0 for PRO and P, which count both ways; 2048 for X.
+        Raw position at zero angle: 0 for PRO and P, whose positions are signed; 2048 for X.
     current_a_per_lsb, velocity_rad_s_per_lsb : float
-        Resolution of current and velocity (docs/sources.md, "Control tables").
+        Resolution of current in A and velocity in rad/s (docs/sources.md, "Control tables").
     """
 
     number: int
@@ -79,7 +79,7 @@ class Model:
         Parameters
         ----------
         angle_rad : float
-            Angle of the output shaft, zero where the link is upright.
+            Angle of the output shaft in rad, zero where the link is upright.
 
         Raises
         ------

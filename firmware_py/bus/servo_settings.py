@@ -12,14 +12,14 @@ from firmware_py.bus.registers import Register
 __all__ = ["DRIVE_REVERSE", "GAINS", "AssumedSettings", "ServoGains"]
 
 DRIVE_REVERSE: Final = 1
-"""Bit of the register Drive Mode: positions count the other way. The other bits, time-based
-profiles and torque on by a goal, are never assumed (docs/sources.md, "Control tables")."""
+"""Bit of the register Drive Mode: positions count in reverse. The other bits, time-based profiles
+and torque on by a goal, must be zero (docs/sources.md, "Control tables")."""
 
 
 class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Gains with which the plant was identified (`gains` in `[[servos]]`), as register values."""
 
-    position_p: int | None = None  # Value of the register; None does not compare it
+    position_p: int | None = None  # Register value; None skips the comparison
     position_i: int | None = None
     position_d: int | None = None
     velocity_p: int | None = None
@@ -41,8 +41,8 @@ GAINS: Final = {
 
 
 class AssumedSettings(NamedTuple):
-    """Settings that a servo must have."""
+    """Settings that the plant assumes of a servo; a run refuses others."""
 
-    reverse: bool = False  # Whether its positions count the other way
+    reverse: bool = False  # Whether its positions count in reverse
     homing_offset_rad: float = 0.0  # Angle that the servo adds to its encoder
     gains: Mapping[Register, int] = {}

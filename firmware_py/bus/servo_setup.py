@@ -23,20 +23,18 @@ __all__ = ["ServoPreparation", "ServoSetup", "check_assumed"]
 
 
 class ServoSetup(NamedTuple):
-    """Configuration of one servo."""
-
     id: int
     model: Model
-    min_angle_rad: float  # Range of the goals; the servo's own position limits must contain it
+    min_angle_rad: float  # Range of the goals, within the servo's own position limits
     max_angle_rad: float
-    # Largest rate of the goals. It is written as profile velocity to a servo without a watchdog, so
-    # that the servo moves no faster when the loop has died; infinity writes nothing.
+    # Largest rate of the goals. A servo without a watchdog gets it as profile velocity, so that it
+    # moves no faster after the loop has died; infinity writes nothing.
     max_rate_rad_s: float = math.inf
     settings: AssumedSettings = AssumedSettings()
 
 
 def check_assumed(servo: ServoSetup, where: Path | str) -> None:
-    """Refuse a configuration of settings that the model does not have."""
+    """Refuse settings that the model of the servo does not have."""
     registers = [*servo.settings.gains, *[Register.DRIVE_MODE] * servo.settings.reverse]
     lacking = [r.value for r in registers if r not in servo.model.table]
     if lacking:
@@ -54,8 +52,7 @@ def check_assumed(servo: ServoSetup, where: Path | str) -> None:
 class ServoPreparation:
     """Checks and preparation of servos before a run.
 
-    `return_delay_s`: return delay to write to every servo that has a different one; None writes
-    nothing.
+    `return_delay_s`: return delay for every servo; None keeps theirs.
     """
 
     def __init__(self, registers: RegisterAccess, name: str, return_delay_s: float | None) -> None:
@@ -67,7 +64,7 @@ class ServoPreparation:
         self._identify(servo)
         self._set(servo, Register.TORQUE_ENABLE, 0)
         if Register.BUS_WATCHDOG in table:
-            self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped one locks the goals
+            self._set(servo, Register.BUS_WATCHDOG, 0)  # a tripped watchdog locks the goals
         if bits := self._get(servo, Register.HARDWARE_ERROR):
             raise self.unfit(
                 f"servo {servo.id} reports a hardware error ({describe_alert(bits)})",
@@ -95,7 +92,7 @@ class ServoPreparation:
         return self._get(servo, Register.FIRMWARE_VERSION)
 
     def found(self, servo: ServoSetup) -> dict[str, int]:
-        """Return the settings of a servo on which the plant depends, by name of the register."""
+        """Return the settings that the plant depends on, as raw values by name of the register."""
         self._identify(servo)
         return {
             register.value: self._get(servo, register)
@@ -104,7 +101,7 @@ class ServoPreparation:
         }
 
     def _identify(self, servo: ServoSetup) -> None:
-        """Check that it is the expected model, and answers reads and writes."""
+        """Check that the servo is the expected model and answers reads and writes."""
         remedy = f"set register Status Return Level to {ANSWERS_ALL}, or switch it off and on"
         number = self._registers.get(servo.id, servo.model.table[Register.MODEL_NUMBER])
         if number is None and self._registers.ping(servo.id):
@@ -125,10 +122,10 @@ class ServoPreparation:
             )
 
     def _check_settings(self, servo: ServoSetup) -> None:
-        """Refuse direction, zero and gains that the plant does not assume."""
+        """Refuse a direction, zero or gain that differs from the plant's assumption."""
         table, assumed, name = servo.model.table, servo.settings, f"servo {servo.id}"
         mode = 0
-        if Register.DRIVE_MODE in table:  # firmware without the register refuses to read it
+        if Register.DRIVE_MODE in table:  # older firmware has no such register and refuses the read
             mode = self._registers.get(servo.id, table[Register.DRIVE_MODE]) or 0
         if mode != (DRIVE_REVERSE if assumed.reverse else 0):
             found = "reverse" if mode == DRIVE_REVERSE else "not reverse" if mode == 0 else "other"
@@ -154,7 +151,7 @@ class ServoPreparation:
                 )
 
     def _remove_profile(self, servo: ServoSetup) -> None:
-        """Let goals act at once; without a watchdog the servo keeps the limit of their rate."""
+        """Remove the motion profile; a servo without a watchdog keeps the rate limit."""
         table = servo.model.table
         wanted = {Register.PROFILE_ACCELERATION: 0, Register.PROFILE_VELOCITY: 0}
         if Register.BUS_WATCHDOG not in table:
@@ -169,7 +166,7 @@ class ServoPreparation:
     def gather(self, servo: ServoSetup) -> bool:
         """Point the first indirect addresses of a servo to the registers that a tick reads.
 
-        They lie in EEPROM, so they are written only where they differ.
+        They lie in EEPROM, so they are written only if they differ.
         """
         table = servo.model.table
         entries = [a.to_bytes(2, "little") for a in table.gathered_addresses]
@@ -181,7 +178,7 @@ class ServoPreparation:
         )
 
     def unfit(self, what: str, remedy: str) -> InputError:
-        """Return the refusal of a servo or of the whole bus."""
+        """Return the error that refuses a servo or the whole bus."""
         return InputError(self._name, what, remedy)
 
     def _get(self, servo: ServoSetup, register: Register) -> int:

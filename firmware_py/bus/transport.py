@@ -16,7 +16,7 @@ import serial
 from firmware_py.errors import InputError
 from firmware_py.realtime.clock import Clock
 
-if sys.platform != "win32":  # the configuration of a robot is read there too
+if sys.platform != "win32":  # Windows reads configurations, too
     import fcntl
     import termios
 
@@ -28,16 +28,16 @@ BAUD_RATES: Final = (
 
 _DISCARD_SIZE: Final = 1 << 16
 _MOST_DISCARDS: Final = 8
-"""Reads of one discard: 512 kB, more than the 208 kB that a socket holds by default. What comes
-later is dropped by the search for the answer."""
+"""Reads of one discard: 512 kB, more than the 208 kB that a socket holds by default. The search for
+the answer drops later bytes."""
 _LONGEST_WAIT_NS: Final = 1_000_000_000
-"""Bound on a wait where the clock was set back."""
+"""Upper bound on a wait, in case the clock is set back."""
 _HUNG_UP: Final = "the other end has closed the connection"
 _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
 
 class Transport(Protocol):
-    """Byte stream to and from the servos; raises OSError when the device has gone."""
+    """Byte stream to and from the servos; raises OSError after a disconnect."""
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """Return received bytes as soon as any arrive, or none after the deadline.
@@ -47,32 +47,47 @@ class Transport(Protocol):
         size : int
             Largest number of bytes.
         deadline_ns : int
-            End of the wait.
+            End of the wait, in ns on the clock of the transport.
+
+        Returns
+        -------
+        bytes
+            Between 0 and `size` bytes.
 
         Raises
         ------
         OSError
-            If the device has gone.
+            If the device is disconnected.
         """
         ...
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return the number accepted.
+        """Send bytes without waiting.
+
+        Parameters
+        ----------
+        data : bytes
+            Bytes to send.
+
+        Returns
+        -------
+        int
+            Number of bytes that the device accepted.
 
         Raises
         ------
         OSError
-            If the device has gone.
+            If the device is disconnected.
         """
         ...
 
     def discard_input(self) -> None:
-        """Drop the bytes received and not yet read; ends also where bytes keep coming.
+        """Drop the bytes received so far; this ends even if bytes keep arriving.
 
         Raises
         ------
         OSError
-            If the device has gone.
+            If the device is disconnected.
         """
         ...
 
@@ -100,34 +115,30 @@ class SerialTransport:
             fcntl.ioctl(self._fd, _TIOCGSERIAL, settings)
             settings[4] |= _ASYNC_LOW_LATENCY
             fcntl.ioctl(self._fd, _TIOCSSERIAL, settings)
-        except OSError:  # ENOTTY on a pseudo-terminal, EPERM without the right
+        except OSError:  # ENOTTY on a pseudo-terminal, EPERM without permission
             return False
         return True
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """See `Transport.read`."""
         if not _readable(self._fd, deadline_ns, self._clock):
             return b""
         if data := os.read(self._fd, size):
             return data
-        raise ConnectionResetError(_HUNG_UP)  # readable without data: closed
+        raise ConnectionResetError(_HUNG_UP)  # readable without data means closed
 
     def write(self, data: bytes) -> int:
-        """See `Transport.write`."""
         try:
             return os.write(self._fd, data)
         except BlockingIOError:
             return 0
 
     def discard_input(self) -> None:
-        """See `Transport.discard_input`."""
         try:
             termios.tcflush(self._fd, termios.TCIFLUSH)
         except termios.error as error:  # not a subclass of OSError
             raise ConnectionResetError(_HUNG_UP) from error
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._serial.close()
 
 
@@ -149,7 +160,6 @@ class SocketTransport:
         self._fd = self._socket.fileno()
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """See `Transport.read`."""
         return self._received(size) if _readable(self._fd, deadline_ns, self._clock) else b""
 
     def _received(self, size: int) -> bytes:
@@ -159,28 +169,25 @@ class SocketTransport:
         return data
 
     def write(self, data: bytes) -> int:
-        """See `Transport.write`."""
         try:
             return self._socket.send(data, socket.MSG_NOSIGNAL)  # SIGPIPE would stop the robot
         except BlockingIOError:
             return 0
 
     def discard_input(self) -> None:
-        """See `Transport.discard_input`."""
         for _ in range(_MOST_DISCARDS):
             if not _readable(self._fd, 0, self._clock):
                 return
             self._received(_DISCARD_SIZE)
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._socket.close()
 
 
 def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
-    """Wait until bytes are readable; bytes that are there already count after the deadline too.
+    """Wait until bytes are readable; after the deadline, check once without waiting.
 
-    Polling first is cheaper than a failed read: in the loop the first answer is never there yet.
+    Polling first is cheaper than a failed read: in the loop the first answer never is there yet.
     """
     remaining_ns = max(0, min(deadline_ns - clock.now_ns(), _LONGEST_WAIT_NS))
     return bool(select.select([fd], [], [], remaining_ns * 1e-9)[0])
@@ -189,8 +196,8 @@ def _readable(fd: int, deadline_ns: int, clock: Clock) -> bool:
 def open_transport(name: str, baud: int, clock: Clock) -> Transport:
     """Open the transport of a port.
 
-    `name`: `unix:PATH` for a socket, else the path of a serial device. With wildcards, the first in
-    alphabetical order that can be opened: an adapter may come back under another name.
+    `name`: `unix:PATH` of a socket, or the path of a serial device. With wildcards, the first in
+    alphabetical order that opens, because an adapter may come back under another name.
     """
     scheme = "unix:" if name.startswith("unix:") else ""
     pattern = name.removeprefix(scheme)

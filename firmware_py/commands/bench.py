@@ -1,4 +1,4 @@
-"""Benchmark of a tick's own cost, at the control period, against servos in memory.
+"""Benchmark of a tick's computing time, at the control period, with servos in memory.
 
 The period matters: between two ticks the caches go cold, and the same work takes two to three times
 as long as in a hot loop (docs/sources.md, "Dynamixel SDK").
@@ -32,7 +32,7 @@ EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 _MODEL = "H54-200-S500-R"
 
 LEAST_S, MOST_S = 0.1, 86400.0
-"""Durations that can be measured: some ticks to a day [assumed]."""
+"""Range of the benchmark's duration: some ticks to a day [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure; the verdict is negative where the own cost exceeds its limit."""
+    """Measure; the verdict is negative if the computing time exceeds its limit."""
     if not LEAST_S <= args.seconds <= MOST_S:
         raise InputError("--seconds", f"is {args.seconds:g} s", f"give {LEAST_S:g} to {MOST_S:g} s")
     dof, models = _models(args)

@@ -1,11 +1,11 @@
-"""Checks of this PC for settings that spoil the loop's timing, with remedies.
+"""Check of this PC for settings that harm the loop's timing, with remedies.
 
-With --bus: the transmission time of a tick of the configured robot, for every plan that its servos
-might answer, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet its
-period is refused with the numbers.
+With --bus: shows the transmission time of a tick of the configured robot, for every plan that its
+servos might support, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet
+its period is refused with the numbers.
 
-With --check-joints: asks, torque off, to turn each joint by hand, and says which angle changed.
-Exchanged ids show in no other check.
+With --check-joints: asks you to turn each joint by hand, torque off, and reports which angle changed. No
+other check detects exchanged ids.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the checks; the verdict is negative where a setting is bad or ids are exchanged."""
+    """Run the checks; the verdict is negative if a setting is bad or ids are exchanged."""
     if args.bus and args.check_joints:
         raise InputError("doctor", "is given --bus and --check-joints", "run one after the other")
     if (args.bus or args.check_joints) != (args.config is not None):

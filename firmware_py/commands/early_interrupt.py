@@ -1,6 +1,7 @@
-"""Interruption before a command runs: Ctrl-C during the imports of a program gives no traceback.
+"""Interrupt before a command runs: Ctrl-C during the imports of a program shows no traceback.
 
-A program calls it before its other imports, which take 0.2 s; so this module imports next to none.
+A program calls `quiet_interrupt` before its other imports, which take 0.2 s. So this module imports
+almost nothing.
 """
 
 import sys
@@ -10,7 +11,7 @@ __all__ = ["quiet_interrupt"]
 
 
 def quiet_interrupt(prog: str) -> None:
-    """Say in one sentence that a program was interrupted where nothing else handles it."""
+    """Report an unhandled Ctrl-C in one sentence instead of a traceback."""
     before = sys.excepthook
 
     def said(

@@ -16,7 +16,7 @@ from firmware_py.config import RobotConfig, read_config
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 
-if sys.platform != "win32":  # --help works there
+if sys.platform != "win32":  # --help works on Windows
     import pwd
 
 EXAMPLE = "sudo dropstitch install-service --config robot.toml --user robot"
@@ -25,7 +25,7 @@ SERVICE_PATH: Final = "etc/systemd/system/dropstitch.service"
 RULE_PATH: Final = "etc/udev/rules.d/99-dropstitch.rules"
 
 _USER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_.@-]{0,63}")
-"""User names, those of a directory service included."""
+"""Valid user names, including those of a directory service."""
 
 _SERVICE: Final = """\
 [Unit]
@@ -147,8 +147,9 @@ def service_file(
 ) -> str:
     """Return the text of the systemd service file.
 
-    `config`: with `real_time.cpu` the loop's thread has that processor to itself: the affinity of
-    the service excludes it for everything else.
+    With `real_time.cpu` the affinity of the service excludes this processor, so that the loop's
+    thread has it exclusively.
+
     `processors`: processors of the machine; by default those that the kernel reports.
     """
     if not _USER.fullmatch(user):
@@ -164,7 +165,7 @@ def service_file(
         else "All there are; real_time.cpu in the configuration keeps one for the loop alone."
     )
     socket, port = "", config.bus.port
-    if port.startswith("unix:"):  # of an emulator; PrivateTmp would hide it
+    if port.startswith("unix:"):  # an emulator's socket, which PrivateTmp would hide
         directory = Path(port.removeprefix("unix:")).absolute().parent
         socket = f"BindReadOnlyPaths={_optional(directory)}\n"
     return _SERVICE.format(
@@ -180,7 +181,7 @@ def service_file(
 
 def _quoted(path: Path | str) -> str:
     """Return a path as one word of a systemd command line (systemd.service(5))."""
-    wrong = ("Cc", "Zl", "Zp", "Cs")  # the last stands for a byte that is not UTF-8
+    wrong = ("Cc", "Zl", "Zp", "Cs")  # Cs: a byte that is not UTF-8
     if any(unicodedata.category(character) in wrong for character in str(path)):
         raise InputError(
             repr(str(path)), "has a line break or another control character, or is not UTF-8",
@@ -191,7 +192,7 @@ def _quoted(path: Path | str) -> str:
 
 
 def _optional(path: Path) -> str:
-    """Return a path that may be missing as one word of a list of paths (systemd.exec(5))."""
+    """Return an optional path as one word of a list of paths (systemd.exec(5))."""
     return _quoted(f"-{path}").replace("$$", "$")
 
 
@@ -200,7 +201,7 @@ def _logs(config: RobotConfig, path: Path) -> Path:
 
 
 def _lacks(logs: Path) -> bool:
-    """Whether the directory is missing: the service cannot make it."""
+    """Whether the directory is missing, which the service cannot make."""
     return not logs.is_dir()
 
 
@@ -212,7 +213,7 @@ def _check_exists(user: str) -> None:
 
 
 def _write(path: Path, content: str) -> None:
-    """Write a file in place of another one, never through a symbolic link."""
+    """Write or replace a file, never through a symbolic link."""
     if path.is_symlink():
         raise InputError(
             path, f"is a symbolic link to {os.readlink(path)}", "remove it, if it is not needed"
@@ -224,7 +225,7 @@ def _write(path: Path, content: str) -> None:
         handle = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(content)
-        new.replace(path)  # a link that has been made in the meantime is replaced, not followed
+        new.replace(path)  # replaces a link made meanwhile, does not follow it
     except OSError as error:
         with contextlib.suppress(OSError):
             new.unlink(missing_ok=True)

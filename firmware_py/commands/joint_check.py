@@ -1,6 +1,6 @@
-"""Turn of each joint by hand, torque off: whether its servo is the one that robot.toml names.
+"""Check by hand, torque off, that the servo of each joint is the one in robot.toml.
 
-Exchanged ids show nowhere else: both servos answer, and the predicted tip is off by the motion.
+Nothing else detects exchanged ids: both servos answer, and the predicted tip is merely wrong.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ __all__ = ["JointTurn", "turn_joints"]
 Array = NDArray[np.float64]
 
 LEAST_TURN_RAD: Final = 0.087
-"""Turn that is taken for one by hand: 5°, far beyond the play of a gear [assumed]."""
+"""Smallest turn by hand: 5°, far beyond the play of a gear [assumed]."""
 STILL_RAD: Final = 0.009
-"""Change within `STILL_S` up to which a joint stands still [assumed]."""
+"""Largest change within `STILL_S` of a joint at rest [assumed]."""
 STILL_S: Final = 1.0
 PATIENCE_S: Final = 60.0
-"""Longest wait for a hand."""
+"""Timeout for the operator."""
 _POLL_NS: Final = 50_000_000
 
 
 class JointTurn(NamedTuple):
-    """Joint that was to be turned, and what its servos showed."""
+    """Joint to turn, and the joint whose angle changed."""
 
-    joint: int  # Number of the joint that was asked for, from 1
+    joint: int  # Number of the requested joint, from 1
     found: int  # Number of the joint whose angle changed most
     change_rad: float
 
     def told(self, ids: Sequence[int]) -> str:
-        """Return the finding as a sentence."""
+        """Return the result as a sentence."""
         change = ANGLE.text(self.change_rad)
         if self.found == self.joint:
             return (
@@ -55,7 +55,7 @@ class JointTurn(NamedTuple):
 def turn_joints(
     bus: ServoBus, clock: Clock, timeout_s: float, ask: Callable[[str], None]
 ) -> tuple[JointTurn, ...]:
-    """Ask for a turn of each joint by hand; tell which angle changed."""
+    """Ask for a turn of each joint by hand, and measure which angle changes."""
     watch = _Watch(bus, clock, timeout_s)
     turns = []
     for joint in range(1, bus.dof + 1):
@@ -68,14 +68,14 @@ def turn_joints(
 
 
 class _Watch:
-    """Angles as a hand changes them."""
+    """Measurement of joints that the operator turns."""
 
     def __init__(self, bus: ServoBus, clock: Clock, timeout_s: float) -> None:
         self._bus, self._clock = bus, clock
         self._timeout_ns = round(timeout_s * 1e9)
 
     def _angles(self) -> Array | None:
-        """Next measurement; None where the servos gave none."""
+        """Measure the angles; None if that fails."""
         self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
         status = self._bus.read(self._clock.now_ns() + self._timeout_ns)
         return self._bus.angle_rad.copy() if status.fresh else None

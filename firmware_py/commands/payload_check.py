@@ -1,7 +1,7 @@
-"""Payload that the recorded currents show, compared with the one that the robot was told.
+"""Comparison of the payload from robot.toml with an estimate from the recorded currents.
 
-A wrong `payload_kg` shows nowhere else: the prediction is in range, and off by centimetres. After
-the run the observer takes its samples once more with the payload left open.
+Nothing else detects a wrong `payload_kg`: the prediction is in range, but centimetres off. After
+the run the observer processes its samples again and estimates the payload.
 """
 
 from __future__ import annotations
@@ -28,31 +28,32 @@ __all__ = ["PayloadEstimate", "contradicted_payload", "unused_payload"]
 Array = NDArray[np.float64]
 
 LONGEST_S: Final = 60.0
-"""Time of a run that is looked at: the estimate settles within seconds, and a minute is replayed in
-0.2 s."""
+"""Longest part of a run that is evaluated: the estimate settles within seconds, and replaying a
+minute takes 0.2 s."""
 LONGEST_GAP_S: Final = 1.0
-"""Longest time without a sample that the observer steps over [assumed: three swings of a link]."""
+"""Longest gap between samples that the observer bridges [assumed: three swings of a link]."""
 SHORTEST_STEP_S: Final = 1e-3
-"""Shortest step of the observer: two samples of a late and of a punctual tick are further apart."""
+"""Shortest step of the observer; the samples of a late and a punctual tick are further apart."""
 LEAST_DIFFERENCE: Final = 0.3
-"""Least difference that is told, over the observer's deviation before anything is measured (1 kg
-for the study's link) [assumed: more than a plant of another structure errs by]."""
+"""Smallest reported difference, relative to the observer's prior standard deviation (1 kg for the
+study's link) [assumed: more than the error with a plant of another structure]."""
 LEAST_DEVIATIONS: Final = 4.0
-"""The same in standard deviations of the estimate [assumed: those are of a right plant]."""
+"""Smallest reported difference in standard deviations of the estimate [assumed: these hold for a
+correct plant]."""
 _VARIANCE: Final = "states.covariance_1_1"
 _PRIOR_DEVIATION: Final = "parameters.payload_spread_kg"
 
 
 class PayloadEstimate(NamedTuple):
-    """Payload by the currents of a run."""
+    """Estimate of the payload from the currents of a run."""
 
     payload_kg: float
-    # Its standard deviation by the observer; that of its start where nothing moved
+    # Standard deviation of the estimate; the prior one if nothing moved
     deviation_kg: float
-    prior_deviation_kg: float  # Standard deviation before anything was measured
+    prior_deviation_kg: float  # Standard deviation before the first sample
 
     def contradicts(self, told_kg: float) -> bool:
-        """Whether it differs clearly from a payload."""
+        """Whether the estimate differs significantly from a payload."""
         least_kg = max(
             LEAST_DIFFERENCE * self.prior_deviation_kg, LEAST_DEVIATIONS * self.deviation_kg
         )
@@ -60,9 +61,9 @@ class PayloadEstimate(NamedTuple):
 
 
 def unused_payload(bundle: ModelBundle, told_kg: float | None) -> str:
-    """Return a sentence where a bundle has no use of the payload that it is told, or "".
+    """Return a sentence if the models of a bundle do not use a known payload, or "".
 
-    `told_kg`: `payload_kg` of the run. It is kept for the log and for the goals of a plan.
+    `told_kg`: `payload_kg` of the run; the log and the goals of a plan use it anyway.
     """
     if told_kg is None or isinstance(bundle.estimator, ObserverEstimator):
         return ""
@@ -80,13 +81,13 @@ def contradicted_payload(
     summary: RunSummary,
     log: Path | None = None,
 ) -> str:
-    """Return a sentence where the currents of a run fit another payload than the told one, or "".
+    """Return a sentence if the currents of a run contradict its payload, or "".
 
-    It never raises: a fault of the comparison is a sentence, for the run is over.
+    It never raises, since the run is over: an error of the comparison becomes a sentence. Without
+    an observer in the bundle there is no comparison; the state of an observer is not changed.
 
-    `bundle`: of the run; its own observer is left as it is. One without an observer tells nothing.
-    `told_kg`: `payload_kg` of the run; None where it was estimated anyway.
-    `log`: its log: the records in memory may lack the begin of the run.
+    `told_kg`: `payload_kg` of the run; None if it was estimated anyway.
+    `log`: log of the run, because the records in memory may lack its begin.
     """
     if told_kg is None or not isinstance(bundle.estimator, ObserverEstimator):
         return ""
@@ -109,9 +110,10 @@ def contradicted_payload(
 def _first_ticks(
     summary: RunSummary, log: Path | None, most: int
 ) -> Mapping[str, NDArray[Any]] | None:
-    """Columns of the first ticks of a run; None where they are kept nowhere.
+    """Return the columns of the first ticks of a run; None if they were not recorded.
 
-    The observer has to begin where the link rests: begun in motion it was off by 1.6 kg, and sure.
+    The observer must start while the link rests: started in motion, its estimate was 1.6 kg off,
+    with a small standard deviation.
     """
     records = summary.records
     if summary.ticks <= len(records):
@@ -122,7 +124,7 @@ def _first_ticks(
 def _estimate(
     bundle: ModelBundle, ticks: Mapping[str, NDArray[Any]], period_s: float
 ) -> PayloadEstimate | None:
-    """Payload by the samples of a run; None where no sample counts."""
+    """Estimate the payload from the samples of a run; None without usable samples."""
     samples = _samples(ticks, bundle.manifest.dof, period_s)
     with FmuInstance(_observer_of(bundle)) as fmu:
         observer, payload_kg = ObserverEstimator(fmu, bundle.manifest.dof), float("nan")
@@ -135,7 +137,7 @@ def _estimate(
 
 
 def _observer_of(bundle: ModelBundle) -> FileContent:
-    """Observer of the bundle, unless it was replaced while the robot ran."""
+    """Read the observer of the bundle; refuse one that was replaced during the run."""
     content = content_of(bundle.directory / OBSERVER)
     if content.sha256 != bundle.manifest.files[OBSERVER]:
         raise InputError(content.path, "was replaced during the run", "run again")
@@ -145,9 +147,9 @@ def _observer_of(bundle: ModelBundle) -> FileContent:
 def _samples(
     ticks: Mapping[str, NDArray[Any]], dof: int, period_s: float
 ) -> tuple[Array, Array, Array]:
-    """Angles, currents and steps up to the first alert, stop or long gap, a minute at most.
+    """Return angles, currents and steps up to the first alert, stop or long gap, or a minute.
 
-    A servo that has lost its torque says nothing of the load.
+    After an alert a servo may have lost its torque, so its current does not show the load.
     """
     fresh = ticks["stale_ticks"] == 0
     over = ((ticks["state"] >= SafetyState.STOPPING) | (ticks["alert"] != 0))[fresh]

@@ -1,7 +1,7 @@
-"""Measured inputs of the predictor that lay beyond its training range, counted during a run.
+"""Count of the predictor's measured inputs beyond their training range, during a run.
 
-The graph says of a tick that it was out of range, not why. The watch stands between loop and
-predictor and works in such ticks alone, in memory that it takes before the run.
+The graph reports that a tick is out of range, but not why. The watch stands between loop and
+predictor. It works only in such ticks, in preallocated memory.
 """
 
 from __future__ import annotations
@@ -21,10 +21,7 @@ _UNBOUNDED: Final = (-np.inf, np.inf)
 
 
 class RangeWatch:
-    """Models of a bundle whose predictor notes why a tick was out of range.
-
-    `bundle`: of the run. Ranges are those of the predictor that it runs.
-    """
+    """Models of a bundle, with a predictor that records why a tick was out of range."""
 
     def __init__(self, bundle: ModelBundle) -> None:
         self.estimator, self.predictor = bundle.estimator, self
@@ -48,14 +45,13 @@ class RangeWatch:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Predict from one sample; see `firmware_py.inference.predictor.Predictor.predict`."""
         prediction = self._watched.predict(angle_rad, current_a, di, signals, age_s)
         if not prediction.in_range:
             self._note(angle_rad, current_a, di)
         return prediction
 
     def reasons(self) -> RangeReasons:
-        """Return which inputs were beyond their ranges since the start, and how far."""
+        """Return the inputs that were beyond their ranges since the start, and how far."""
         rows = zip(
             self._names, self._ticks.tolist(), self._least.tolist(), self._most.tolist(),
             self._low.tolist(), self._high.tolist(), strict=True,
@@ -71,7 +67,7 @@ class RangeWatch:
         return RangeReasons(inputs=inputs, other_ticks=self._other_ticks)
 
     def _note(self, angle_rad: Array, current_a: Array, di: float) -> None:
-        """Count the inputs that are beyond; one that is no number is not."""
+        """Count the inputs beyond their ranges; NaN is not counted."""
         row = self._row
         self._angle_rad[:], self._current_a[:], row[-1] = angle_rad, current_a, di
         finite = np.isfinite(row)

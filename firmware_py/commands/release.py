@@ -1,4 +1,4 @@
-"""Torque off for every servo, whatever happened to the loop that had switched it on."""
+"""Torque off for every servo, whatever happened to the loop that switched it on."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Release the servos; the verdict is negative where one does not confirm it."""
+    """Release the servos; the verdict is negative if one does not confirm it."""
     config = read_config(args.config)
     with open_bus(config, DeadlineClock()) as bus:
         released = bus.torque(False) is BusStatus.OK

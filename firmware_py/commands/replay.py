@@ -1,6 +1,6 @@
-"""Replay of a log through a bundle: DI, payload and tip compared with the recorded ones.
+"""Replay of a log through a bundle: comparison of DI, payload and tip with the recorded values.
 
-Without a log the bundle's golden ticks are replayed, as the robot does at start-up.
+Without a log the bundle's golden ticks are replayed, as at the start-up of the robot.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ _COMPARED = (DI.name, PAYLOAD.name, *tip_names("predicted_"))
 
 
 class Seams(NamedTuple):
-    """Rows of a log that do not continue the row before."""
+    """Discontinuities of a log."""
 
-    # (n,), rows at which the robot started again after its port had gone: the loop discards its
-    # past
+    # (n,), rows at which the robot started again after a disconnect, with a reset estimator
     restarted: NDArray[np.bool_]
-    missing: int  # Ticks that ran and that the log does not hold
+    missing: int  # Ticks that ran but are missing in the log
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compare; the verdict is negative where a value differs by more than the tolerance."""
+    """Compare; the verdict is negative if a value differs by more than the tolerance."""
     if args.log is None:
         if args.bundle is None:
             raise InputError("replay", "has neither a log nor a bundle", "name one of them")
@@ -98,12 +97,12 @@ def _bundle_of(path: Path, log: Recording) -> Path:
 
 
 def find_seams(log: Recording) -> Seams:
-    """Find the rows at which a run began again, and the ticks that the log lacks."""
+    """Find the restarts of a run, and count the missing ticks of its log."""
     columns = log.columns
     count = len(columns["missed"])
     state = columns.get("state", np.zeros(count))
     restarted = np.zeros(count, dtype=bool)
-    # Only a port that is back leads out of a stop, see `firmware_py.safety.states`.
+    # Only the return of a port leads out of a stop, see `firmware_py.safety.states`.
     restarted[1:] = (state[:-1] >= SafetyState.STOPPING) & (state[1:] < state[:-1])
     slot = columns.get("tick", np.cumsum(columns["missed"] + 1))
     apart = np.diff(slot) - 1 - columns["missed"][1:]
@@ -114,7 +113,7 @@ def find_seams(log: Recording) -> Seams:
 def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     """Run a log's measurements through a bundle's estimator and predictor.
 
-    Returns largest absolute difference by column; infinite where only one side has a value.
+    Returns the largest absolute difference by column, infinite if only one side has a value.
     """
     dof = bundle.manifest.dof
     if log.dof != dof:
@@ -136,7 +135,7 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     hold = SampleHold(bundle.estimator)
     hold.reset()
     fresh = columns.get("stale_ticks", np.zeros(len(replayed))) == 0
-    # Where a log does not know it, the loop of then took every sample for punctual.
+    # Logs without this column come from a loop that treated every sample as punctual.
     late_s = np.nan_to_num(columns.get("sample_late_ns", np.zeros(len(replayed)))) * 1e-9
     slot = columns.get("tick", np.zeros(len(replayed)))
     told = int(np.argmax(slot >= 0)) if facts.probed else -1
@@ -158,9 +157,9 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
 
 
 def _told_payload_kg(facts: LoggedRun, later_kg: NDArray[np.float64]) -> float | None:
-    """Payload that the observer was told after a probing motion; None where it was to estimate it.
+    """Return the payload that a probing motion set in the observer; None if it was estimated.
 
-    What it was told it repeats in every later tick; an estimate changes.
+    A payload that was set is constant in all later ticks; an estimate changes.
     """
     if facts.assumed_payload_kg is not None or not len(later_kg):
         return facts.assumed_payload_kg

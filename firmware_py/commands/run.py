@@ -2,14 +2,14 @@
 
 Every end that the program can handle brings the arm to rest and switches the torque off: the end of
 the motion, Ctrl-C, SIGTERM, SIGHUP (a closed terminal, a lost ssh session) and every other signal
-that can be handled, a stop by the supervisor, an exception. Exit 0 only where no fault stopped the
-robot or was seen while it stopped, every servo confirmed torque off, and the log holds every tick;
-else 1. Reads that were repeated, single ticks without data and missed slots are in the summary.
+that can be handled, a stop by the supervisor, an exception. The exit code is 0 if no fault stopped
+the robot or occurred while it stopped, every servo confirmed torque off, and the log has every
+tick; else it is 1. The summary counts retried reads, single ticks without data and missed slots.
 
-After SIGKILL or a power loss of the PC the torque stays on; so it does after SIGSTOP and a crash of
-Python or of the kernel. A servo with a bus watchdog stops and holds its position; a legacy PRO
-(-R), which has none, moves to its last goal and holds it. Switch the torque off with 'dropstitch
-release', or switch the power of the servos off.
+The torque stays on after SIGKILL, SIGSTOP, a crash of Python or of the kernel, and a power loss of
+the PC. A servo with a bus watchdog then stops and holds its position; a legacy PRO (-R), which has
+none, moves to its last goal and holds it. Switch the torque off with 'dropstitch release', or
+switch the power of the servos off.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> int:
         settings = bus.found_settings()
         unused = unused_payload(bundle, config.payload_kg)
         _say("dropstitch", _origin(bundle), *_uncompared(config, settings), unused, note)
-        # Goals of another program end when that says so.
+        # Goals of another program end when that program ends them.
         last = goals.slots if slots is None and args.goals is None else slots
         facts = {} if last is None else {SLOTS_KEY: str(last)}
         facts |= {GOALS_NOTE: note} if note else {}
@@ -151,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def lacking_ticks(document: RunDocument) -> str:
-    """Return a sentence where the log of a run lacks ticks, or ""."""
+    """Return a sentence if ticks are missing in the log of a run, or ""."""
     logged = document.logged_ticks
     if document.log is None or logged == document.ticks:
         return ""
@@ -163,13 +163,13 @@ def lacking_ticks(document: RunDocument) -> str:
 
 
 def _say(who: str, *sentences: str) -> None:
-    """Print the sentences that are not empty on stderr."""
+    """Print all sentences that are not empty on stderr."""
     for sentence in filter(None, sentences):
         print(f"{who}: {sentence}", file=sys.stderr)
 
 
 def _write_summary(path: Path, document: RunDocument) -> None:
-    """Write the summary beside the log; a full disk must not hide how the run ended."""
+    """Write the summary beside the log; a full disk must not hide the result of the run."""
     try:
         write_run_summary(path, document)
     except OSError as error:
@@ -177,7 +177,7 @@ def _write_summary(path: Path, document: RunDocument) -> None:
 
 
 def _tell(args: argparse.Namespace, document: RunDocument, text: str) -> None:
-    """Print the result; a terminal or a pipe that has gone must not change the exit code."""
+    """Print the result; a closed terminal or pipe must not change the exit code."""
     with contextlib.suppress(OSError):
         emit(args, msgspec.to_builtins(document), text)
         sys.stdout.flush()
@@ -214,7 +214,7 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
 
 
 def _origin(bundle: ModelBundle) -> str:
-    """Say who answers for the code in the bundle."""
+    """Return a sentence about the origin of the bundle, which contains code."""
     if bundle.signed_by:
         return f"the bundle {bundle.directory} is signed by {bundle.signed_by}"
     signed = (bundle.directory / SIGNATURE).exists()
@@ -226,14 +226,14 @@ def _origin(bundle: ModelBundle) -> str:
 
 
 def _check_free(log: Path) -> None:
-    """Refuse a log that would overwrite another one, or whose summary would."""
+    """Refuse a log if it or its summary would overwrite a file."""
     for path in (log, log.with_suffix(".timing.json")):
         if os.path.lexists(path):
             raise InputError("--log", f"{path} exists", "name a new file, or move that one away")
 
 
 def _free_log(directory: Path, name: str) -> Path:
-    """First log of a name that overwrites nothing: robots may share a directory."""
+    """Return the first unused log of a name, since robots may share a directory."""
     names = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
     logs = (directory / f"{own}.mcap" for own in names)
     return next(
@@ -243,7 +243,7 @@ def _free_log(directory: Path, name: str) -> Path:
 
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:
-    """Yield a sentence for every servo whose gains the configuration does not give."""
+    """Yield a sentence for every servo whose gains are not in the configuration."""
     for servo, found in zip(config.servos, settings, strict=True):
         if servo.gains is None:
             gains = {name: found[r.value] for name, r in GAINS.items() if r.value in found}

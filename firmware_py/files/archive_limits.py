@@ -16,21 +16,20 @@ __all__ = ["ARCHIVE_DAMAGE", "check_archive"]
 MOST_MEMBERS: Final = 1000
 """Most members of an archive; an FMU for four platforms with its sources has 60."""
 MOST_UNPACKED_BYTES: Final = 100_000_000
-"""Most bytes of all members, unpacked; an FMU of ours has 0.3 MB."""
+"""Most bytes of all members, unpacked; an FMU of this project has 0.3 MB."""
 MOST_TEXT_BYTES: Final = 4_000_000
-"""Size of the largest XML member, unpacked: as a tree it takes thirty times as much."""
+"""Size of the largest XML member, unpacked; its tree takes thirty times as much memory."""
 ARCHIVE_DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, LookupError, RuntimeError,
     ValueError,
 )  # fmt: skip
-"""Errors that a damaged archive raises, or XML in it that names an unknown encoding."""
+"""Errors of a damaged archive, or of XML in it that names an unknown encoding."""
 
 
 def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
-    """Refuse an archive that unpacks to too much, or beside its directory.
+    """Refuse an archive that unpacks to too many bytes, or outside its directory.
 
-    A member is unpacked to the size that the archive declares at most, so the declared sizes bound
-    what is allocated.
+    Unpacking stops at the declared size of a member, so the declared sizes bound the allocation.
     """
     members = archive.infolist()
     names = [member.filename for member in members]

@@ -1,7 +1,7 @@
 """Work in a child process with limits of memory, time and file size.
 
-Libraries that read binary formats crash, hang or allocate without bound on damaged files. In a
-child, all of that ends in one sentence of the parent.
+Libraries that read binary formats may crash, hang or allocate without bound on damaged files. In a
+child process, each of these becomes an error message of the parent.
 """
 
 from __future__ import annotations
@@ -30,33 +30,32 @@ from firmware_py.files.memory_limit import MEMORY_BYTES, limit_memory
 __all__ = ["SECONDS", "guarded_call"]
 
 SECONDS: Final = 8.0
-"""Processor time for a small file; the demo's recordings need less than a second."""
+"""Limit of the processor time for a small file; the demo's recordings need less than a second."""
 ELAPSED_FACTOR: Final = 10.0
-"""Longest elapsed time by the processor time: other programs may have the processor [assumed]."""
+"""Ratio of the limits of elapsed and processor time, for a busy computer [assumed]."""
 MOST_WRITTEN_BYTES: Final = 400_000_000
-"""Size of the largest file that a child may write: a trial of 10⁷ numbers of 20 digits, doubled."""
+"""Largest file that a child may write: twice a trial of 10⁷ numbers of 20 digits."""
 
 _RESULT, _REFUSED, _MEMORY, _DISK, _FAILED = b"r", b"i", b"m", b"d", b"f"
 _CRASHED: Final = "is damaged or too large: the program that reads it has crashed"
 _REPORT: Final = "; if the file is sound, report this sentence"
 _DISK_ERRORS: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What ends the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
+"""Errors that end the writing of a result: a full disk, a quota, `MOST_WRITTEN_BYTES`."""
 
 
 def guarded_call(
     work: Callable[[], bytes], where: Path | str, remedy: str,
     memory_bytes: int = MEMORY_BYTES, seconds: float = SECONDS,
 ) -> bytes:  # fmt: skip
-    """Result of `work()`, which runs in a child process.
+    """Return the result of `work()`, which runs in a child process with limits.
 
-    The child is a fork: it starts in milliseconds and has everything that is loaded. It writes
-    nothing to the terminal, and its temporary files are removed with it. Without a fork (Windows)
-    the work runs in this process, which it may crash; no limit of memory, time or size is held.
+    The child is a fork: it starts in milliseconds with all modules loaded. It writes nothing to the
+    terminal, and its temporary files are removed. Without fork (Windows) the work runs in this
+    process, which it may crash, and no limit of memory, time or size applies.
 
-    `remedy`: what the user can do if the child does not survive it.
-    `memory_bytes`: memory that it may take beyond what is taken now (Linux; other systems do not
-    limit it).
-    `seconds`: longest processor time; the elapsed time may be `ELAPSED_FACTOR` times as long.
+    `remedy`: remedy in the message if the child fails.
+    `memory_bytes`: memory in addition to the present use (Linux; other systems do not limit it).
+    `seconds`: limit of the processor time; the elapsed time may be `ELAPSED_FACTOR` times as long.
     """
     if not hasattr(os, "fork"):
         return _called_here(work, where, remedy)
@@ -72,7 +71,7 @@ def guarded_call(
         finally:
             os.close(reader)
             with contextlib.suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)  # it has answered, or never will
+                os.kill(child, signal.SIGKILL)  # it has sent its result, or never will
             _, status = os.waitpid(child, 0)
     kind, content = answer[:1], answer[1:]
     if kind == _RESULT and not late:
@@ -88,7 +87,7 @@ def guarded_call(
 
 
 def _raise_sent(kind: bytes, content: bytes, where: Path | str, remedy: str) -> None:
-    """Raise the exception that a child has sent, if it has."""
+    """Raise the exception that a child has sent, if any."""
     if kind == _REFUSED:
         raise InputError(*msgspec.msgpack.decode(content, type=tuple[str, str, str]))
     if kind == _DISK:
@@ -98,12 +97,12 @@ def _raise_sent(kind: bytes, content: bytes, where: Path | str, remedy: str) -> 
 
 
 def _failure(error: Exception) -> str:
-    """What the sentence says of an exception that is no refusal."""
+    """Return the message about an unexpected exception."""
     return f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:300]})"
 
 
 def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> bytes:
-    """Result of the work in this process, with the sentences that a child gives."""
+    """Run the work in this process, with the same messages as from a child."""
     printed = io.StringIO()
     try:
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
@@ -119,9 +118,9 @@ def _called_here(work: Callable[[], bytes], where: Path | str, remedy: str) -> b
 
 
 def _fork() -> int:
-    """Fork, without the warning that Python 3.12 gives where there are threads.
+    """Fork, without the warning of Python 3.12 about threads.
 
-    Those of OpenBLAS survive a fork by its own handlers.
+    OpenBLAS has handlers that make its threads survive a fork.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -129,7 +128,7 @@ def _fork() -> int:
 
 
 def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
-    """Everything from a pipe until it is closed, and whether that took too long."""
+    """Read a pipe until it closes; return the data and whether the deadline passed."""
     parts: list[bytes] = []
     while (left_s := deadline_s - time.monotonic()) > 0:
         if select.select([reader], [], [], left_s)[0]:
@@ -143,7 +142,7 @@ def _received(reader: int, deadline_s: float) -> tuple[bytes, bool]:
 def _live(
     work: Callable[[], bytes], writer: int, scratch: str, memory_bytes: int, seconds: float
 ) -> NoReturn:
-    """Life of the child: it ends here whatever happens, without the parent's clean-up."""
+    """Run the child, which always exits here, without the clean-up of the parent."""
     try:
         faulthandler.disable()
         nowhere = os.open(os.devnull, os.O_RDWR)

@@ -1,8 +1,8 @@
-"""Bounded reading of files that come from outside: bytes, text, TOML, JSON.
+"""Bounded reading of files from outside: bytes, text, TOML, JSON.
 
-Every reader of this project goes through these functions, so that each refuses the same things in
-one sentence: what is missing, is no regular file, is too large, or is not of its form. The limits
-are in docs/files/readers.md.
+Every reader of this project uses these functions, so that all refuse the same faults in one
+sentence: a missing file, no regular file, too large a file, or another format. The limits are in
+docs/files/readers.md.
 """
 
 from __future__ import annotations
@@ -36,29 +36,28 @@ MOST_BYTES: Final = 100_000_000
 MOST_CELLS: Final = 10_000_000
 """Most numbers of a table: 80 MB as doubles; a file of `MOST_BYTES` with ten bytes each."""
 MOST_TOML_BYTES: Final = 1_000_000
-"""Size of the largest TOML file: people write them; tomllib needs a second for it [assumed]."""
+"""Size of the largest TOML file, which tomllib parses in a second [assumed]."""
 MOST_JSON_BYTES: Final = 64_000_000
-"""Size of the largest JSON document; as text of one wide character it is 256 MB in memory."""
+"""Size of the largest JSON document; as text with a wide character it takes 256 MB."""
 MOST_JSON_VALUES: Final = 4_000_000
-"""Most values of a JSON document: 32 bytes each as floats."""
+"""Most values of a JSON document, with 32 bytes each as floats."""
 MOST_JSON_LISTS: Final = 500_000
-"""Most lists and objects of a JSON document: 64 to 230 bytes each."""
+"""Most lists and objects of a JSON document, with 64 to 230 bytes each."""
 LONGEST_LINE: Final = 1_000_000
 """Characters of the longest line of a table."""
 _UTF_16_MARKS: Final = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _MOST_KEY_DOTS: Final = 500
-"""Dots between separators of a TOML file; tomllib needs quadratic time for a dotted key."""
+"""Most dots between separators of a TOML file; dotted keys take tomllib quadratic time."""
 _TOML_SEPARATOR: Final = re.compile(rb"[,\[\]{}=\n]")
 
 
 def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> BinaryIO:
-    """Open a regular file that is not too large.
+    """Open a regular file of at most `most` bytes.
 
-    `remedy`: what the user can do where the file is missing or is no file.
-    `most`: size of the largest file that is opened, in bytes.
+    `remedy`: remedy in the message if the file is missing or not a regular file.
     """
     try:
-        # A FIFO without a writer would block the opening.
+        # Opening a FIFO without a writer would block.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     except FileNotFoundError:
         raise InputError(path, "is missing", remedy) from None
@@ -83,10 +82,10 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
 
 
 def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
-    """Content of a file that is not too large."""
+    """Return the content of a file of at most `most` bytes."""
     with open_bounded(path, remedy, most) as file:
         try:
-            data = file.read(most + 1)  # it may grow meanwhile
+            data = file.read(most + 1)  # the file may have grown
         except OSError as error:
             raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
     if len(data) > most:
@@ -97,7 +96,7 @@ def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
-    """Text of a UTF-8 file that is not too large."""
+    """Return the text of a UTF-8 file of at most `most` bytes."""
     data = read_bytes(path, remedy, most)
     try:
         return data.decode("utf-8-sig")
@@ -106,7 +105,7 @@ def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
 
 
 def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
-    """Lines of a table one by one, with their ends: UTF-8, or UTF-16 with a byte order mark."""
+    """Yield the lines of a table with their ends: UTF-8, or UTF-16 with a byte order mark."""
     encoding = "utf-8-sig"
     with open_bounded(path, remedy) as data:
         try:
@@ -129,9 +128,9 @@ def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
 def read_toml(
     path: Path | str, missing: str = "name an existing file", damaged: str = ""
 ) -> dict[str, Any]:
-    """Tables of a TOML file.
+    """Return the tables of a TOML file.
 
-    `damaged`: what the user can do where it is not TOML.
+    `missing`, `damaged`: remedies in the message if the file is missing or is not TOML.
     """
     data = read_bytes(path, missing, MOST_TOML_BYTES)
     damaged = damaged or "correct the line it names"
@@ -143,12 +142,12 @@ def read_toml(
         raise InputError(path, "is not TOML (it is too deeply nested)", damaged) from None
     except UnicodeDecodeError as error:
         raise _no_utf_8(path, data, error) from None
-    except ValueError as error:  # of the form, or a number of too many digits
+    except ValueError as error:  # not TOML, or a number with too many digits
         raise InputError(path, f"is not TOML ({error})", damaged) from None
 
 
 def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> InputError:
-    """Sentence for text in another encoding."""
+    """Return the error about text in another encoding."""
     is_utf_16 = data.startswith(_UTF_16_MARKS)
     what = "is UTF-16 text" if is_utf_16 else f"is not UTF-8 text ({error})"
     return InputError(path, what, "save it as UTF-8")
@@ -159,7 +158,7 @@ def _dots(piece: bytes) -> int:
 
 
 def check_json(path: Path | str, data: bytes, remedy: str) -> None:
-    """Refuse a JSON document that would need much memory, before it is decoded."""
+    """Refuse a JSON document that would need too much memory, before it is decoded."""
     lists = data.count(b"[") + data.count(b"{")
     if lists > MOST_JSON_LISTS:
         raise InputError(path, f"holds more than {MOST_JSON_LISTS} lists and objects", remedy)
@@ -168,7 +167,7 @@ def check_json(path: Path | str, data: bytes, remedy: str) -> None:
 
 
 def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any:
-    """Value of a JSON file."""
+    """Return the value of a JSON file."""
     data = read_bytes(path, remedy, most)
     check_json(path, data, remedy)
     try:
@@ -176,12 +175,12 @@ def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any
             return json.loads(data, object_pairs_hook=_object)
     except RecursionError:
         raise InputError(path, "is not JSON (it is too deeply nested)", remedy) from None
-    except ValueError as error:  # of the form, of the encoding, or a number of too many digits
+    except ValueError as error:  # format, encoding, or too many digits of a number
         raise InputError(path, f"is not JSON ({error})", remedy) from None
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Object of JSON, in which every name stands once."""
+    """Return a JSON object; refuse one with a repeated name."""
     result = dict(pairs)
     if len(result) < len(pairs):
         names = [name for name, _ in pairs]
@@ -191,12 +190,12 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def convert(raw: Any, kind: type[T], path: Path | str, what: str, remedy: str) -> T:
-    """Struct that decoded TOML or JSON holds.
+    """Convert decoded TOML or JSON to a struct.
 
-    `what`: what is wrong where it does not fit, like "is no motion"; empty for the reason alone.
+    `what`: message if it does not fit, like "is no motion"; empty for the reason alone.
     """
     try:
         return msgspec.convert(raw, kind)
     except (ValueError, OverflowError, RecursionError, TypeError) as error:
-        # msgspec's own error is a ValueError; an integer may be too large for a double.
+        # msgspec's error is a ValueError; an integer may be too large for a double.
         raise InputError(path, f"{what} ({error})" if what else str(error), remedy) from None

@@ -1,4 +1,4 @@
-"""Limit of the memory that reading a file may take, in this process or for good in a child."""
+"""Limit of the memory for reading a file, temporarily in this process or for good in a child."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from firmware_py.errors import InputError
 __all__ = ["MEMORY_BYTES", "limit_memory", "limited_memory"]
 
 MEMORY_BYTES: Final = 350_000_000
-"""Memory that reading a file may take beyond what is taken before: an importer has 100 MB of
-libraries loaded and stays below 500 MB."""
+"""Additional memory for reading a file: an importer with 100 MB of loaded libraries stays below
+500 MB."""
 
 
 def limit_memory(memory_bytes: int = MEMORY_BYTES) -> tuple[int, int] | None:
-    """Limit the address space of this process to what it has and some more.
+    """Limit the address space of this process to its present size and `memory_bytes` more.
 
-    Returns the limits before, soft and hard; None where the system has no such limit (not Linux).
+    Returns the previous soft and hard limits; None on systems without such a limit (not Linux).
     """
     if sys.platform != "linux":
         return None
@@ -39,10 +39,7 @@ def limit_memory(memory_bytes: int = MEMORY_BYTES) -> tuple[int, int] | None:
 def limited_memory(
     where: Path | str, remedy: str, memory_bytes: int = MEMORY_BYTES
 ) -> Iterator[None]:
-    """Refuse a file for which the code within needs more memory than it may.
-
-    `memory_bytes`: memory that the code may take beyond what is taken now.
-    """
+    """Refuse a file if the code of the block needs more than `memory_bytes` of new memory."""
     before = limit_memory(memory_bytes)
     try:
         yield

@@ -1,4 +1,4 @@
-"""Output files that are whole: the old content stays until the new one is written."""
+"""Atomic writing of files: the old content stays until the new one is complete."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ __all__ = ["replacing", "write_whole"]
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Name of a scratch file that replaces a file when the body ends without an error.
+    """Yield a scratch file that replaces a file when the body ends without an error.
 
-    Where the body fails the scratch file is removed and the file stays as it was. What is no
-    regular file, like `/dev/stdout`, is written in place. A link to a file stays a link.
-
-    Yields file to write to, in the same directory.
+    It is in the same directory. If the body fails, it is removed and the file is unchanged. A path
+    that is not a regular file, like `/dev/stdout`, is written in place. A link stays a link.
     """
     whole = Path(os.path.realpath(path))
     in_place = whole.exists() and not whole.is_file()
@@ -27,7 +25,7 @@ def replacing(path: Path) -> Iterator[Path]:
         if not in_place:
             scratch.replace(whole)
     except OSError as error:
-        error.filename = str(path)  # a full disk is refused without a name
+        error.filename = str(path)  # the error of a full disk has no name
         error.filename2 = None
         raise
     finally:
@@ -36,6 +34,6 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file as a whole."""
+    """Write a file atomically."""
     with replacing(path) as scratch:
         scratch.write_bytes(data)

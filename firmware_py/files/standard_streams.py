@@ -1,4 +1,4 @@
-"""Standard streams that may be missing, or lose their reader, while the work goes on.
+"""Standard streams that may be missing or lose their reader without ending the work.
 
 `command | head -1` closes the pipe after one line; under `pythonw` and `>&-` a stream is None.
 """
@@ -15,12 +15,12 @@ from typing import Any, TextIO, cast
 
 
 class LastingStream:
-    """Text stream that discards what is written after its reader has gone, or that is missing.
+    """Text stream that discards its input if it is missing or has lost its reader.
 
-    Attributes of the stream, such as its encoding, are found through this one.
+    It forwards the attributes of the stream, such as its encoding.
 
-    `carries_result`: whether it carries the result of a command: then other errors, as of a full
-    disk, are raised, else they are ignored.
+    `carries_result`: whether it carries the result of a command. Then other errors, such as a full
+    disk, are raised; else they are ignored.
     """
 
     def __init__(self, stream: TextIO | None, *, carries_result: bool = False) -> None:
@@ -28,14 +28,13 @@ class LastingStream:
         self._gone = stream is None
 
     def write(self, text: str) -> int:
-        """Write a text; return its length."""
         if self._stream is not None and not self._gone:
             with self._survived():
                 self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """Pass on what is buffered."""
+        """Flush the buffer."""
         if self._stream is not None and not self._gone:
             with self._survived():
                 self._stream.flush()
@@ -57,7 +56,7 @@ class LastingStream:
                 raise
 
     def _discard(self) -> None:
-        """Send what is still buffered to nowhere: it would fail again at the exit of Python."""
+        """Redirect the rest of the buffer to nowhere; it would fail again when Python exits."""
         self._gone = True
         with contextlib.suppress(OSError, ValueError, AttributeError):
             nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -66,26 +65,28 @@ class LastingStream:
 
 
 def _is_without_reader(error: OSError) -> bool:
-    """Whether a pipe has lost its reader; Windows calls that an invalid argument."""
+    """Whether a pipe has lost its reader, which Windows reports as an invalid argument."""
     is_windows = sys.platform == "win32"
     return isinstance(error, BrokenPipeError) or (is_windows and error.errno == errno.EINVAL)
 
 
 @contextlib.contextmanager
 def lasting_streams() -> Iterator[None]:
-    """Keep the work of the block going where stdout or stderr is missing or loses its reader.
+    """Let the block continue if stdout or stderr is missing or loses its reader.
 
-    A broken stderr is ignored from then on. So is stdout without a reader; its other errors, as of
-    a full disk, are raised. A missing stdin is empty.
+    A broken stderr is ignored from then on, and so is stdout without a reader. Other errors of
+    stdout, such as a full disk, are raised. A missing stdin is empty.
     """
     for number in range(3):
         try:
             os.fstat(number)
-        except OSError:  # else the next file has this number, and libraries in C print into it
+        except OSError:  # or the next file gets this number, and C libraries print into it
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
     before = sys.stdin, sys.stdout, sys.stderr
     for stream in before[1:]:
-        if isinstance(stream, io.TextIOWrapper):  # a sign that a terminal lacks must not end a run
+        if isinstance(
+            stream, io.TextIOWrapper
+        ):  # a character that a terminal lacks must not end a run
             stream.reconfigure(errors="backslashreplace")
     out = cast(TextIO, LastingStream(sys.stdout, carries_result=True))
     err = cast(TextIO, LastingStream(sys.stderr))

@@ -1,4 +1,4 @@
-"""End of a text table: whether the file was cut off in the middle of its last number."""
+"""Detection of a text table that is truncated within its last number."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ __all__ = ["TableEnd"]
 
 _NUMBER: Final = re.compile(r"[-+]?(\d*)(?:[.,](\d*))?(?:[eE]([-+]?\d+))?")
 FEWEST_ROWS: Final = 20
-"""Rows above the last one: in fewer its number may have the fewest decimals by chance [assumed]."""
+"""Fewest rows for the test; in fewer, the last number may have the fewest decimals by chance
+[assumed]."""
 
 
 class TableEnd:
-    r"""Watch on the lines of a table and on the last cell of each row.
+    """Observer of the lines of a table and of the last cell of each row.
 
-    Many programs write no line break behind the last row: that alone says nothing. A number with
-    fewer decimals than every other one of its column, of which there are some, or with an exponent
-    of one digit, does. What a cut costs beside these is the last digit of one number.
+    A missing line break after the last row proves nothing, since many programs write none. The file
+    counts as truncated if the last number also has fewer decimals than all others of its column, or
+    an exponent of one digit. A cut that this test misses costs the last digit of one number.
     """
 
     def __init__(self, lines: Iterator[str]) -> None:
@@ -30,13 +31,13 @@ class TableEnd:
         self._rows = 0
 
     def lines(self) -> Iterator[str]:
-        """Lines of the file, as they are."""
+        """Yield the lines of the file unchanged."""
         for line in self._lines:
             self._ended = line.endswith(("\n", "\r"))
             yield line
 
     def see(self, cell: str) -> None:
-        """Note the last cell of a row."""
+        """Record the last cell of a row."""
         self._rows += 1
         before = _decimals(self._last)
         if before is not None:
@@ -45,7 +46,7 @@ class TableEnd:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the file ends within its last number, as far as that can be told."""
+        """Whether the file probably ends within its last number."""
         decimals = _decimals(self._last)
         if self._ended or decimals is None or self._fewest is None or self._rows <= FEWEST_ROWS:
             return False
@@ -64,7 +65,7 @@ class TableEnd:
 
 
 def _decimals(cell: str) -> int | None:
-    """Decimals of a number, an exponent counted in; None for a zero and for what is no number."""
+    """Return the decimals of a number, adjusted by its exponent; None for zero and other text."""
     parts = _NUMBER.fullmatch(cell.strip())
     if parts is None or not (parts[1] + (parts[2] or "")).strip("0"):
         return None

@@ -1,4 +1,4 @@
-"""Feedback of a plan in its document: filters, bounds, margins, slopes by stiffness."""
+"""Feedback of a plan in its document: filters, bounds, margins, sensitivities to stiffness."""
 
 from __future__ import annotations
 
@@ -11,55 +11,55 @@ __all__ = ["FeedbackDesign", "LoopMargins", "RateFilter", "StiffnessSlopes", "wr
 
 Columns = tuple[tuple[float, ...], ...]
 MOST_STATES: Final = 20
-"""States of the largest filter that is read [assumed]."""
+"""Most states of a filter that is read [assumed]."""
 
 
 class RateFilter(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Discrete filter from the error of the tip in m to the rate of the correction in rad/s."""
 
-    # State-space matrices with the period of the plan, shapes (n, n), (n, 1), (1, n) and (1, 1)
-    a: Columns
-    b: Columns
-    c: Columns
-    d: Columns
+    a: Columns  # State matrix of the discrete filter at the period of the plan, shape (n, n)
+    b: Columns  # Input matrix, shape (n, 1)
+    c: Columns  # Output matrix, shape (1, n)
+    d: Columns  # Feedthrough, shape (1, 1)
 
 
 class LoopMargins(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Least margins of a loop over the linearised twins at one payload."""
+    """Smallest stability margins of a loop over the linearised twins at one payload."""
 
     payload_kg: float
-    gain_db: float  # Gain and phase margin, delay of loop and bus included
-    phase_rad: float
+    gain_db: float  # Gain margin, with the delay of loop and bus
+    phase_rad: float  # Phase margin, with the delay of loop and bus
     crossover_rad_s: float  # Frequency at which the gain of the loop is 1
 
 
 class FeedbackDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Feedback of the estimated tip, one filter for each payload of the plan and joint."""
+    """Feedback of the estimated tip, with a filter for each payload of the plan and each joint."""
 
-    filters: tuple[tuple[RateFilter, ...], ...]  # By payload, then by joint
-    margins: tuple[tuple[LoopMargins, ...], ...]  # By joint, then by payload
-    size_rad: float  # Largest correction of a goal and its largest rate
-    rate_rad_s: float
-    # Root mean square innovation of a current above which the estimate is not trusted
+    filters: tuple[tuple[RateFilter, ...], ...]  # Filters by payload, then by joint
+    margins: tuple[tuple[LoopMargins, ...], ...]  # Stability margins by joint, then by payload
+    size_rad: float  # Largest correction of a goal
+    rate_rad_s: float  # Largest rate of the correction
+    # Root mean square innovation of a current above which the estimate is rejected
     innovation_a: float
 
 
 class StiffnessSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Differences that a stiffer link makes, per relative stiffness, at every row of a plan."""
+    """Sensitivities to the relative stiffness of the link, at every row of a plan."""
 
-    goals_rad: Columns  # Goals that follow the path with the stiffer link
-    current_a: Columns  # Currents, link and goals changed together
-    unmatched_a: Columns  # Currents, the link alone changed
-    friction_a: Columns  # Current of each joint per relative friction
-    # Weight of a sample of each joint: none at rest, where dry friction can take any value
+    goals_rad: Columns  # Sensitivity of the goals that keep the tip on the path
+    current_a: Columns  # Sensitivity of the currents if link and goals change together
+    unmatched_a: Columns  # Sensitivity of the currents if the link changes alone
+    friction_a: Columns  # Sensitivity of the current of each joint to its relative friction
+    # Weight of a sample of each joint: 0 at rest, where dry friction can take any value
     weight: Columns
-    unseen_m: Columns  # True tip beyond that of an observer that does not know of the change
+    # Sensitivity of the true tip minus the estimate of an observer with the plant's stiffness
+    unseen_m: Columns
 
 
 def wrong_in_feedback(
     design: FeedbackDesign | None, slopes: tuple[StiffnessSlopes | None, ...], dof: int, rows: int
 ) -> str:
-    """First thing in the feedback of a plan that cannot be, as a sentence; empty for none."""
+    """Return the first error in the feedback of a plan, as a sentence; empty for none."""
     if design is None:
         return ""
     if len(design.filters) != len(slopes) or any(len(own) != dof for own in design.filters):

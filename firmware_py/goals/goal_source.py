@@ -1,7 +1,7 @@
 """Interface of the goals that the control loop sends, and the fixed table of a motion.
 
-The loop asks a source in every tick, after the estimator and before the supervisor, which has the
-last word on each goal.
+The loop asks a source in every tick, after the estimator and before the supervisor, which checks
+each goal and may replace it.
 """
 
 from __future__ import annotations
@@ -21,30 +21,33 @@ Array = NDArray[np.float64]
 
 
 class GoalSource(Protocol):
-    """Goals of every slot; before slot 0 those of slot 0, after the last again from the first.
+    """Interface of a source of goals.
+
+    Before slot 0 its goals are those of slot 0, or a probing motion; after the last slot they
+    repeat from the first.
 
     Attributes
     ----------
     dof : int
         Number of joints.
     slots : int
-        Slots after which the goals repeat.
+        Number of slots after which the goals repeat.
     lead : int
-        Slots before slot 0 in which the goals move already: those of a probing motion.
+        Number of slots of a probing motion before slot 0; 0 without one.
     trouble : str
-        Why the robot must stop; empty as long as the source can be trusted.
+        Fault of the source that must stop the robot, as a sentence; empty for none.
     ended : str
-        Why the run is over without a fault; empty before.
+        Reason why the run is over without a fault, as a sentence; empty before.
     """
 
     @property
     def trouble(self) -> str:
-        """Why the robot must stop."""
+        """Fault of the source that must stop the robot; empty for none."""
         ...
 
     @property
     def ended(self) -> str:
-        """Why the run is over."""
+        """Reason why the run is over without a fault; empty before."""
         ...
 
     @property
@@ -54,49 +57,54 @@ class GoalSource(Protocol):
 
     @property
     def slots(self) -> int:
-        """Slots after which the goals repeat."""
+        """Number of slots after which the goals repeat."""
         ...
 
     @property
     def lead(self) -> int:
-        """Slots before slot 0 in which the goals move already."""
+        """Number of slots of a probing motion before slot 0."""
         ...
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Take the estimate of a tick.
+        """Process the estimate of a tick, before `at`.
 
         Parameters
         ----------
         estimate : Estimate
-            Of the estimator, in this tick.
+            Deformation Index and payload in this tick.
         step_s : float
-            Time since the previous tick.
+            Time since the previous tick in s.
         """
 
     def at(self, slot: int) -> Array:
-        """Return the goals of a slot, shape (dof,).
+        """Return the goals of a slot.
 
         Parameters
         ----------
         slot : int
-            Number of the slot; negative during the approach.
+            Number of the slot; negative during approach and probing motion.
+
+        Returns
+        -------
+        ndarray, shape (dof,)
+            Goal angles in rad.
         """
         ...
 
     def report(self, tick: Tick, reason: str) -> None:
-        """Take what became of a tick, at its end.
+        """Process the result of a tick, at its end.
 
         Parameters
         ----------
         tick : Tick
-            The tick.
+            Measurements, estimates, goals sent and state.
         reason : str
-            Cause of a stop; empty before.
+            Reason of the stop; empty before one.
         """
 
 
 class OwnGoals:
-    """Base of sources that nothing outside of the robot can disturb."""
+    """Base of sources whose goals come from the robot itself, so that they are known in advance."""
 
     trouble = ended = ""
     lead = 0
@@ -106,10 +114,7 @@ class OwnGoals:
 
 
 class GoalTable(OwnGoals):
-    """Table of goals that depends on no estimate.
-
-    Shapes: `goals_rad` (n, dof).
-    """
+    """Fixed table of goals, shape (n, dof), which depends on no estimate."""
 
     def __init__(self, goals_rad: Array) -> None:
         if goals_rad.ndim != 2 or min(goals_rad.shape) < 1:
@@ -123,5 +128,4 @@ class GoalTable(OwnGoals):
         """Do nothing."""
 
     def at(self, slot: int) -> Array:
-        """Return the goals of a slot; see `GoalSource.at`."""
         return np.asarray(self._goals[max(slot, 0) % self.slots])

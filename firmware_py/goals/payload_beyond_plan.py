@@ -1,7 +1,7 @@
-"""Payload of a run of a plan, compared with the payloads that the plan holds.
+"""Comparison of the payload of a run with the payloads of its plan.
 
-A known payload beyond them is refused before the run; an estimated one shows only in the run, whose
-goals are then those of the nearest payload. So it is with the run that a recording holds.
+A known payload beyond them is refused before the run. An estimated one is known only during the
+run, whose goals are then those of the nearest payload. The same holds for a recorded run.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from firmware_py.summary import RunSummary
 __all__ = ["payload_beyond_plan", "recording_beyond_plan"]
 
 TOLERANCE: Final = 0.05
-"""Excess that is told, over the largest payload of the plan, or in kg where that is none [assumed:
-the estimate of a payload at the end of the grid may exceed it by as much]."""
+"""Excess that is reported, relative to the largest payload of the plan, or in kg if that is zero
+[assumed: the estimate of a payload at the end of the grid may exceed it by as much]."""
 
 
 def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummary) -> str:
-    """Return a sentence where the estimated payload stayed outside of the plan's, or "".
+    """Return a sentence if the estimated payload was outside the range of the plan, or "".
 
-    What counts is the median over the second half of the motion, by when the estimate has settled.
+    The estimate is the median over the second half of the motion, when it has settled.
 
-    `told_kg`: payload that the robot was told; then nothing was estimated.
+    `told_kg`: known payload of the run; None if it was estimated.
     """
     if told_kg is not None:
         return ""
@@ -48,9 +48,7 @@ def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummar
 
 
 def recording_beyond_plan(plan: TipPlan, payload_kg: float) -> str:
-    """Return a sentence where a recorded run of a plan has a payload outside of the plan's, or
-    "".
-    """
+    """Return a sentence if a recorded payload is outside the range of the run's plan, or ""."""
     nearest_kg = _nearest_kg(plan, payload_kg)
     if nearest_kg is None:
         return ""
@@ -62,7 +60,7 @@ def recording_beyond_plan(plan: TipPlan, payload_kg: float) -> str:
 
 
 def _nearest_kg(plan: TipPlan, payload_kg: float) -> float | None:
-    """Payload of the grid that is nearest to one beyond it; None where it is not beyond."""
+    """Return the end of the grid that a payload lies beyond; None if it lies inside."""
     low, high = float(plan.grid_kg[0]), float(plan.grid_kg[-1])
     nearest_kg = min(max(payload_kg, low), high)
     return nearest_kg if abs(payload_kg - nearest_kg) > TOLERANCE * (high or 1.0) else None

@@ -1,4 +1,4 @@
-"""Goals of a plan for one robot: whether the two fit together, and the payload that it goes by."""
+"""Goals of a plan for one robot: check that the two fit together, and choose the payload."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["feedback_of_plan", "goals_of_plan", "innovation_places", "log_facts"
 
 
 def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> PlanGoals:
-    """Return the goals of a plan; the payload is `config.payload_kg`, or what the bundle estimates.
+    """Return the goals of a plan, for the known payload of the configuration or the estimated one.
 
-    `config`: joints, period, limits, and the payload where it is known.
+    A plan for another robot, bundle or link is refused, and one that violates the limits.
     """
     where = f"plan {plan.path}"
     if plan.dof != config.dof:
@@ -38,7 +38,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
             where, f"was made for another bundle than {bundle.directory}",
             f"plan again with --bundle {bundle.directory}",
         )  # fmt: skip
-    note_on_plant(where, plan.plant_sha256, plan.link, bundle)  # refuses another link's plan
+    note_on_plant(where, plan.plant_sha256, plan.link, bundle)  # refuses a plan of another link
     if config.payload_kg is None and bundle.manifest.estimator != "observer":
         raise InputError(
             where, f"needs the payload, which the estimator {bundle.manifest.estimator!r} of the "
@@ -51,7 +51,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
 def feedback_of_plan(
     plan: TipPlan, goals: PlanGoals, config: RobotConfig, bundle: ModelBundle
 ) -> TipFeedback | None:
-    """Return the feedback of a plan; None where it has none or robot.toml says so."""
+    """Return the feedback of a plan; None if it has none, or if robot.toml switches it off."""
     if plan.feedback is None or not config.feedback.use:
         return None
     places = innovation_places(bundle.told, plan.dof)
@@ -65,13 +65,13 @@ def feedback_of_plan(
 
 
 def innovation_places(told: Sequence[str], dof: int) -> list[int]:
-    """Return the places of the innovations of the currents among the signals of an estimate."""
+    """Return the indices of the currents' innovations among the signals of an estimate."""
     names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
     return [told.index(name) for name in names if name in told]
 
 
 def log_facts(plan: TipPlan, config: RobotConfig) -> dict[str, str]:
-    """Return what the log of a run of a plan holds in place of the configured motion."""
+    """Return the metadata of a plan's log, which replace those of the configured motion."""
     probed = {"probed": "true"} if plan.probe is not None and config.feedback.use else {}
     return probed | {
         "motion": msgspec.json.encode(plan.conditions()).decode(),

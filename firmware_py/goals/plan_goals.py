@@ -1,8 +1,8 @@
 """Goals of a plan: interpolated between the plans for two payloads, by the payload at the tip.
 
 The payload is known, or it is the observer's estimate, which the interpolation follows at a limited
-rate. So goals never jump when the estimate does. Every goal lies between those of two plans that
-keep the limits, and the rate that a change of the payload adds is part of the check before the run.
+rate, so that goals do not jump with the estimate. Every goal lies between those of two plans that
+keep the limits. The check before the run includes the rate that a changing payload adds.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _REMEDY = "make the path slower or smaller, or widen the limit"
 class PlanGoals(OwnGoals):
     """Goals of a plan as `firmware_py.goals.goal_source.GoalSource`.
 
-    `payload_kg`: payload where it is known; None follows the estimate, from the middle of the grid.
-    `probes`: whether the probing motion of the plan, where it has one, precedes slot 0.
+    `payload_kg`: known payload; None follows the estimate, starting in the middle of the grid.
+    `probes`: whether the plan's probing motion, if it has one, precedes slot 0.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class PlanGoals(OwnGoals):
         self.payload_kg = 0.5 * (low + high) if payload_kg is None else float(payload_kg)
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload; one that is not finite changes nothing."""
+        """Follow the estimated payload at a limited rate; ignore one that is not finite."""
         if self.known or not math.isfinite(estimate.payload_kg):
             return
         wanted = min(max(estimate.payload_kg, self._grid[0]), self._grid[-1])
@@ -63,40 +63,33 @@ class PlanGoals(OwnGoals):
     def at(self, slot: int) -> Array:
         """Return the goals of a slot for the payload, shape (dof,).
 
-        `slot`: number of the slot; before the first the goals probe the link or wait at the start.
+        Before slot 0 they probe the link, or wait at the first row.
         """
         if -self.lead <= slot < 0:
             return np.asarray(self.between(self._goals, 0) + self._probe[slot])
         return self.between(self._goals, max(slot, 0) % self.slots)
 
     def between(self, tables: Array, row: int) -> Array:
-        """Interpolate a row of a table for each payload of the grid, shape (dof,).
-
-        Shapes: `tables` (p, n, dof).
-        """
+        """Interpolate a row of the tables of all payloads, shape (p, n, dof), to shape (dof,)."""
         k, part = self._place()
         below = tables[k, row]
         return np.asarray(below + part * (tables[k + 1, row] - below) if part else below)
 
     def along(self, tables: Array, payload_kg: float | None = None) -> Array:
-        """Interpolate whole tables for a payload, shape (n, dof).
+        """Interpolate the tables of all payloads, shape (p, n, dof), to shape (n, dof).
 
-        Shapes: `tables` (p, n, dof).
-        `payload_kg`: beyond the grid its nearest end counts; by default that of this tick.
+        `payload_kg`: clipped to the grid; by default the payload of this tick.
         """
         k, part = self._place(payload_kg)
         return np.asarray(tables[k] + part * (tables[k + 1] - tables[k]) if part else tables[k])
 
     def blend(self, values: Array) -> Array:
-        """Interpolate values for each payload of the grid, shape (dof,).
-
-        Shapes: `values` (p, dof).
-        """
+        """Interpolate the values of all payloads, shape (p, dof), to shape (dof,)."""
         k, part = self._place()
         return np.asarray(values[k] + part * (values[k + 1] - values[k]) if part else values[k])
 
     def _place(self, payload_kg: float | None = None) -> tuple[int, float]:
-        """Interval of the grid that the payload lies in, and where in it."""
+        """Return the interval of the grid that contains the payload, and the fraction along it."""
         grid, k = self._grid, 0
         if len(grid) == 1:
             return 0, 0.0
@@ -107,7 +100,7 @@ class PlanGoals(OwnGoals):
 
 
 def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
-    """Refuse a plan whose goals break a limit for some payload, or while the payload changes."""
+    """Refuse a plan whose goals violate a limit at some payload, or while the payload changes."""
     goals, step_s = plan.goals_rad(), plan.period_s
     limits = _beside_corrections(plan, limits)
     probe = np.zeros((0, plan.dof)) if plan.probe is None else np.transpose(plan.probe.goals_rad)
@@ -127,7 +120,7 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
 
 
 def _beside_corrections(plan: TipPlan, limits: Limits) -> Limits:
-    """Limits that corrections of the goals leave: these may turn round within one period."""
+    """Return limits with a reserve for corrections, which may reverse within one period."""
     if plan.feedback is None:
         return limits
     size, rate = plan.feedback.size_rad, plan.feedback.rate_rad_s
@@ -139,9 +132,9 @@ def _beside_corrections(plan: TipPlan, limits: Limits) -> Limits:
 
 
 def _check_change_of_payload(plan: TipPlan, goals: Array, limits: Limits, where: str) -> None:
-    """Refuse goals that keep the limits only while the payload stands still.
+    """Refuse goals that keep the limits only at a constant payload.
 
-    With the payload m changing at m', the goal g(t, m) moves at ∂g/∂t + m' ∂g/∂m; where the change
+    With the payload m changing at m', the goal g(t, m) moves at ∂g/∂t + m' ∂g/∂m. If the change
     begins within a period h, it accelerates by another m' ∂g/∂m / h, and 2 m' ∂²g/∂t∂m.
     """
     if len(plan.payloads) < 2:

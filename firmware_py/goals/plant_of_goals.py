@@ -1,4 +1,4 @@
-"""Plant that goals were made with, compared with that of the robot's bundle."""
+"""Comparison of the plant that goals were made with and that of the robot's bundle."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
 __all__ = ["note_on_plant"]
 
 GOALS_NOTE: Final = "goals_note"
-"""Key of the sentence among the facts of a log."""
+"""Key of the sentence in the metadata of a log."""
 
 
 def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelBundle) -> str:
-    """Return a sentence where goals were made with another plant of the same link, or "".
+    """Return a sentence if goals were made with another plant of the same link, or "".
 
-    A bundle without the observer holds no plant, so that its link is not known; then the sentence
-    is all.
+    Goals of another link are refused. A bundle without a plant does not describe its link, so only
+    the sentence is returned.
     """
     theirs = bundle.manifest.plant_sha256
     if not theirs or plant_sha256 == theirs:

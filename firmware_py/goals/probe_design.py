@@ -1,9 +1,9 @@
-"""Probing motion in the document of a plan: goals, and what the currents along it tell.
+"""Probing motion in the document of a plan: goals, and features of the currents along it.
 
 The goals are the same for every payload. Planning has reduced the currents of the whole motion to
-a few features, which are linear in them, and says what the features are over a grid of relative
-stiffness and payload. They are scaled so that their noise, with friction and the other uncertain
-parameters of the plant in it, has the standard deviation 1 and is not correlated.
+a few linear features, with their expected values over a grid of relative stiffness and payload.
+The features are whitened: their noise, including friction and the other uncertain parameters of the
+plant, is uncorrelated with standard deviation 1.
 """
 
 from __future__ import annotations
@@ -19,20 +19,24 @@ Columns = tuple[tuple[float, ...], ...]
 MOST_ROWS: Final = 2_000
 MOST_FEATURES: Final = 40
 MOST_NODES: Final = 200
-"""Sizes of the largest probe that is read: rows, features, nodes of an axis [assumed]."""
+"""Largest probing motion that is read: rows, features, nodes of an axis [assumed]."""
 MOST_VALUE: Final = 1e6
 
 
 class ProbeDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Probing motion that precedes the first run of a plan."""
 
-    # Goals beyond those of the plan's first row, one column per joint, from zero to zero
+    # Goals relative to the plan's first row, one column per joint, beginning and ending at zero
     goals_rad: Columns
-    # For each feature a column per joint: its weight of the current of each row, 1/A
+    # Weights of the currents in 1/A: for each feature a column per joint, one value per row
     weights: tuple[Columns, ...]
-    stiffness: tuple[float, ...]  # Relative stiffness beyond the plant's, rising in equal steps
-    payloads_kg: tuple[float, ...]  # Payloads, rising in equal steps
-    expected: tuple[tuple[tuple[float, ...], ...], ...]  # Features by stiffness and payload
+    stiffness: tuple[
+        float, ...
+    ]  # Grid of relative stiffness, 0 for the plant's, in equal rising steps
+    payloads_kg: tuple[float, ...]  # Grid of payloads, in equal rising steps
+    expected: tuple[
+        tuple[tuple[float, ...], ...], ...
+    ]  # Expected features by stiffness and payload
 
     @property
     def rows(self) -> int:
@@ -41,7 +45,7 @@ class ProbeDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def wrong_in_probe(probe: ProbeDesign | None, dof: int) -> str:
-    """First thing in a probe that cannot be, as a sentence; empty for none."""
+    """Return the first error in a probing motion, as a sentence; empty for none."""
     if probe is None:
         return ""
     rows = len(probe.goals_rad[0]) if probe.goals_rad else 0

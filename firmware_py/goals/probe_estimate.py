@@ -1,14 +1,14 @@
 """Stiffness and payload of a link from the currents of a probing motion.
 
-In slow motion a stiffer link and a lighter payload take the same current. Near the first mode of
-the link they do not: the mode's frequency tells their ratio, the size of the currents the payload.
-The features z of the currents (`ProbeDesign`) are compared with those expected for a stiffness k
-and a payload m::
+In slow motion a stiffer link and a lighter payload need the same current. Near the first mode of
+the link they do not: the mode's frequency determines their ratio, and the magnitude of the currents
+the payload. The estimate minimises, over stiffness k and payload m, with the features z of the
+currents (`ProbeDesign`)::
 
     |z - expected(k, m)|^2 + (k / PRIOR)^2  [+ ((m - known) / KNOWN)^2]
 
-It is least at a node of the grid or near it: Gauss–Newton steps on the quadratic through the nodes
-around it.
+It starts at the best node of the grid and takes Gauss–Newton steps on the quadratic through the
+nodes around it.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ Array = NDArray[np.float64]
 PRIOR_DEVIATION: Final = 0.15
 """Standard deviation of the relative stiffness before the motion [assumed]."""
 KNOWN_DEVIATION_KG: Final = 0.02
-"""That of a payload which is known [assumed]."""
+"""Standard deviation of a known payload [assumed]."""
 CERTAIN: Final = 0.1
-"""Largest standard deviation of a relative stiffness that is taken over. On rigs with 0.85 to 1.25
-times the stiffness, 0.4 and 1.3 kg: 0.02 to 0.04 with the payload known, else 0.04 to 0.08."""
+"""Largest standard deviation of an accepted relative stiffness. On rigs with 0.85 to 1.25 times the
+stiffness, 0.4 and 1.3 kg: 0.02 to 0.04 with a known payload, else 0.04 to 0.08."""
 MOST_MISFIT: Final = 4.0
-"""Largest mean square of what the features leave, per degree of freedom; 0.1 to 0.6 on
-these rigs: the noise that the plan assumes is more than theirs."""
+"""Largest mean square residual of the features per degree of freedom, of an accepted estimate. It
+is 0.1 to 0.6 on these rigs, whose noise is lower than the plan assumes."""
 MOST_MISSING: Final = 2
-"""Rows without a fresh sample with which the motion still counts; the latest current is held."""
+"""Most rows without a fresh sample; the latest current is held in them."""
 STEPS: Final = 6
 ENOUGH: Final = 1e-4
-"""Most steps, and the change of stiffness and payload at which they end."""
+"""Most Gauss–Newton steps, and the change of stiffness and payload at which they end."""
 
 
 class ProbeFinding(NamedTuple):
-    """What a probing motion told."""
+    """Result of a probing motion."""
 
-    stiffness: float  # Relative stiffness beyond the plant's
+    stiffness: float  # Relative stiffness, 0 for the plant's
     payload_kg: float
     deviation: float  # Standard deviation of the stiffness
-    misfit: float  # Mean square of what the features leave, per degree of freedom
+    misfit: float  # Mean square residual of the features per degree of freedom
 
     @property
     def certain(self) -> bool:
-        """Whether it is to be taken over."""
+        """Whether the estimate is accepted."""
         return self.deviation <= CERTAIN and self.misfit <= MOST_MISFIT
 
 
 class ProbeEstimate:
-    """Features of the currents, gathered row by row, and what they tell."""
+    """Estimate from the features of the currents, which are accumulated row by row."""
 
     def __init__(self, design: ProbeDesign, known_kg: float | None) -> None:
         self.rows, self._known_kg = design.rows, known_kg
@@ -70,13 +70,12 @@ class ProbeEstimate:
         self._current_a = np.zeros(len(design.goals_rad))
         self._next, self._missing = 0, 0
         self._found: ProbeFinding | None = None
-        self._fitted()  # a first call in a tick took 12 ms
+        self._fitted()  # warm-up: a first call in a tick took 12 ms
 
     def take(self, row: int, fresh: bool, current_a: Array) -> None:
-        """Take the currents of a row; rows that were skipped count as missing.
+        """Add the currents of a row, shape (dof,); skipped rows count as missing.
 
-        Shapes: `current_a` (dof,).
-        `row`: row of the probing motion; before the first nothing is taken.
+        Rows before the first, which are negative, are ignored.
         """
         fresh = fresh and bool(np.isfinite(current_a).all())
         for k in range(max(self._next, 0), min(row + 1, self.rows)):
@@ -86,11 +85,11 @@ class ProbeEstimate:
                 self._current_a[:] = current_a
             self._features += self._weights[k] @ self._current_a
         self._next = max(self._next, row + 1)
-        if row == self.rows - 1:  # the tick after it has the observer to start again
+        if row == self.rows - 1:  # the next tick restarts the observer
             self._found = self._sought()
 
     def found(self) -> ProbeFinding | None:
-        """Stiffness and payload; None where rows are missing or nothing fits."""
+        """Return the estimate; None if too many rows are missing or it is not finite."""
         return self._found if self._next >= self.rows else self._sought()
 
     def _sought(self) -> ProbeFinding | None:
@@ -136,7 +135,7 @@ class ProbeEstimate:
         return np.asarray(np.minimum(np.maximum(at, low), high))
 
     def _left(self, at: Array) -> tuple[Array, Array]:
-        """Features beyond the expected ones at a place, and the slopes of the latter."""
+        """Return the residual of the features at (k, m), and the slopes of their expectation."""
         hk, hm = self._steps.tolist()
         axes = self._stiffness, self._payloads_kg
         i, j = (
@@ -155,7 +154,7 @@ class ProbeEstimate:
 
 
 def _inverse(slopes: Array, weight: Array) -> Array:
-    """Inverse of the normal matrix; for two values NumPy's own takes ten times as long."""
+    """Invert the 2 × 2 normal matrix; NumPy's inverse takes ten times as long."""
     (a, b), (_, c) = (slopes.T @ slopes).tolist()
     a, c = a + float(weight[0]) + 1e-9, c + float(weight[1]) + 1e-9
     return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))

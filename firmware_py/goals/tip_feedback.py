@@ -1,14 +1,16 @@
 """Feedback of the estimated tip along a plan: bounded corrections of the goals.
 
-The error of the estimated tip passes a filter, whose output is the rate of the correction; the
-correction is its integral, so its bounds of size and rate are at the integrator itself and nothing
-winds up behind them. While the goals blend into the plan, after a replug or missed slots, the tip
-is not meant to be on the path: the integral is held. Filters for the payloads of the plan run side
-by side, and their rates are interpolated like the goals. Where the payload is known, the stiffness
-of the link is estimated as well (`firmware_py.goals.stiffness_estimate`): goals and the estimated
-tip take it over at the start of each run of the plan, where the arm rests. A probing motion before
-the first run (`firmware_py.goals.probe_estimate`) tells stiffness and payload; where it is certain,
-both stay.
+The error of the estimated tip passes a filter, whose output is the rate of the correction. The
+correction is the integral of this rate. Its bounds of size and rate act at the integrator itself,
+so nothing winds up. While the goals blend into the plan, after a replug or missed slots, the tip is
+not meant to be on the path, and the integral is held. Filters for all payloads of the plan run in
+parallel, and their rates are interpolated like the goals.
+
+At a known payload the stiffness of the link is estimated as well
+(`firmware_py.goals.stiffness_estimate`). Goals and estimated tip adopt it at the start of each run
+of the plan, when the arm rests. A probing motion before the first run
+(`firmware_py.goals.probe_estimate`) estimates stiffness and payload; if it is certain, both are
+kept for the whole run.
 """
 
 from __future__ import annotations
@@ -33,30 +35,30 @@ __all__ = ["Correction", "NoCorrection", "TipFeedback"]
 
 Array = NDArray[np.float64]
 RANGE_M: Final = 0.015
-"""Half width of the interval beyond which the predictor says "out of range" for that alone."""
+"""Half width of the interval above which the predictor reports "out of range"."""
 WIDEST_M: Final = 0.06
-"""Half width beyond which feedback does not trust the tip either [assumed]. The interval widens
-with the innovation, which a wrong stiffness raises too, and that is what feedback is to correct."""
+"""Half width above which feedback rejects the tip, too [assumed]. It is larger than `RANGE_M`: the
+interval widens with the innovation, also for a wrong stiffness, which feedback has to correct."""
 
 
 class Correction(Protocol):
-    """Correction that is added to the goals of a source."""
+    """Interface of a correction that is added to the goals of a source."""
 
     value_rad: Array  # (dof,), correction of the latest tick
 
     @property
     def trust(self) -> TrustState:
-        """Whether the estimate is trusted."""
+        """Trust in the estimated tip."""
         ...
 
     @property
     def lost_because(self) -> str:
-        """Why trust was lost last; empty where it never was."""
+        """Reason of the latest loss of trust; empty without one."""
         ...
 
     @property
     def stop_reason(self) -> str:
-        """Why the robot must stop; empty where it need not."""
+        """Reason why the robot must stop; empty for none."""
         ...
 
     def update(
@@ -65,15 +67,12 @@ class Correction(Protocol):
     ) -> Array:  # fmt: skip
         """Return the correction of a tick, shape (dof,).
 
-        Shapes: `current_a` (dof,).
-        `following`: whether the goals are those of the source: no blend, no stop.
+        `following`: whether the goals follow the source, without a blend or a stop in progress.
         """
         ...
 
 
 class NoCorrection:
-    """No correction."""
-
     trust: TrustState = TrustState.NONE
     stop_reason = lost_because = ""
 
@@ -91,9 +90,9 @@ class NoCorrection:
 class TipFeedback:
     """Feedback of a plan as `Correction`.
 
-    `innovations`: places of the innovations of the currents among the signals of an estimate.
-    `tell`: called after a probing motion, with the payload that the observer is to assume from now
-    on, or None where it is to estimate it afresh.
+    `innovations`: indices of the currents' innovations among the signals of an estimate.
+    `tell`: called after a probing motion with the payload that the observer must assume, or None if
+    it has to estimate it anew.
     """
 
     def __init__(
@@ -111,7 +110,7 @@ class TipFeedback:
         self._a, self._b, self._c, self._d = _side_by_side(filters, plan.dof)
         self._x = np.zeros(len(self._a))
         self._tables = _tables(plan)
-        # With a known payload the tables are interpolated once, not in every tick.
+        # At a known payload the tables are interpolated once, not in every tick.
         self._slopes: dict[str, Array] | None = None
         if goals.known and self._tables:
             self._slopes = {n: goals.along(table) for n, table in self._tables.items()}
@@ -128,22 +127,19 @@ class TipFeedback:
 
     @property
     def trust(self) -> TrustState:
-        """Whether the estimate is trusted."""
         return self._trust.state
 
     @property
     def losses(self) -> int:
-        """How often trust was lost."""
+        """Number of losses of trust."""
         return self._trust.losses
 
     @property
     def lost_because(self) -> str:
-        """Why trust was lost last; empty where it never was."""
         return self._trust.reason
 
     @property
     def stop_reason(self) -> str:
-        """Why the robot must stop; empty where it need not."""
         if not self._trust.stops:
             return ""
         return f"the estimated tip is no longer trusted: {self._trust.reason}"
@@ -152,9 +148,8 @@ class TipFeedback:
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
         prediction: Prediction, following: bool = True,
     ) -> Array:  # fmt: skip
-        """Return the correction of a tick; see `Correction.update`."""
         if self._probing is not None:
-            # The observer is misled by a link that is not its own: it is asked again afterwards.
+            # A wrong stiffness biases the observer: its estimate is not used before it restarts.
             if slot < 0:
                 self._probing.take(slot + self._probing.rows, fresh, current_a)
             else:
@@ -182,7 +177,7 @@ class TipFeedback:
         return self.value_rad
 
     def _conclude(self, found: ProbeFinding | None) -> None:
-        """Take over what the probing motion told, where it is certain."""
+        """Adopt the estimate of the probing motion if it is certain, and restart the observer."""
         self._probing, payload_kg = None, self._known_kg
         if found is not None and found.certain:
             self.found, self.stiffness = found, found.stiffness
@@ -207,11 +202,11 @@ class TipFeedback:
         return ""
 
     def innovation_a(self, estimate: Estimate) -> float:
-        """Return the largest innovation of a current; 0 where the estimator tells none."""
+        """Return the largest innovation of a current; 0 if the estimator provides none."""
         return max((float(estimate.signals[k]) for k in self._innovations), default=0.0)
 
     def _follow(self, row: int, step_s: float, current_a: Array, tip_m: Array) -> None:
-        """Run the filters and the estimate of the stiffness for a sample."""
+        """Update the estimate of the stiffness, the filters and the integral with a sample."""
         slopes, dof = self._slopes, self._dof
         error = self._desired_m[row] - tip_m[:dof]
         if slopes is not None:
@@ -233,9 +228,9 @@ class TipFeedback:
 def _side_by_side(
     filters: Sequence[RateFilter], dof: int
 ) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """State space of all filters at once, from the errors of the tip to the rates of all filters.
+    """Stack all filters into one state space, from the errors of the tip to all rates.
 
-    Filter k takes the error of coordinate k mod dof. One product of matrices costs a tick less than
+    Filter k gets the error of coordinate k mod dof. One large matrix product is faster than many
     small ones.
     """
     states = sum(len(f.a) for f in filters)
@@ -250,12 +245,12 @@ def _side_by_side(
 
 
 def _within(values: Array, most: float) -> Array:
-    """Values within ±most; NumPy's clip takes four times as long."""
+    """Clip values to ±most; NumPy's clip takes four times as long."""
     return np.minimum(np.maximum(values, -most), most)
 
 
 def _tables(plan: TipPlan) -> dict[str, Array]:
-    """Slopes and currents by name, shape (payloads, rows, dof); empty where the plan has none."""
+    """Return slopes and currents by name, shape (payloads, rows, dof); empty without slopes."""
     slopes = [own.stiffness for own in plan.payloads]
     if None in slopes:
         return {}

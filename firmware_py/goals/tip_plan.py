@@ -1,7 +1,7 @@
 """Document of a plan: goals over a grid of payloads that lead the tip along a path.
 
-`dropstitch plan` writes it, the robot reads it. Rows are control periods: first the rest,
-then the way to the path, the path, and the way back to rest, so that a plan can be repeated.
+`dropstitch plan` writes it, the robot reads it. Each row is a control period. A plan rests,
+moves to the path, along it, and back to rest, so that it can be repeated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["BestRun", "LearnedRun", "PayloadPlan", "TipPlan", "as_columns", "rea
 
 Array = NDArray[np.float64]
 MOST_ROWS: Final = 100_000
-"""Rows of the longest plan that is read: 28 minutes [assumed]."""
+"""Most rows of a plan that is read: 28 minutes [assumed]."""
 _MAKE: Final = "write it anew with dropstitch plan"
 
 Columns = tuple[tuple[float, ...], ...]
@@ -38,14 +38,14 @@ class PayloadPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     payload_kg: float
     goals_rad: Columns  # Goals, one column per joint
-    tip_m: Columns  # Tip that they give: x, and y where there are two joints
-    current_a: Columns  # Motor currents, one column per joint
-    residual_rms_m: float  # Root mean square distance of that tip from the path
+    tip_m: Columns  # Predicted tip: x, and y with two joints
+    current_a: Columns  # Predicted motor currents, one column per joint
+    residual_rms_m: float  # Root mean square distance of the predicted tip from the path
     rigid_rms_m: float  # The same for goals from rigid kinematics
-    # The residual together with the plant's own error on trials that it was not fitted to; in a
-    # plan that has learned, with what the runs leave of that error, and the scatter between runs
+    # Expected distance: the residual combined with the plant's error on held-out trials. After
+    # learning, combined with the remaining part of that error and the scatter between runs.
     expected_rms_m: float
-    # Differences that a stiffer link makes; None where the plan has no feedback
+    # Sensitivities to the stiffness of the link; None without feedback
     stiffness: StiffnessSlopes | None = None
 
 
@@ -53,68 +53,64 @@ class LearnedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Recorded run from which a plan was improved."""
 
     sha256: str  # Hash of the recording
-    source: str  # {"mocap", "observer"}, What measured the tip
+    source: str  # What measured the tip: "mocap" or "observer"
     payload_kg: float
-    # Measured root mean square distance of the tip from the path, bias of the source included
+    # Measured root mean square distance of the tip from the path, with the bias of the source
     rms_m: float
-    # The same as the twin predicts it for the next run, where all errors repeat
+    # Distance that the twin predicts for the next run if all errors repeat
     predicted_rms_m: float
-    # Measured time by which the joints follow later than the twin's; 0 where it was not used
+    # Measured delay of the joints relative to the twin's; 0 if it was not used
     goal_delay_s: float
-    gain: float  # Fraction of the full correction that was applied
-    stiffness: float  # Those of the link over those of the plant, as the recording tells
-    damping: float
-    # The prediction together with the scatter between runs, and with the error of the plant where
-    # the observer measured the tip
+    gain: float  # Applied fraction of the full correction
+    stiffness: float  # Stiffness of the link relative to the plant's, estimated from the recording
+    damping: float  # Damping of the link relative to the plant's, estimated from the recording
+    # Prediction combined with the scatter between runs, and with the error of the plant if the
+    # observer measured the tip
     expected_rms_m: float
 
 
 class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Best recorded run so far at a payload, to which learning goes back after a worse one."""
+    """Best recorded run so far at a payload, to which learning returns after a worse one."""
 
-    run: int  # Its place in `TipPlan.learned`
-    goals_rad: Columns  # Goals that were sent
-    tip_m: Columns  # Measured tip and joint angles
-    angle_rad: Columns
+    run: int  # Index in `learned`
+    goals_rad: Columns  # Goals sent
+    tip_m: Columns  # Measured tip
+    angle_rad: Columns  # Measured joint angles
 
 
 class TipPlan(Document, frozen=True):
-    """Plan of a path of the tip."""
+    """Plan that leads the tip along a path."""
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch plan"
 
     path: str
-    # {"inverse", "rigid", "zvd"}, Whether the twin was inverted, or, for comparison, the link taken
-    # as rigid, or that shaped so that the first mode is not excited
+    # How the goals follow from the path: "inverse" of the twin; for comparison "rigid" kinematics,
+    # or those with a "zvd" shaper, which does not excite the first mode
     method: str
     dof: int
-    period_s: float  # Control period: the time between two rows
-    rest_s: float  # Rest before the motion
-    # First row of the path, and the first after it; outside is the way there and back
-    start_row: int
-    end_row: int
-    # Rows between which the path is drawn: the strokes of a text; first and after the last
+    period_s: float  # Control period, the time between two rows
+    rest_s: float  # Duration of the rest before the motion
+    start_row: int  # First row of the path; before it the tip moves there
+    end_row: int  # First row after the path; from it on the tip moves back
+    # First row, and first row after, of each part of the path that is drawn: the strokes of a text
     drawn: tuple[tuple[int, int], ...]
-    desired_m: Columns  # Where the tip is wanted: x, and y where there are two joints
+    desired_m: Columns  # Desired tip: x, and y with two joints
     payloads: tuple[PayloadPlan, ...]  # In rising order of payload
-    # Largest rate at which the robot changes the payload between whose plans it interpolates
+    # Largest rate at which the interpolation between payloads follows the estimated payload
     payload_rate_kg_s: float
-    # Error of the tip of the plant on trials that it was not fitted to
+    # Root mean square error of the plant's tip on held-out trials; None if it is unknown
     plant_error_rms_m: float | None
-    # Hashes of the plant that was inverted, as the manifest of a bundle has it, and of the manifest
-    # of the robot's bundle
-    plant_sha256: str
-    bundle_sha256: str
+    plant_sha256: str  # Hash of the inverted plant, as in the manifest of a bundle
+    bundle_sha256: str  # Hash of the manifest of the robot's bundle
     link: LinkFacts  # Facts of the plant's link
-    goal_lead_s: float = 0.0  # Time by which learning has moved the goals ahead
-    learned: tuple[LearnedRun, ...] = ()  # Runs that improved the plan, in order
-    best: tuple[BestRun, ...] = ()  # Best of them, one for each payload that was run
-    # Moves from rest to rest: first row, row at which the move itself is over, and the row after
-    # the rest that follows
+    goal_lead_s: float = 0.0  # Time by which learning has advanced the goals
+    learned: tuple[LearnedRun, ...] = ()  # Runs from which the plan was improved, in order
+    best: tuple[BestRun, ...] = ()  # Best of these runs at each payload
+    # Moves from rest to rest: first row, end of the move itself, and end of the rest that follows
     moves: tuple[tuple[int, int, int], ...] = ()
-    feedback: FeedbackDesign | None = None
-    # Motion before the first run that tells stiffness and payload; it needs feedback
+    feedback: FeedbackDesign | None = None  # Feedback of the estimated tip; None without
+    # Motion before the first run that estimates stiffness and payload; it requires feedback
     probe: ProbeDesign | None = None
 
     @property
@@ -130,22 +126,22 @@ class TipPlan(Document, frozen=True):
 
     @property
     def duration_s(self) -> float:
-        """Time of one run of the plan, the rest included."""
+        """Duration of one run of the plan, rest included."""
         return self.rows * self.period_s
 
     @property
     def grid_kg(self) -> Array:
-        """Payloads, rising, shape (p,)."""
+        """Payloads in rising order, shape (p,)."""
         return np.array([own.payload_kg for own in self.payloads])
 
     @property
     def payloads_in_words(self) -> str:
-        """Range of its payloads, like "0 to 2 kg"."""
+        """Range of the payloads, like "0 to 2 kg"."""
         low, high = self.payloads[0].payload_kg, self.payloads[-1].payload_kg
         return f"{low:g} to {high:g} kg" if low < high else f"{low:g} kg alone"
 
     def conditions(self) -> dict[str, str | float]:
-        """Conditions of a trial that is a run of the plan, named as in its TOML file."""
+        """Return the conditions of a trial that runs the plan, by key of its TOML file."""
         return {
             "motion": self.name,
             "period_s": self.duration_s - self.rest_s,
@@ -163,10 +159,7 @@ class TipPlan(Document, frozen=True):
 
 
 def as_columns(table: Array, decimals: int) -> Columns:
-    """Columns of a table as a document holds them, without negative zeros.
-
-    Shapes: `table` (n, columns).
-    """
+    """Return the rounded columns of a table, shape (n, columns), for a document."""
     return tuple(tuple(column) for column in (np.round(table, decimals) + 0.0).T.tolist())
 
 
@@ -179,7 +172,7 @@ def read_tip_plan(path: Path) -> TipPlan:
 
 
 def _wrong_in(plan: TipPlan) -> str:
-    """First thing in a plan that cannot be, as a sentence; empty for none."""
+    """Return the first error in a plan, as a sentence; empty for none."""
     if plan.dof not in (1, 2):
         return f"is for {plan.dof} joints; 1 or 2 can move"
     if len(plan.desired_m) != plan.dof or not 2 <= plan.rows <= MOST_ROWS:

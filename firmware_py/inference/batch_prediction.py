@@ -19,20 +19,20 @@ Array = NDArray[np.float64]
 
 
 class Predictions(NamedTuple):
-    """Predictions of n samples, in arrays of their own.
+    """Predictions of n samples, in arrays that no later call overwrites.
 
     Attributes
     ----------
     tip_m : ndarray, shape (n, 3)
-        End effector in the world frame.
+        End effector in the world frame, in m.
     half_width_m : ndarray, shape (n, 3)
-        Half width of the 95 % prediction interval.
+        Half width of the 95 % prediction interval, in m.
     in_range : ndarray of bool, shape (n,)
-        Whether the prediction may be relied on.
+        Whether every input lies in the range of the training data.
     di : ndarray, shape (n,)
-        Deformation Index that it was predicted with, dimensionless.
+        Deformation Index used for the prediction, dimensionless.
     payload_kg : ndarray, shape (n,)
-        Estimated mass at the tip; NaN where none is estimated.
+        Estimated mass at the tip in kg; NaN if it is not estimated.
     """
 
     tip_m: Array
@@ -42,7 +42,13 @@ class Predictions(NamedTuple):
     payload_kg: Array
 
     def columns(self) -> dict[str, Array | NDArray[np.bool_]]:
-        """Arrays by the names of the robot's log, units included: `pandas.DataFrame` takes them."""
+        """Return the arrays by their names in the robot's log, for example for `pandas.DataFrame`.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (n,)
+            One column per name; names end in the SI unit.
+        """
         return {
             **dict(zip(tip_names("predicted_"), self.tip_m.T, strict=True)),
             **{f"half_width_{axis}_m": self.half_width_m[:, k] for k, axis in enumerate("xyz")},
@@ -55,7 +61,7 @@ class Predictions(NamedTuple):
 def predict_rows(
     predictor: OnnxPredictor, angle_rad: ArrayLike, current_a: ArrayLike, di: ArrayLike, dof: int
 ) -> Predictions:
-    """Predict each row by itself, from angle, current and DI.
+    """Predict each row independently, from angle, current and DI.
 
     Shapes: `angle_rad`, `current_a` (n, dof), `di` (n,) or ().
     """
@@ -86,10 +92,9 @@ def predict_run(
     step_s: float,
     dof: int,
 ) -> Predictions:
-    """Predict the samples of one run, whose DI the estimator follows from the first one on.
+    """Predict the samples of one run; the estimator tracks its DI from rest at the first row.
 
-    Shapes: `angle_rad`, `current_a` (n, dof).
-    `angle_rad`, `current_a`: as measured, one row per step; the link rests at the first.
+    Shapes: `angle_rad`, `current_a` (n, dof), one row per step.
     """
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
     if not 0.0 < step_s < math.inf:
@@ -105,7 +110,7 @@ def predict_run(
 
 
 def _samples(angle_rad: ArrayLike, current_a: ArrayLike, dof: int) -> tuple[Array, Array]:
-    """Both as (n, dof)."""
+    """Check angles and currents and return both with shape (n, dof)."""
     found = []
     for name, given in (("angle_rad", angle_rad), ("current_a", current_a)):
         array = _numbers(name, given)
@@ -132,14 +137,14 @@ def _store(
     found: Predictions, k: int, predictor: Predictor, angle_rad: Array, current_a: Array,
     signals: Array = NO_SIGNALS,
 ) -> None:  # fmt: skip
-    """Predict row k, whose DI is known, and keep the answer."""
+    """Predict row k, whose DI is known, and store the result."""
     answer = predictor.predict(angle_rad, current_a, float(found.di[k]), signals)
     found.tip_m[k], found.half_width_m[k] = answer.tip_m, answer.half_width_m
     found.in_range[k] = answer.in_range
 
 
 def _numbers(name: str, given: ArrayLike) -> NDArray[np.float64]:
-    """Finite numbers: one that is not would stay in the estimator's state for all later rows."""
+    """Refuse values that are not finite: they would persist in the estimator's state."""
     try:
         array = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):

@@ -4,18 +4,18 @@
 
     manifest.json     contents, units, ranges, hashes of every other file
     predictor.onnx    features -> tip_m, in_range, half_width_m; the best of the candidates
-    polynomial.onnx   the same by the paper's polynomial, for a robot without the observer
+    polynomial.onnx   the same with the paper's polynomial, for a robot without the observer
     lagged.onnx       lagged regressor of DI (the fallback estimator)
     observer.fmu      plant observer of DI (added by `dropstitch fmu build --unit observer`)
     plant.json        the plant that the observer was built from
     study.json        the paper's tables on these trials
-    predictors.json   the candidates compared, and why this one was chosen
+    predictors.json   comparison of the candidates, and the reason for the choice
     golden.npz        ticks that the robot replays before it moves
-    MODEL_CARD.md     description for people
-    manifest.sig      signature of the manifest, where `dropstitch sign` was used
+    MODEL_CARD.md     description of the models
+    manifest.sig      signature of the manifest, if `dropstitch sign` was used
 
 `models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads each file once and
-refuses what does not match. `observer.fmu` is a native library: **who makes a bundle decides what
+refuses a mismatch. `observer.fmu` is a native library: **whoever makes a bundle decides what
 runs on the robot PC**.
 """
 
@@ -61,7 +61,7 @@ def read_manifest(directory: Path | str) -> Manifest:
 
 
 def load_predictor(files: BundleFiles) -> OnnxPredictor:
-    """Load the predictor that the estimator of a bundle can serve."""
+    """Load the predictor whose inputs the bundle's estimator provides."""
     manifest = files.manifest
     predictor = OnnxPredictor(files.file(PREDICTOR), manifest.dof)
     if manifest.estimator == "observer" or not predictor.wanted:
@@ -77,25 +77,25 @@ def load_predictor(files: BundleFiles) -> OnnxPredictor:
 
 @dataclass(frozen=True)
 class ModelBundle:
-    """Bundle that was verified and is ready to predict.
+    """Verified bundle, ready to predict; load one with `ModelBundle.load`.
 
     Attributes
     ----------
     directory : Path
-        Directory that it was loaded from.
+        Directory of the bundle.
     manifest : Manifest
         Contents of `manifest.json`.
     estimator : DeformationEstimator
         Estimator that the manifest names, reset.
     predictor : OnnxPredictor or CompiledObserver
-        Predictor from `predictor.onnx`; from `polynomial.onnx` where the estimator does not know
-        what that one wants. The estimator itself where the runtime is "compiled".
+        Predictor from `predictor.onnx`; from `polynomial.onnx` if the estimator does not provide
+        the inputs of the former. With the runtime "compiled", the estimator itself.
     manifest_sha256 : str
-        Hash of `manifest.json` as it was loaded.
+        Hash of the loaded `manifest.json`.
     signed_by : str
-        Trusted key that has signed it; empty where none was asked for.
+        Trusted key of the signature; empty if no signature was required.
     memoryless : FileContent or None
-        Graph that predicts from angle, current and DI alone; None where the bundle has none.
+        Graph that predicts from angle, current and DI alone; None if the bundle has none.
     """
 
     directory: Path
@@ -108,22 +108,22 @@ class ModelBundle:
 
     @property
     def runtime(self) -> Runtime:
-        """What evaluates the predictor."""
+        """What evaluates the predictor: onnxruntime, or the observer's compiled library."""
         return "compiled" if isinstance(self.predictor, CompiledObserver) else "onnx"
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Names of the signals of an estimate (`Estimate.signals`), in order."""
+        """Names of the estimator's further signals (`Estimate.signals`), in order."""
         predictor = self.predictor
         return predictor.told if isinstance(predictor, CompiledObserver) else predictor.wanted
 
     def assume_payload(self, payload_kg: float | None) -> None:
-        """Give the payload to an estimator that uses it; others are not changed.
+        """Set the payload of an estimator that uses it; other estimators are not changed.
 
         Parameters
         ----------
         payload_kg : float or None
-            Mass at the tip; None has it estimated.
+            Mass at the tip in kg; None estimates it.
 
         Raises
         ------
@@ -143,17 +143,18 @@ class ModelBundle:
     ) -> Predictions:
         """Predict for arrays of measurements.
 
-        Without `di` the rows are one run: the bundle's estimator follows them from rest, as on the
-        robot. With `di` every row is predicted by itself, by the paper's polynomial.
+        Without `di` the rows are one run: the bundle's estimator tracks it from rest, as on the
+        robot. With `di` every row is predicted independently, with the paper's polynomial.
 
         Parameters
         ----------
         angle_rad, current_a : array_like, shape (n, dof), or (n,) for one joint
-            As measured; positive current pushes its angle positive.
+            Measured angles in rad and currents in A; positive current accelerates its joint towards
+            positive angles.
         di : array_like, shape (n,) or (), optional
             Deformation Index, dimensionless.
         step_s : float, optional
-            Time between two rows of a run; by default the period of the bundle.
+            Time between two rows of a run in s; by default the period of the bundle.
 
         Returns
         -------
@@ -163,8 +164,8 @@ class ModelBundle:
         Raises
         ------
         InputError
-            If an array has another shape, the estimator is only valid at another period, or `di` is
-            given and the bundle has no predictor from it alone.
+            If an array has another shape, the estimator is not valid at this period, or the bundle
+            has no predictor that needs only angle, current and `di`.
         """
         dof = self.manifest.dof
         if di is None:
@@ -192,13 +193,18 @@ class ModelBundle:
         Parameters
         ----------
         directory : Path or str
-            The bundle.
+            Directory of the bundle.
         trusted : sequence of str, optional
-            Public keys of which one must have signed the bundle; without one none is checked.
+            Public keys of which one must have signed the bundle; empty skips this check.
         runtime : {"onnx", "compiled"}, optional
-            What evaluates the predictor; by default the compiled one where the observer holds it:
-            it is the faster one, warm and cold (docs/predictor/choice.md). Before it is used, its
-            answers to the golden ticks are compared with those of onnxruntime.
+            What evaluates the predictor. The default is the compiled one if the observer has it,
+            which is faster, warm and cold (docs/predictor/choice.md); its results for the golden
+            ticks are first compared with those of onnxruntime.
+
+        Returns
+        -------
+        ModelBundle
+            The bundle, with its estimator reset.
 
         Raises
         ------
@@ -231,7 +237,7 @@ def _compiled(
     reference: tuple[DeformationEstimator, OnnxPredictor],
     required: bool,
 ) -> CompiledObserver | None:
-    """Observer with the compiled predictor, proven equal; None where it is absent."""
+    """Load the observer's compiled predictor and verify it; None if there is none."""
     dof, where = files.manifest.dof, files.directory / OBSERVER
     if files.manifest.estimator != "observer":
         if required:

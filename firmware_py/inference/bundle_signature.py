@@ -24,7 +24,7 @@ SIGNATURE: Final = "manifest.sig"
 _PREFIX: Final = "ed25519:"
 _KEY_BYTES: Final = 32
 _CONTEXT: Final = b"dropstitch bundle manifest 1\n"
-"""Start of the signed message: the key's signature of anything else is none of a bundle."""
+"""Prefix of the signed message, so that no signature of other data is valid for a bundle."""
 _SIGN: Final = "sign it with 'dropstitch sign'"
 
 
@@ -40,17 +40,17 @@ class BundleSignature(Document, frozen=True, kw_only=True):
 
     MADE_BY: ClassVar[str] = "dropstitch sign"
 
-    key: str  # Public key, `ed25519:` and base64
-    signature: str  # The 64 bytes of the signature in base64
+    key: str  # Public key: `ed25519:` and 32 bytes in base64
+    signature: str  # Signature: 64 bytes in base64
 
 
 def signed_message(manifest: FileContent) -> bytes:
-    """Return the bytes that a signature of a bundle signs."""
+    """Return the bytes that the signature of a bundle covers."""
     return _CONTEXT + manifest.data
 
 
 def key_text(raw: bytes) -> str:
-    """Return a public key as robot.toml names it."""
+    """Return the text of a public key, as in robot.toml."""
     return _PREFIX + base64.b64encode(raw).decode()
 
 
@@ -73,10 +73,7 @@ def _decoded(text: str) -> bytes:
 
 
 def check_signature(manifest: FileContent, path: Path, trusted: Sequence[str]) -> str:
-    """Require that a trusted key has signed a manifest.
-
-    Returns the key that has signed it.
-    """
+    """Return the trusted key that has signed a manifest, or refuse the manifest."""
     try:
         from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey

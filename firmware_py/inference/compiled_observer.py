@@ -1,4 +1,4 @@
-"""Observer and predictor compiled into one library, which answers a tick in one call."""
+"""Observer and predictor compiled into one library, which computes a tick in one call."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PREDICTED: Final = (
 
 
 class CompiledObserver(ObserverEstimator):
-    """`DeformationEstimator` and `Predictor` at once: `update` computes both answers.
+    """`DeformationEstimator` and `Predictor` in one: `update` computes both results.
 
-    `predict` returns the answer to the sample of the latest `update`, and refuses another fresh
-    one. It computes again only where the sample has another age than a fresh one.
+    `predict` returns the prediction for the sample of the latest `update`, and refuses any other
+    fresh sample. It computes again only if the age of the sample has changed.
     """
 
     def __init__(self, fmu: FmuInstance, dof: int) -> None:
@@ -58,15 +58,14 @@ class CompiledObserver(ObserverEstimator):
         return fmu.ticks and all(name in fmu.variables for name in PREDICTED)
 
     def reset(self) -> None:
-        """Discard the past; an assumed payload is kept."""
         super().reset()
         self._updated = False
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample; see `DeformationEstimator.update`.
+        """Process one sample; see `DeformationEstimator.update`.
 
-        A sample that the FMU refuses (NaN) leaves its state unchanged; estimate and prediction are
-        NaN and out of range.
+        The FMU refuses a sample with NaN and keeps its state. Estimate and prediction are then NaN
+        and out of range.
         """
         self._updated = True
         self._sample(angle_rad, current_a)
@@ -83,9 +82,9 @@ class CompiledObserver(ObserverEstimator):
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Return the answer to the latest sample; see `Predictor.predict`.
+        """Return the prediction for the latest sample; see `Predictor.predict`.
 
-        Before the first `update` it is that of a link that rests at the sample given here.
+        Before the first `update` the link is assumed to rest at the sample passed here.
         """
         if not self._updated:
             self._sample(angle_rad, current_a)
@@ -100,7 +99,7 @@ class CompiledObserver(ObserverEstimator):
         return self._prediction.copy()
 
     def _had(self, angle_rad: Array, current_a: Array) -> bool:
-        """Whether the latest sample is this one; by items, which is fast for two joints."""
+        """Whether the latest `update` had this sample; by items, since NumPy is slower here."""
         inputs, dof = self._tick.inputs, self._dof
         return all(
             inputs[j] == angle_rad[j] and inputs[dof + j] == current_a[j] for j in range(dof)

@@ -32,26 +32,24 @@ __all__ = [
 Array = NDArray[np.float64]
 
 _LONGEST_STEP_S: Final = 1.7
-"""Largest step that the observer takes after a gap: it must not compute for long."""
+"""Longest step of the observer after a gap in the data, which bounds its computing time."""
 _SHORTEST_STEP_S: Final = 1e-3
-"""Smallest step that it takes: where the clock has leapt, time must not run backwards."""
+"""Shortest step of the observer; time must not run backwards after a jump of the clock."""
 _FORGET_S: Final = 0.3
-"""Time constant in which a gap of the data is forgotten; assumed, one swing of the link."""
+"""Time constant with which the effect of a gap decays: one swing of the link. [assumed]"""
 _FORGOTTEN_S: Final = 1e-6
-"""Gap below which nothing is left of it: 0.7 µm of the tip's way at 0.7 rad/s."""
+"""Decayed gap that is set to zero; the tip moves by 0.7 µm in this time at 0.7 rad/s."""
 _LEFT_OF_A_GAP: Final = 0.05
-"""Fraction of a gap that counts as age once samples arrive again: after 3 slots without data at
-0.7 rad/s the observer was off by up to 2.4 mm more, where the tip had moved by 36 mm."""
+"""Fraction of a gap that counts as age once samples arrive again. After 3 slots without data at
+0.7 rad/s the error of the observer rose by up to 2.4 mm, while the tip moved by 36 mm."""
 _KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
-"""Parameter of the observer FMU; a negative value, its start value, has the payload estimated."""
+"""Parameter of the observer FMU; a negative value, its start value, estimates the payload."""
 
 
 class Estimate(NamedTuple):
-    """Estimate after a sample."""
-
     di: float
-    payload_kg: float  # Mass at the tip; NaN where the estimator does not estimate it
-    # Further signals that the predictor wants, in its order; overwritten by the next estimate
+    payload_kg: float  # Mass at the tip; NaN if it is not estimated
+    # Further inputs of the predictor, in its order; overwritten by the next estimate
     signals: Array = NO_SIGNALS
 
 
@@ -61,23 +59,24 @@ class DeformationEstimator(Protocol):
     Attributes
     ----------
     waits_for_fresh : bool
-        Whether it takes fresh samples only, see `SampleHold`; else one in every tick.
+        Whether it skips ticks without a fresh sample, see `SampleHold`. If False, it gets a sample
+        in every tick, repeated if necessary.
     """
 
     waits_for_fresh: ClassVar[bool]
 
     def reset(self) -> None:
-        """Discard the past: the next sample is the first of a run that starts at rest."""
+        """Discard the state: the next sample is the first of a run that starts at rest."""
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample.
+        """Process one sample.
 
         Parameters
         ----------
         angle_rad, current_a : ndarray, shape (dof,)
-            As measured at the end of the step.
+            Measured angles in rad and currents in A, at the end of the step.
         step_s : float
-            Time since the previous sample.
+            Time since the previous sample in s.
 
         Returns
         -------
@@ -95,18 +94,17 @@ class NoEstimator:
         """Do nothing."""
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Return zero; the payload is NaN."""
         return Estimate(0.0, math.nan)
 
 
 class LaggedEstimator:
-    """Regression on angle and current now and some ticks ago (`lagged.onnx`).
+    """Regression on angle and current, now and some ticks ago (`lagged.onnx`).
 
-    It does not use the time: it is valid only at the period of its training data. Before the first
-    sample the link is assumed to have rested at that sample.
+    It ignores the time step, so it is valid only at the period of its training data. Before the
+    first sample the link is assumed to have rested at that sample.
 
-    `path`: the graph: input "lagged", for each lag angles then currents; output "di".
-    `lag_ticks`: ages of the samples that it uses, in ticks; from the manifest.
+    `path`: graph with the input "lagged" (for each lag, angles then currents) and the output "di".
+    `lag_ticks`: ages of the samples in ticks, from the manifest.
     """
 
     waits_for_fresh: ClassVar[bool] = False
@@ -121,11 +119,9 @@ class LaggedEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the past."""
         self._next, self._empty = 0, True
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample; see `DeformationEstimator.update`."""
         history, dof = self._history, self._dof
         row = history if self._empty else history[self._next]
         row[..., :dof] = angle_rad
@@ -160,10 +156,7 @@ class ObserverEstimator:
         self.reset()
 
     def assume_payload(self, payload_kg: float | None) -> None:
-        """Set the payload as known, or have it estimated again; discard the past.
-
-        `payload_kg`: mass at the tip; None has it estimated.
-        """
+        """Set the payload as known, or estimate it (None); discard the state."""
         self._payload_kg = payload_kg
         try:
             self.reset()
@@ -174,15 +167,15 @@ class ObserverEstimator:
             ) from None  # fmt: skip
 
     def reset(self) -> None:
-        """Discard the past; an assumed payload is kept."""
+        """Discard the state except for an assumed payload."""
         self._fmu.reset()
         if self._payload_kg is not None:
             self._fmu.set([_KNOWN_PAYLOAD], [self._payload_kg])
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample; see `DeformationEstimator.update`.
+        """Process one sample; see `DeformationEstimator.update`.
 
-        A sample that the FMU refuses (NaN) leaves its state unchanged; the estimate is NaN.
+        The FMU refuses a sample with NaN and keeps its state; the estimate is then NaN.
         """
         self._inputs.values[: self._dof] = angle_rad
         self._inputs.values[self._dof :] = current_a
@@ -197,11 +190,11 @@ class ObserverEstimator:
 
 
 class SampleHold:
-    """Estimator behind a bus that may fail: the observer waits for the next fresh sample.
+    """Estimator for samples from a bus that may fail: the observer waits for fresh ones.
 
-    A repeated sample tells the observer that the joint has stopped and then jumped. It is given the
-    next fresh one instead, with the time that has passed; it is told, too, how late in its slot a
-    sample was taken. Other estimators count ticks and take every one.
+    To the observer, a repeated sample looks like a joint that stopped and then jumped. So it gets
+    only fresh samples, each with the time since the previous one, corrected for the delay of the
+    samples within their slots. Other estimators count ticks and get a sample in each.
     """
 
     def __init__(self, estimator: DeformationEstimator) -> None:
@@ -211,7 +204,7 @@ class SampleHold:
         self._usual_s = math.inf
 
     def reset(self) -> None:
-        """Discard the past: the next sample is the first of a run that starts at rest."""
+        """Discard the state: the next sample is the first of a run that starts at rest."""
         self._estimator.reset()
         self._latest = None
         self.age_s = self._gap_s = self._without_s = self._late_s = 0.0
@@ -219,10 +212,10 @@ class SampleHold:
     def update(
         self, angle_rad: Array, current_a: Array, step_s: float, fresh: bool, late_s: float = 0.0
     ) -> Estimate:
-        """Take one sample if it is fresh, or the first; else return the latest estimate.
+        """Process a sample if it is fresh or the first; else return the latest estimate.
 
         `step_s`: time between the slots of this tick and of the previous one.
-        `late_s`: time from the begin of the slot to the request for the sample.
+        `late_s`: delay of the request for the sample after the begin of the slot.
         """
         latest = self._latest
         if not self._estimator.waits_for_fresh:
@@ -254,7 +247,8 @@ def load_estimator(
 ) -> DeformationEstimator:
     """Load the estimator of a bundle.
 
-    `lag_ticks`: ages of the samples for the lagged estimator, from the manifest.
+    `lag_ticks`: ages of the samples of the lagged estimator, from the manifest.
+    `wanted`: further inputs of the predictor that the observer has to provide.
     """
     if name == "observer":
         return ObserverEstimator(FmuInstance(file("observer.fmu")), dof, wanted)

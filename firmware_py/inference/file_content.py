@@ -1,4 +1,4 @@
-"""Content of a file, read once: what was hashed is what is used."""
+"""Content of a file, read once, so that the hashed bytes are the ones in use."""
 
 from __future__ import annotations
 
@@ -11,29 +11,26 @@ from firmware_py.files.input_files import read_bytes
 __all__ = ["FileContent", "Source", "content_of"]
 
 LARGEST_BYTES: Final = 64_000_000
-"""Largest file of a bundle; those of the demo have 360 kB at most. [assumed]"""
+"""Size of the largest file of a bundle; the demo's files have up to 360 kB. [assumed]"""
 
 
 class FileContent(NamedTuple):
-    """File in memory."""
-
-    path: Path  # Where it was read, for messages
+    path: Path  # Origin, for messages
     data: bytes
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the content, in hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
 
 
 Source = Path | str | FileContent
-"""A file by its path, or one that was read already."""
+"""A file by its path, or its content in memory."""
 
 
 def content_of(source: Source, remedy: str = "copy the whole bundle directory") -> FileContent:
-    """Return the content of a file; one that was read before is returned as it is.
+    """Return the content of a file, which is read unless it is in memory already.
 
-    `remedy`: what the user can do where it is missing, for the message.
+    `remedy`: remedy in the message if the file is missing.
     """
     if isinstance(source, FileContent):
         return source

@@ -6,13 +6,10 @@ import platform
 from typing import Final
 
 _MACHINES: Final = {"amd64": "x86_64", "arm64": "aarch64"}
-"""What systems call the processors in their own way; Windows in capitals."""
+"""FMI name of a processor by the operating system's name in lower case (Windows: capitals)."""
 
 
 def platform_here() -> str:
-    """Return the platform of this process, like "x86_64-linux" or "aarch64-darwin".
-
-    Returns processor and system; one of those that an FMU may be built for, or another one.
-    """
+    """Return processor and system of this process, like "x86_64-linux" or "aarch64-darwin"."""
     machine = platform.machine().lower()
     return f"{_MACHINES.get(machine, machine)}-{platform.system().lower()}"

@@ -25,7 +25,7 @@ _FUNCTIONS: Final = (
     "fmi3SetFloat64", "fmi3GetFloat64", "fmi3GetBoolean", "fmi3DoStep", "fmi3Reset",
     "fmi3FreeInstance",
 )  # fmt: skip
-"""Functions of the standard that are called."""
+"""Functions of the FMI standard that this project calls."""
 
 
 class InstanceVariable(NamedTuple):
@@ -67,8 +67,8 @@ def open_fmu(source: Source) -> tuple[ET.Element, dict[str, InstanceVariable], c
 
 @functools.lru_cache(maxsize=16)
 def _loaded(binary: bytes, name: str) -> ctypes.PyDLL:
-    """Library of some bytes, mapped once in a process: a mapping is never given back."""
-    # Windows does not delete a mapped file: there the directory is left to its own clean-up.
+    """Load a library from bytes, cached because a process never unmaps it."""
+    # Windows cannot delete a mapped file: its own clean-up removes the directory later.
     with TemporaryDirectory(prefix="dropstitch-fmu-", ignore_cleanup_errors=True) as private:
         library = Path(private) / name
         library.write_bytes(binary)

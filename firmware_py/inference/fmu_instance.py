@@ -1,7 +1,7 @@
 """Instance of an FMI 3.0 co-simulation FMU, called through ctypes: the observer of the bundle.
 
 It supports scalars of type Float64 and Boolean and one instance per FMU. The loop uses a `Channel`,
-whose buffers are allocated once; `set` and `get` by name serve all other purposes.
+whose buffers are allocated once; everything else uses `set` and `get` by name.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOG = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_char_p, ct
 _TICK: Final = "dropstitch_tick"
 """Function beyond the standard, see fmu/c/fmi3.c."""
 _FMI_WARNING: Final = 1
-"""A call has failed where its status is above this."""
+"""Largest status of a successful call."""
 
 
 class Channel:
@@ -53,7 +53,7 @@ class Channel:
 class TickChannel:
     """Inputs, step and outputs of a tick in one call, which FMUs of this project offer.
 
-    Any other FMU takes three calls, and outputs of type Float64 only.
+    Other FMUs need three calls, and their outputs must be of type Float64.
     """
 
     def __init__(self, fmu: FmuInstance, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -89,8 +89,8 @@ class TickChannel:
 class FmuInstance:
     """Instance of an FMI 3.0 co-simulation FMU.
 
-    It starts in initialization mode: values set then determine its first state. The first step, or
-    `start`, ends this mode.
+    It starts in initialization mode, in which values set determine its first state. The first step,
+    or `start`, ends this mode.
     """
 
     def __init__(self, source: Source) -> None:
@@ -150,23 +150,17 @@ class FmuInstance:
         return Channel(self, names)
 
     def tick_channel(self, inputs: Sequence[str], outputs: Sequence[str]) -> TickChannel:
-        """Return a channel for inputs and outputs of a tick in one call."""
+        """Return a channel that runs a tick in one call."""
         return TickChannel(self, inputs, outputs)
 
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
-        """Set variables by name.
-
-        Shapes: `values` (n,).
-        """
+        """Set variables by name to values of shape (n,)."""
         channel = self.channel(names)
         channel.values[:] = values
         channel.send()
 
     def get(self, names: Sequence[str]) -> Array:
-        """Return the values of variables by name.
-
-        Returns shape (n,), values in SI units; a Boolean is 1 or 0.
-        """
+        """Return the values of variables by name in SI units, shape (n,); a Boolean is 1 or 0."""
         return np.array([self._get(self.variable(name)) for name in names])
 
     def _get(self, variable: InstanceVariable) -> float:
@@ -196,11 +190,11 @@ class FmuInstance:
 
     @property
     def ticks(self) -> bool:
-        """Whether the binary offers a tick in one call."""
+        """Whether the binary can run a tick in one call."""
         return hasattr(self._library, _TICK)
 
     def tick(self, step_s: float, arguments: Sequence[Any]) -> None:
-        """Call a tick; see `TickChannel`."""
+        """Run a tick in one call; see `TickChannel`."""
         self.call(_TICK, *arguments)
         if step_s > 0.0:
             self._initializing = False

@@ -1,7 +1,7 @@
 """Golden ticks: results of estimator and predictor on the machine that made the bundle.
 
-The robot replays them before it moves, so that other library versions or another processor are
-detected before the start.
+The robot replays them before it moves, so that a difference by other library versions or another
+processor is detected before the start.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ TOLERANCE: Final = 1e-9
 FEWEST_TICKS: Final = 100
 """Fewest golden ticks in which a joint moves: 1.7 s of a motion at 17 ms. [assumed]"""
 _SHORTEST_S, _LONGEST_S = 1e-3, 1.0
-"""Range of the period in robot.toml and in the manifest, too."""
+"""Range of the period, as in robot.toml and in the manifest."""
 _LEAST_WAY_RAD: Final = 1e-3
-"""Least movement of the joint that moves most: one hundredth of the 5° of a first run. [assumed]"""
+"""Least range of motion of some joint: one hundredth of the 5° of a first run. [assumed]"""
 
 
 class Golden(NamedTuple):
@@ -38,8 +38,8 @@ class Golden(NamedTuple):
     angle_rad: Array  # (n, dof)
     current_a: Array
     step_s: float
-    di: Array  # (n,), results of the estimator
-    tip_m: Array  # (n, 3), results of the predictor with that DI
+    di: Array  # (n,), DI by the estimator
+    tip_m: Array  # (n, 3), tip by the predictor with that DI
     payload_kg: Array
 
 
@@ -79,7 +79,7 @@ def read_golden(source: Source, dof: int) -> Golden:
             arrays = [np.asarray(file[name], dtype=np.float64) for name in Golden._fields]
     except InputError:
         raise
-    except Exception as error:  # the parser of NumPy's headers raises what it trips over
+    except Exception as error:  # NumPy's header parser raises many kinds
         raise InputError(path, f"cannot be read ({error})", "copy the bundle again") from None
     count = len(np.atleast_1d(arrays[0]))
     shapes = [(count, dof), (count, dof), (), (count,), (count, 3), (count,)]
@@ -92,8 +92,8 @@ def read_golden(source: Source, dof: int) -> Golden:
 
 
 def _check_evidence(golden: Golden, path: Path) -> None:
-    """Refuse ticks with which every estimator and predictor would agree."""
-    finite = all(np.isfinite(part).all() for part in golden[:-1])  # a payload may be unknown
+    """Refuse golden ticks that detect no difference: too few, not moving or not finite."""
+    finite = all(np.isfinite(part).all() for part in golden[:-1])  # the payload may be NaN
     finite &= _SHORTEST_S <= golden.step_s <= _LONGEST_S
     way_rad = np.ptp(golden.angle_rad, axis=0).max()
     moving = np.count_nonzero(np.diff(golden.angle_rad, axis=0).any(axis=1))
@@ -107,7 +107,7 @@ def _check_evidence(golden: Golden, path: Path) -> None:
 def verify(
     golden: Golden, estimator: DeformationEstimator, predictor: Predictor, where: Path
 ) -> None:
-    """Replay the golden ticks and compare."""
+    """Replay the golden ticks and refuse results that differ by more than `TOLERANCE`."""
     replayed = record_golden(
         estimator, predictor, golden.angle_rad, golden.current_a, golden.step_s
     )
@@ -130,8 +130,9 @@ def verify_equal(
     second: tuple[DeformationEstimator, Predictor],
     where: Path,
 ) -> None:
-    """Compare whole answers, interval and range included, on the golden ticks and on old
-    samples.
+    """Refuse two runtimes whose predictions differ, interval and range included.
+
+    They are compared on the golden ticks, with fresh samples and with samples of one period's age.
     """
     names = ("tip_m", "in_range", "half_width_m")
     for estimator, _ in (first, second):

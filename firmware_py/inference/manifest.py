@@ -1,4 +1,4 @@
-"""Manifest of a bundle: its contents with units and ranges, and the hashes of it and every file."""
+"""Manifest of a bundle: contents with units and ranges, its own hash and that of every file."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ FILES: Final = frozenset(
         "study.json", "predictors.json", "golden.npz", "MODEL_CARD.md",
     }
 )  # fmt: skip
-"""Files that a manifest may name; whatever else lies in the directory is never read."""
+"""Files that a manifest may name; no other file of the directory is read."""
 _OWN_HASH: Final = "content_sha256"
 _MAKE: Final = "make the bundle anew with 'dropstitch train'"
 _MOST_DOF: Final = 2
 _PERIOD_S: Final = (1e-3, 1.0)
-"""Range of the period in robot.toml, too."""
+"""Range of the period, as in robot.toml."""
 _MOST_LAG_TICKS: Final = 1000
 _MOST_LAGS: Final = 100
 _MOST_DEGREE: Final = 20
@@ -42,7 +42,7 @@ _LARGEST_GAIN: Final = 0xFFFF
 _LARGEST: Final = 1e6
 """Largest magnitude of a range, a metric or a coefficient, in SI units. [assumed]"""
 _LARGEST_COEFFICIENT: Final = 1e15
-"""Of a monomial in amperes, radians and DI near 0.01: its cube is 1e-6. [assumed]"""
+"""Largest coefficient of a monomial in A, rad and DI; the cube of DI ≈ 0.01 is 1e-6. [assumed]"""
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,29 +66,29 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     features: tuple[Quantity, ...]  # In the order of the graph's input columns and output rows
     outputs: tuple[Quantity, ...]
     lag_ticks: tuple[int, ...]  # Ages of the samples that the lagged estimator uses
-    training_data_sha256: str  # Hashes of the training trials and of the plant
-    plant_sha256: str
-    libraries: dict[str, str]  # Versions of the libraries, by name
-    metrics: dict[str, float]  # Errors on held-out trials by name, SI units in the names
-    # Coefficients per output by monomial (like "angle_1_rad^2 di"); for people only
+    training_data_sha256: str  # Hash of the training trials
+    plant_sha256: str  # Hash of the plant
+    libraries: dict[str, str]  # Versions of the libraries by name
+    metrics: dict[str, float]  # Errors on held-out trials by name, which ends in the SI unit
+    # Coefficients per output by monomial (like "angle_1_rad^2 di"), for information only
     coefficients: dict[str, tuple[float, ...]]
     files: dict[str, str]  # SHA-256 by file name
-    # Candidate that `predictor.onnx` holds; empty for the paper's polynomial alone
+    # Candidate in `predictor.onnx`; empty if the bundle has the paper's polynomial alone
     predictor: str = ""
-    # Gains of the servos with which the plant was identified, by joint; empty where nobody said. A
-    # robot whose servos have others is refused.
+    # Gains of the servos with which the plant was identified, by joint; empty if unknown. A robot
+    # whose servos have other gains is refused.
     servo_gains: tuple[ServoGains, ...] = ()
     content_sha256: str = ""  # Hash of all other fields; empty until the manifest is written
 
 
 @dataclass(frozen=True)
 class BundleFiles:
-    """Files of a bundle in memory, as the manifest's hashes describe them."""
+    """Files of a bundle in memory, whose hashes agree with the manifest."""
 
-    directory: Path  # Where they were read
+    directory: Path  # Origin
     manifest: Manifest
-    manifest_sha256: str  # Hash of that file
-    signed_by: str  # Trusted key that has signed the manifest; empty where none was asked for
+    manifest_sha256: str  # Hash of `manifest.json`
+    signed_by: str  # Trusted key of the signature; empty if no signature was required
     contents: Mapping[str, FileContent]  # Every file that the manifest names
 
     def file(self, name: str) -> FileContent:
@@ -102,8 +102,7 @@ class BundleFiles:
 def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> BundleFiles:
     """Read every file of a bundle once and compare it with the manifest.
 
-    `trusted`: public keys of which one must have signed the manifest; without one no signature is
-    checked.
+    `trusted`: public keys of which one must have signed the manifest; empty skips this check.
     """
     directory = Path(directory)
     path = directory / MANIFEST
@@ -126,7 +125,7 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
 
 
 def _decoded(data: bytes, path: Path) -> Manifest:
-    """Manifest in a file; refuses one that was damaged, and one of another version."""
+    """Decode a manifest; refuse a damaged one and one of another version."""
     try:
         document = msgspec.json.decode(data)
         own = content_sha256(document) if isinstance(document, dict) else ""
@@ -155,14 +154,14 @@ def _check_version(document: dict[str, Any], path: Path) -> None:
 
 
 def content_sha256(document: dict[str, Any]) -> str:
-    """Hash of the fields of a manifest, in whatever order and layout they are written."""
+    """Return the hash of a manifest's fields, independent of their order and layout."""
     content = {name: value for name, value in document.items() if name != _OWN_HASH}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _out_of_bounds(manifest: Manifest) -> Iterator[str]:
-    """Yield what no manifest that was written by this project holds."""
+    """Yield a description of each value that no manifest of this project has."""
     low_s, high_s = _PERIOD_S
     if unknown := sorted(set(manifest.files) - FILES):
         yield f"names {unknown[0]!r}, which is no file of a bundle"
@@ -210,7 +209,7 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
 
 
 def manifest_bytes(manifest: Manifest) -> bytes:
-    """Content of `manifest.json`, with the hash of the other fields."""
+    """Return the content of `manifest.json`, with the hash of its other fields."""
     own = content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
     manifest = msgspec.structs.replace(manifest, content_sha256=own)
     return msgspec.json.format(msgspec.json.encode(manifest), indent=1)

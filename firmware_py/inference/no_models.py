@@ -24,7 +24,6 @@ class NoPredictor:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Return the constant tip; see `firmware_py.inference.predictor.Predictor.predict`."""
         return self._prediction
 
 

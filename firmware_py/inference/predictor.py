@@ -1,4 +1,4 @@
-"""Predictor of the end effector from measurements and what the estimator knows."""
+"""Predictor of the end effector from measurements and the signals of the estimator."""
 
 from __future__ import annotations
 
@@ -22,26 +22,24 @@ __all__ = ["NO_SIGNALS", "OnnxGraph", "OnnxPredictor", "Prediction", "Predictor"
 Array = NDArray[np.float64]
 AXES: Final = 3
 MOST_INPUTS: Final = 1000
-"""Most input columns of a graph; those of ours have 60 at most."""
+"""Most input columns of a graph; those of this project have up to 60."""
 NO_SIGNALS: Final[Array] = np.zeros(0)
-"""Signals of an estimator that gives none beside DI and payload."""
+"""Signals of an estimator that provides none beside DI and payload."""
 
 
 class Prediction:
-    """Prediction from one sample."""
-
     __slots__ = ("_in_range", "half_width_m", "tip_m")
 
     def __init__(self, tip_m: Array, in_range: Array, half_width_m: Array) -> None:
         self.tip_m, self._in_range, self.half_width_m = tip_m, in_range, half_width_m
 
     def copy(self) -> Prediction:
-        """Return the same in arrays of its own."""
+        """Return a copy in new arrays."""
         return Prediction(self.tip_m.copy(), self._in_range.copy(), self.half_width_m.copy())
 
     @property
     def in_range(self) -> bool:
-        """Whether every input lay in the training range; False where one was NaN."""
+        """Whether every input is in its training range; False if one is NaN."""
         return bool(self._in_range[0] > 0.5)
 
 
@@ -61,29 +59,30 @@ class Predictor(Protocol):
         Parameters
         ----------
         angle_rad, current_a : ndarray, shape (dof,)
-            As measured; positive current pushes its angle positive.
+            Measured angles in rad and currents in A; positive current accelerates its joint towards
+            positive angles.
         di : float
             Deformation Index, dimensionless.
-        signals : ndarray
-            Further signals of the estimate, see `Estimate`.
+        signals : ndarray, shape (k,)
+            Further signals of the estimate, see `Estimate.signals`.
         age_s : float
-            Age of the sample.
+            Age of the sample in s, for predictors whose interval widens with it.
 
         Returns
         -------
         Prediction
-            Tip and prediction interval, in arrays of its own.
+            Tip, prediction interval and whether the inputs are in range, in new arrays.
         """
 
 
 class OnnxGraph:
-    """ONNX graph with one float64 input row, run with buffers that are bound once.
+    """ONNX graph with one float64 input row, run on buffers that are bound once.
 
-    `inputs`: required width of the input; None for any.
-
-    One thread, because the loop's thread is the one with real-time priority; IO binding on
-    preallocated buffers saves 6-7 µs a call and all allocation on our side
+    It uses one thread, because only the loop's thread has real-time priority. IO binding on
+    preallocated buffers saves 6-7 µs per call and all allocation on the side of Python
     (docs/sources.md, "ONNX").
+
+    `inputs`: required width of the input; None accepts any.
     """
 
     def __init__(
@@ -128,7 +127,7 @@ class OnnxGraph:
             self._binding.bind_output(output, "cpu", 0, np.float64, (1, width), buffer.ctypes.data)
         try:
             with limited_memory(path, remedy):
-                self.run()  # the first call allocates inside onnxruntime: not in the loop
+                self.run()  # the first call allocates inside onnxruntime: before the loop
         except InputError:
             raise
         except Exception as error:
@@ -175,7 +174,6 @@ class OnnxPredictor:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Predict from one sample; see `Predictor.predict`."""
         self._angle_rad[:] = angle_rad
         self._current_a[:] = current_a
         self._di[0] = di
@@ -187,7 +185,7 @@ class OnnxPredictor:
 
 
 class _Feature(msgspec.Struct, frozen=True):
-    """Input column as the metadata name it; its unit is for people."""
+    """Input column of a graph, from its metadata."""
 
     name: str
     minimum: float = -math.inf
@@ -195,7 +193,7 @@ class _Feature(msgspec.Struct, frozen=True):
 
 
 def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ...]:
-    """Return the names of a graph's input columns by its metadata; none where it does not say.
+    """Return the names of a graph's input columns; empty if its metadata name none.
 
     `metadata`: the file's `metadata_props`; "features" is a list of objects with a "name".
     """

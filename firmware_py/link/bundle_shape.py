@@ -17,7 +17,7 @@ _NEEDED: Final = ("base_offset_m", "link_length_m", "link_width_m", "span_positi
 
 
 def shape_of_bundle(directory: Path) -> LinkShape | None:
-    """Shape of the link of a bundle; None where its plant is missing or is no link."""
+    """Return the shape of a bundle's link; None if its plant is missing or describes no link."""
     path = directory / "plant.json"
     if not path.is_file():
         return None

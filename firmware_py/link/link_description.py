@@ -1,7 +1,7 @@
-"""Description of a link, `link.toml`: what trial, plant, rig and robot.toml share.
+"""Description of a link, `link.toml`, which trial, plant, rig and robot.toml share.
 
-Without one the study's link is meant (`STUDY_LINK`). `dropstitch new LINK.toml` writes a
-file with every key.
+The default is the study's link (`STUDY_LINK`). `dropstitch new LINK.toml` writes a file with
+every key.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Vector = tuple[float, float, float]
 Mounting = Literal["upright", "horizontal", "hanging", "balloon"]
 SCHEMA: Final = 1
 STANDARD_GRAVITY_M_S2: Final = 9.81
-"""docs/sources.md, "The link"."""
+"""Gravity of the study: docs/sources.md, "The link"."""
 
 DIRECTIONS: Final[dict[Mounting, Vector]] = {
     "upright": (0.0, 0.0, -1.0),
@@ -42,52 +42,52 @@ _RANGES: Final = {
     "payload_kg": (0.0, 100.0),
 }  # fmt: skip
 _REQUIRED: Final = ("length_m", "width_m", "base_offset_m", "pressure_pa", "payload_kg")
-"""Keys of every file: numbers of the study's link are no default for another."""
+"""Keys that every file must have: the study's values are no defaults for another link."""
 _DESCRIBES: Final = {"length_m", "width_m", "pressure_pa", "markers"}
-"""Keys that neither a plant nor a rig has: one of them tells that a file is a link's."""
+"""Keys that neither a plant nor a rig has, so that one of them identifies a link's file."""
 PAYLOAD_HEADROOM: Final = 1.5
-"""Largest payload that a model of the link takes, over `payload_kg` [assumed]."""
+"""Ratio of the largest payload of the link's models to `payload_kg` [assumed]."""
 MOST_PAYLOAD_TORQUE: Final = 10.0
-"""Torque of the payload, held out level, over the servo's: more is a wrong unit [assumed]."""
+"""Largest ratio of the payload's torque, held level, to the servo's; more is a wrong unit
+[assumed]."""
 CORNER_ROOM_M: Final = 0.1
-"""Distance from the section to a marker that stands off it, at most [assumed]."""
+"""Largest distance of a marker from the section [assumed]."""
 
 
 class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[gravity]`."""
 
-    # {"upright", "horizontal", "hanging", "balloon"}, How the link stands at zero angle.
-    # Horizontal: gravity along -x, in the plane of joint 1. Balloon: upright, with a part of its
-    # weight carried.
+    # Mounting of the link at zero angle. Horizontal: gravity along -x, in the plane of joint 1.
+    # Balloon: upright, with a part of the weight carried by the balloon.
     mounting: Mounting = "upright"
-    # Direction of gravity where it is none of these; z along the link at zero angle
+    # Direction of gravity for any other mounting, in a frame with z along the link at zero angle
     direction: Vector | None = None
-    # Part of the weight, payload included, that the link has to carry: below 1 with a balloon. Its
-    # inertia stays whole.
+    # Fraction of the weight, payload included, that the link has to carry: below 1 with a balloon.
+    # The inertia is not reduced.
     effective_weight: float = 1.0
 
     @property
     def unit(self) -> Vector:
-        """Direction of gravity, of length one."""
+        """Unit vector along gravity."""
         x, y, z = self.direction or DIRECTIONS[self.mounting]
         size = math.hypot(x, y, z)
         return (x / size, y / size, z / size)
 
     @property
     def size_m_s2(self) -> float:
-        """Acceleration that the weight corresponds to."""
+        """Effective acceleration by gravity: the fraction of the weight times g."""
         return STANDARD_GRAVITY_M_S2 * self.effective_weight
 
     @property
     def vector_m_s2(self) -> Vector:
-        """Acceleration by gravity in the link's frame."""
+        """Effective acceleration by gravity as a vector in the link's frame."""
         x, y, z = self.unit
         size = self.size_m_s2
         return (x * size, y * size, z * size)
 
 
 class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Table `[servo]`: a model, and what differs from its preset."""
+    """Table `[servo]`: a model, and the values that differ from its preset (`ServoPreset`)."""
 
     model: str = "H54-200-S500-R"
     gear: float | None = None
@@ -95,7 +95,7 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     coulomb_friction_nm: float | None = None
     viscous_friction_nm_s_rad: float | None = None
     load_friction: float | None = None
-    rotor_inertia_kg_m2: float | None = None  # As in `ServoPreset`; left out, the preset's
+    rotor_inertia_kg_m2: float | None = None
     backlash_rad: float | None = None
     current_limit_a: float | None = None
     speed_limit_rad_s: float | None = None
@@ -104,7 +104,7 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def whole(self) -> ServoPreset:
-        """Preset with the given numbers in place of its own."""
+        """Preset of the model with the values of the table."""
         given = {
             f.name: value
             for f in msgspec.structs.fields(ServoPreset)
@@ -115,53 +115,49 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
 class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,
                       dict=True):  # fmt: skip
-    """Content of `link.toml`."""
-
     schema: int = SCHEMA
     name: str = "link"
     joints: Literal[1, 2] = 2
-    # From the base plate to the last marker row; side (or diameter) of the section
-    length_m: float = 0.95
-    width_m: float = 0.15
+    length_m: float = 0.95  # From the base plate to the last marker row
+    width_m: float = 0.15  # Side (or diameter) of the section
     section: Literal["square", "round"] = "square"
-    base_offset_m: float = 0.06  # Base plate above the joint axes
+    base_offset_m: float = 0.06  # Height of the base plate above the joint axes
     pressure_pa: float = 41_300.0
-    # Of the link and of the hardware at its tip; left out, estimated from the size
-    mass_kg: float | None = None
+    mass_kg: float | None = None  # Mass of the link; None estimates it from the size
+    # Mass of the hardware at the tip; None estimates it from the size
     tip_mass_kg: float | None = None
-    payload_kg: float = 2.0  # Largest payload that it is used with
-    # Places of the markers; left out, four rows of four at the corners
+    payload_kg: float = 2.0  # Largest payload in use
+    # Positions of the markers; by default four rows of four at the corners
     markers: MarkerLayout | None = None
-    gravity: LinkGravity = LinkGravity()  # Tables of these names
+    gravity: LinkGravity = LinkGravity()
     servo: LinkServo = LinkServo()
 
     @cached_property
     def layout(self) -> MarkerLayout:
-        """Places of the markers."""
+        """Positions of the markers."""
         return self.markers or square_layout(self.length_m, self.marker_width_m)
 
     @property
     def marker_width_m(self) -> float:
-        """Distance of two neighbouring corners where the markers' places are not given."""
+        """Distance of two neighbouring markers in the default layout."""
         return self.width_m if self.section == "square" else self.width_m / math.sqrt(2.0)
 
     @property
     def most_payload_kg(self) -> float:
-        """Largest payload that plant, twin and observer take: 3 kg of the study's link."""
+        """Largest payload of plant, twin and observer: 3 kg for the study's link."""
         return PAYLOAD_HEADROOM * self.payload_kg
 
     @property
     def payloads_kg(self) -> tuple[float, ...]:
-        """Five payloads from none to the largest; one where the link carries none."""
+        """Five payloads from zero to the largest; only zero if the link carries none."""
         return tuple(sorted({round(self.payload_kg * k / 4, 4) for k in range(5)}))
 
     @property
     def preset(self) -> ServoPreset:
-        """Physical properties of the servos."""
         return self.servo.whole
 
     def conditions(self) -> dict[str, Any]:
-        """Conditions of a trial of this link, by key of its TOML file."""
+        """Return the conditions of a trial of this link, by key of its TOML file."""
         own: dict[str, Any] = {
             "base_offset_m": self.base_offset_m,
             "link_length_m": self.length_m,
@@ -176,19 +172,19 @@ class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
 
 STUDY_LINK: Final = LinkDescription(name="drop-stitch link of the study")
-"""The study's link: docs/sources.md, "The link"; masses and servo as in the rig and the plant."""
+"""The study's link: docs/sources.md, "The link"; masses and servo as in rig and plant."""
 
 
 def describes_link(document: Any) -> bool:
-    """Whether a decoded TOML document describes a link, and no plant or rig.
+    """Whether a decoded TOML document describes a link, not a plant or a rig.
 
-    A key of its size is enough: `read_link` then names those that are missing.
+    A key of its size is enough; `read_link` then reports the missing ones.
     """
     return isinstance(document, dict) and not _DESCRIBES.isdisjoint(document)
 
 
 def read_link(path: Path | str) -> LinkDescription:
-    r"""Read and check `link.toml`."""
+    """Read and check `link.toml`."""
     path = Path(path)
     document = read_toml(path, "write one with 'dropstitch new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
@@ -236,7 +232,7 @@ def check_link(link: LinkDescription, where: Path | str) -> None:
 
 
 def _check_payload(link: LinkDescription, where: Path | str) -> None:
-    """Refuse a payload of a weight that the servo is far from holding, such as one in grams."""
+    """Refuse a payload far beyond what the servo can hold, such as one in grams."""
     weight_nm = link.payload_kg * link.gravity.size_m_s2 * (link.base_offset_m + link.length_m)
     ratio = weight_nm / link.preset.torque_limit_nm
     if ratio > MOST_PAYLOAD_TORQUE:
@@ -247,7 +243,7 @@ def _check_payload(link: LinkDescription, where: Path | str) -> None:
 
 
 def _check_corners(link: LinkDescription, where: Path | str) -> None:
-    """Refuse markers that are nowhere near the link's section."""
+    """Refuse markers that are far from the link's section."""
     farthest_m = max(abs(v) for corner in link.layout.corners_m for v in corner)
     if farthest_m > link.width_m / 2 + CORNER_ROOM_M:
         raise InputError(

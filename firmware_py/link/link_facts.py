@@ -1,7 +1,7 @@
 """Facts of a link that no identification changes: joints, size, mounting, servo.
 
-A plan and a map of goals hold those of the plant that they were made with. So the robot can tell an
-improved plant of its own link from a plant of another link.
+A plan and a map of goals contain the facts of their plant. So the robot can distinguish an improved
+plant of its own link from a plant of another link.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ __all__ = ["LinkFacts", "facts_of_bundle", "facts_of_plant", "other_link"]
 
 PLANT: Final = "plant.json"
 _SAME: Final = 1e-6
-"""Relative or absolute difference below which two numbers are the same [assumed]."""
+"""Relative or absolute tolerance for the comparison of two numbers [assumed]."""
 
 
 class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What tells one link from another."""
+    """Facts that distinguish one link from another."""
 
-    joints: int
-    length_m: float  # Size, as in `firmware_py.link.link_description.LinkDescription`
-    width_m: float
-    base_offset_m: float
-    section: str
-    # Acceleration by gravity in the link's frame: the mounting
+    joints: int  # Number of joints
+    length_m: float  # From the base plate to the last marker row
+    width_m: float  # Side (or diameter) of the section
+    base_offset_m: float  # Height of the base plate above the joint axes
+    section: str  # Shape of the section
+    # Acceleration by gravity in the link's frame, which describes the mounting
     gravity_m_s2: tuple[float, float, float]
-    servo: str
+    servo: str  # Model of the servos
 
 
 STUDY_FACTS: Final = LinkFacts(
@@ -44,7 +44,7 @@ STUDY_FACTS: Final = LinkFacts(
 
 
 def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
-    """Facts of the link of a plant; None where it is no link, or does not tell them."""
+    """Return the facts of a plant's link; None if the plant describes no link or lacks them."""
     try:
         described = plant.get("link")
         link = msgspec.convert(described, LinkDescription) if described else STUDY_LINK
@@ -63,9 +63,7 @@ def facts_of_plant(plant: Mapping[str, Any]) -> LinkFacts | None:
 
 
 def facts_of_bundle(directory: Path) -> LinkFacts | None:
-    """Facts of the link of a bundle; None where it holds no plant, or one that does not tell
-    them.
-    """
+    """Return the facts of a bundle's link; None if the bundle has no plant or that lacks them."""
     path = directory / PLANT
     if not path.is_file():
         return None
@@ -74,7 +72,7 @@ def facts_of_bundle(directory: Path) -> LinkFacts | None:
 
 
 def other_link(own: LinkFacts, there: LinkFacts) -> str:
-    """First fact in which two links differ, as "length_m 0.6 in place of 0.95"; empty for none."""
+    """Return the first fact in which two links differ, with both values; empty for none."""
     for field in msgspec.structs.fields(LinkFacts):
         one, other = getattr(own, field.name), getattr(there, field.name)
         if not _same(one, other):

@@ -1,4 +1,4 @@
-"""Text of `link.toml`, every key with its meaning."""
+"""Text of `link.toml` with a comment on every key."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _MEANINGS = {
 
 
 def link_toml(link: LinkDescription, mass_kg: float, tip_mass_kg: float) -> str:
-    """Text of the file of a link.
+    """Return the text of a link's file.
 
-    `mass_kg`, `tip_mass_kg`: masses that are estimated where the link does not give them.
+    `mass_kg`, `tip_mass_kg`: estimates that replace missing masses of the link.
     """
     gravity, layout = link.gravity, link.layout
     rows = [
@@ -73,7 +73,7 @@ def link_toml(link: LinkDescription, mass_kg: float, tip_mass_kg: float) -> str:
 
 
 def _row(key: str, value: Any, meaning: str) -> str:
-    """One line; the meaning stands in one column where the value leaves room."""
+    """Return one line; the comments are aligned if the value is short enough."""
     text = f'"{_quoted(value)}"' if isinstance(value, str) else repr(value)
     line = f"{key} = {text}"
     return f"{line:34}  # {meaning}" if meaning else line

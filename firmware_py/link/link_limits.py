@@ -1,4 +1,4 @@
-"""Limits of a robot that names its link, and the comparison of its servos with the link's."""
+"""Limits of a robot whose configuration names its link, and a check of its servos."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from firmware_py.link.link_description import LinkDescription, read_link
 from firmware_py.safety.limits import Limits
 
 BOX_MARGIN: Final = 1.2
-"""Size of the tip's box over the reach of a straight link [assumed]: room for the bend."""
+"""Ratio of the tip's box to the reach of a straight link [assumed]: room for the bend."""
 
 
 def limits_with_link(
     where: Path, link_file: str, models: Sequence[str], limits: Limits, given: Collection[str]
 ) -> Limits:
-    """Limits of a configuration that names a link."""
+    """Return the limits of a configuration that names a link; `given` has its keys of [limits]."""
     link = read_link(where.parent / link_file)
     refuse_other_servos(link, models, where)
     return limits_of_link(link, limits, given)
 
 
 def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Path | str) -> None:
-    """Refuse servos that are not the link's."""
+    """Refuse servos of another model than the link's."""
     if len(models) > link.joints:
         raise InputError(
             where, f"servos has {len(models)} entries, the link {link.joints} joint",
@@ -41,9 +41,9 @@ def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Pat
 
 
 def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]) -> Limits:
-    """Limits with the tip's box, largest current and rate of a link, where they are not given.
+    """Return limits in which the link sets the tip's box, current and rate that are not given.
 
-    Current and rate are lowered to what the servo can do, never raised.
+    Current and rate are only lowered, to the limits of the servo.
     """
     reach_m = round(BOX_MARGIN * (link.base_offset_m + link.length_m), 3)
     own = {

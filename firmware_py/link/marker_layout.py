@@ -1,4 +1,4 @@
-"""Places of the markers on a link: rows along it, the same corners in every row."""
+"""Positions of the markers on a link: rows along it, with the same corners in every row."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from firmware_py.errors import InputError
 __all__ = ["MarkerLayout", "square_corners_m", "square_layout"]
 
 MOST_MARKERS: Final = 99
-"""Most markers: their names have two digits."""
+"""Most markers, because their names have two digits."""
 
 STUDY_ROWS: Final = 4
-"""Rows of the study's link, at equal distances (docs/sources.md, "The link")."""
+"""Number of equidistant rows on the study's link (docs/sources.md, "The link")."""
 
 AT_TIP_M: Final = 0.002
 """Largest distance of the last row from the end of the link."""
 
 
 class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Places of the markers m01, m02, … row after row from the base."""
+    """Positions of the markers m01, m02, … row by row from the base."""
 
-    # Height of each row above the base plate; the last one is the end effector's
+    # Height of each row above the base plate; the last row is that of the end effector
     rows_m: tuple[float, ...]
-    # Place of each marker of a row at zero angle: distance from the axis along x and y. A long edge
-    # is the line through the same corner of all rows, from the base plate on.
+    # Position of each marker of a row at zero angle, x and y from the axis. A long edge is the line
+    # from the base plate through the same corner of all rows.
     corners_m: tuple[tuple[float, float], ...]
 
     @property
@@ -48,21 +48,20 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the markers in their order, m01 first."""
+        """Names of the markers in order, m01 first."""
         return tuple(f"m{k:02d}" for k in range(1, self.count + 1))
 
     def row(self, number: int) -> tuple[str, ...]:
-        """Names of a row."""
         first = (number % self.rows) * self.corners
         return self.names[first : first + self.corners]
 
     @property
     def tip_row(self) -> slice:
-        """Places of the last row among the markers."""
+        """Slice of the last row among the markers."""
         return slice(self.count - self.corners, self.count)
 
     def check(self, where: Path | str, length_m: float) -> None:
-        """Refuse a layout that cannot be."""
+        """Refuse a layout that does not fit a link of this length."""
         numbers = (*self.rows_m, *(v for corner in self.corners_m for v in corner))
         if not all(math.isfinite(v) for v in numbers):
             raise InputError(where, "[markers] holds a value that is no number", "correct it")
@@ -87,12 +86,12 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def square_corners_m(width_m: float) -> tuple[tuple[float, float], ...]:
-    """Corners of a square section in the order of a row: (+x, +y), (-x, +y), (+x, -y), (-x, -y)."""
+    """Return the corners of a square section: (+x, +y), (-x, +y), (+x, -y), (-x, -y)."""
     half = 0.5 * width_m
     return tuple((sx * half, sy * half) for sy in (1, -1) for sx in (1, -1))
 
 
 def square_layout(length_m: float, width_m: float, rows: int = STUDY_ROWS) -> MarkerLayout:
-    """Rows at equal distances with a marker at each corner of a square section."""
+    """Return equidistant rows with a marker at each corner of a square section."""
     heights = tuple(length_m * row / rows for row in range(1, rows + 1))
     return MarkerLayout(heights, square_corners_m(width_m))

@@ -1,7 +1,7 @@
 """Servo presets: gear, torque constant, friction, inertia and limits of each model.
 
-Every number has its source in docs/sources.md, "The servo". A link's file names a model and may
-give any of these numbers otherwise.
+docs/sources.md, "The servo", has the source of every number. A link's file names a model and may
+override any of these numbers.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from firmware_py.errors import InputError
 __all__ = ["PRESETS", "ServoPreset", "check_servo", "preset_named"]
 
 COULOMB_FRACTION: Final = 0.39
-"""Part of the friction at no-load speed that is Coulomb friction: 4.5 of 11.4 N·m, as assumed for
-the H54 (docs/sources.md, "The servo")."""
+"""Fraction of the friction at no-load speed that is Coulomb friction: 4.5 of 11.4 N·m, as assumed
+for the H54 (docs/sources.md, "The servo")."""
 
 
 _RANGES: Final = {
@@ -34,8 +34,8 @@ _RANGES: Final = {
     "speed_limit_rad_s": (0.03, 1e3, "rad/s"),
     "mass_kg": (1e-4, 50.0, "kg"),
 }
-"""Bounds and unit of each number: a hundred times below the XL330 and above the H54. They find a
-wrong unit or the motor's side of the gear."""
+"""Bounds and unit of each number: a hundred times below the XL330 and above the H54. They detect a
+wrong unit, or a value for the motor's side of the gear."""
 
 
 class ServoPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -45,13 +45,13 @@ class ServoPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     torque_constant_nm_a: float  # Torque at the output per ampere
     coulomb_friction_nm: float
     viscous_friction_nm_s_rad: float
-    load_friction: float  # Friction per transmitted torque
+    load_friction: float  # Friction torque per transmitted torque
     rotor_inertia_kg_m2: float  # Inertia of the rotor, times the gear squared
     backlash_rad: float  # Play at the output
-    current_limit_a: float  # Largest current, and speed without load
-    speed_limit_rad_s: float
+    current_limit_a: float  # Largest current
+    speed_limit_rad_s: float  # Speed without load
     mass_kg: float
-    source: str  # Where the numbers come from
+    source: str  # Source of the numbers
 
     @property
     def torque_limit_nm(self) -> float:
@@ -64,7 +64,7 @@ def _rpm(value: float) -> float:
 
 
 def _friction(torque_constant_nm_a: float, current_a: float, rpm: float) -> tuple[float, float]:
-    """Coulomb and viscous friction from the current without load."""
+    """Return Coulomb and viscous friction from current and speed without load."""
     whole_nm = torque_constant_nm_a * current_a
     viscous = (1 - COULOMB_FRACTION) * whole_nm / _rpm(rpm)
     return round(COULOMB_FRACTION * whole_nm, 4), round(viscous, 5)
@@ -115,7 +115,7 @@ PRESETS: Final[Mapping[str, ServoPreset]] = {
     "XM430-W350": _XM430,
     "XL330-M288": _XL330,
 }
-"""Presets by the names of `firmware_py.bus.servo_models.MODELS`."""
+"""Presets by model name, as in `firmware_py.bus.servo_models.MODELS`."""
 
 
 def preset_named(name: str) -> ServoPreset:
@@ -128,7 +128,7 @@ def preset_named(name: str) -> ServoPreset:
 
 
 def check_servo(servo: ServoPreset, where: Path | str) -> None:
-    """Refuse numbers that no servo has."""
+    """Refuse numbers that are out of range for any servo."""
     for name, (low, high, unit) in _RANGES.items():
         value = getattr(servo, name)
         if not low <= value <= high:

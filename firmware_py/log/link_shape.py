@@ -1,10 +1,10 @@
 """Shape of the bending link in space, from joint angles and the predicted tip.
 
-The tick knows where the base plate stands and where the tip is. Between them the link has the slope
-of the plant's link under a tip force (`models.plant.components.link`): root bend φ at the plate,
-and (2σ − σ²) of the span's bend ψ at the fraction σ of the length, with ψ/φ from the plant's
-stiffnesses. φ is such that the sideways distance of the tip is the predicted one; what is left
-along the link, a few millimetres, is spread over it.
+A tick determines the pose of the base plate and the position of the tip. Between them the link has
+the slope of the plant's link under a tip force (`models.plant.components.link`): root bend φ at the
+plate, and (2σ − σ²) of the span's bend ψ at the fraction σ of the length, with ψ/φ from the plant's
+stiffnesses. φ is chosen so that the lateral distance of the tip is the predicted one. The residual
+along the link, a few millimetres, is distributed over its length.
 """
 
 from __future__ import annotations
@@ -20,38 +20,34 @@ __all__ = ["LinkPose", "LinkShape", "pose_link"]
 Array = NDArray[np.float64]
 
 STATIONS: Final = 9
-"""Points along the centre line that are given beside the marker rows."""
+"""Points on the centre line, in addition to the marker rows."""
 _CELLS: Final = 24
 """Cells of the midpoint rule along the link: 0.1 mm at a bend of 0.5 rad."""
 
 
 class LinkShape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the shape of a link depends on beside its angles and tip."""
+    """Constants of a link that determine its shape for given angles and tip."""
 
-    # Base plate above the joint axes; length from there to the last marker row
-    base_offset_m: float
-    length_m: float
-    # Places of the markers, as in `firmware_py.link.marker_layout.MarkerLayout`
+    base_offset_m: float  # Height of the base plate above the joint axes
+    length_m: float  # From the base plate to the last marker row
+    # Positions of the markers, as in `firmware_py.link.marker_layout.MarkerLayout`
     rows_m: tuple[float, ...]
     corners_m: tuple[tuple[float, float], ...]
-    bend_ratio: float  # Bend of the span over that of the root under a force at the tip
+    bend_ratio: float  # Ratio of the bends of span and root under a force at the tip
 
 
 class LinkPose(msgspec.Struct, frozen=True):
-    """Link at one moment, world frame, m."""
+    """Pose of the link at one time, in the world frame and in m."""
 
     centre: Array  # (stations, 3), centre line from the base plate to the tip
     # (stations, corners, 3), corners of the section at each station, in the order of the layout
     edges: Array
     markers: Array  # (markers, 3)
-    rigid_tip: Array  # (3,), tip of a link that does not bend
+    rigid_tip: Array  # (3,), tip of a rigid link
 
 
 def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
-    """Pose of the link.
-
-    Shapes: `angle_rad` (dof,), `tip_m` (3,).
-    """
+    """Return the pose of the link for joint angles of shape (dof,) and a tip of shape (3,)."""
     turn = _base_rotation(angle_rad)
     own = turn.T @ tip_m - (0.0, 0.0, shape.base_offset_m)
     sideways_m = float(np.hypot(own[0], own[1]))
@@ -74,7 +70,7 @@ def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
 def _sections(
     shape: LinkShape, root_rad: float, towards: Array, tip: Array, fractions: Array
 ) -> tuple[Array, Array]:
-    """Centre and rotation of the sections at fractions of the length, frame of the base plate."""
+    """Return centres and rotations of sections along the length, in the frame of the base plate."""
     grid = (np.arange(_CELLS) + 0.5) / _CELLS
     slope = _slope(shape, root_rad, grid)
     edges = np.linspace(0.0, 1.0, _CELLS + 1)
@@ -99,25 +95,25 @@ def _sections(
 
 
 def _slope(shape: LinkShape, root_rad: float, fractions: Array) -> Array:
-    """Angle of the sections against the base plate."""
+    """Return the angles between sections and base plate."""
     spread = 2.0 * fractions - fractions**2
     return np.asarray(root_rad * (1.0 + shape.bend_ratio * spread))
 
 
 def _root_bend(shape: LinkShape, sideways_m: float) -> float:
-    """Bend of the root with which the tip is that far from the axis of the base plate."""
+    """Return the root bend that gives a lateral distance of the tip."""
     grid = (np.arange(_CELLS) + 0.5) / _CELLS
     growth = _slope(shape, 1.0, grid)
-    wanted = min(sideways_m / shape.length_m, 0.9)  # a tip that is farther off is no link's
+    wanted = min(sideways_m / shape.length_m, 0.9)  # no link bends farther
     bend = wanted / float(growth.mean())
-    for _ in range(3):  # Newton: quadratic, from the bend to first order
+    for _ in range(3):  # Newton's method, from the first-order solution
         error = float(np.sin(bend * growth).mean()) - wanted
         bend -= error / float((np.cos(bend * growth) * growth).mean())
     return bend
 
 
 def _base_rotation(angle_rad: Array) -> Array:
-    """R_y(angle 1) R_x(−angle 2), as `models.shared.kinematics.base_rotation`."""
+    """Return R_y(angle 1) R_x(−angle 2), as `models.shared.kinematics.base_rotation` does."""
     q1, q2 = float(angle_rad[0]), float(angle_rad[1]) if len(angle_rad) > 1 else 0.0
     c1, s1, c2, s2 = np.cos(q1), np.sin(q1), np.cos(q2), np.sin(q2)
     return np.array(

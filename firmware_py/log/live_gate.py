@@ -1,10 +1,10 @@
 """Gate in front of the live view: it refuses foreign origins and caps the viewers.
 
 A page of any web site can open a WebSocket to this PC; its browser names the site in the header
-Origin. The server of foxglove-sdk looks at neither origin nor number of viewers, so it listens at a
-random address of the loopback network, and this gate passes on the bytes of the viewers that it
-admits. It runs in the recorder process. A viewer that does not read is not read for either: the
-server then drops the oldest ticks of that viewer.
+Origin. The server of foxglove-sdk checks neither origin nor number of viewers. So it listens on a
+random address of the loopback network, and this gate, in the recorder process, forwards the bytes
+of admitted viewers. If a viewer does not read, the gate stops reading from the server for it, and
+the server drops the oldest ticks of that viewer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from firmware_py.log.live_config import ORIGINS, VIEWERS
 __all__ = ["LiveGate"]
 
 _UNDECIDED: Final = 16
-"""Connections beyond the viewers whose request has not arrived yet."""
+"""Most connections whose request has not arrived yet, in addition to the viewers."""
 _HEAD_BYTES: Final = 8192
 _HEAD_TIMEOUT_S: Final = 5.0
 _PIECE_BYTES: Final = 1 << 16
@@ -29,9 +29,9 @@ _END: Final = b"\r\n\r\n"
 
 
 class LiveGate:
-    """Listener that passes admitted viewers on to the server behind it.
+    """Listener that forwards admitted viewers to the server behind it.
 
-    `address`: host and port to listen at; port 0 takes any that is free.
+    `address`: host and port to listen on; port 0 chooses a free one.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ class LiveGate:
                 self._viewers -= 1
 
     def _is_admitted(self, head: bytes) -> bool:
-        """Whether a request names no origin or a known one."""
+        """Whether a request names no origin or a permitted one."""
         lines = head.decode("latin-1").replace("\r", "\n").split("\n")[1:]  # servers take both
         headers = [line.partition(":")[::2] for line in lines]
         found = [value.strip() for name, value in headers if name.strip().lower() == "origin"]
@@ -120,7 +120,7 @@ class LiveGate:
 
 
 async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Pass bytes on as fast as they are taken."""
+    """Forward bytes as fast as the reader takes them."""
     with contextlib.suppress(OSError):
         while data := await reader.read(_PIECE_BYTES):
             writer.write(data)

@@ -14,9 +14,9 @@ from firmware_py.motion_document import MotionDocument, check_motion_document
 __all__ = ["OUTSIDE", "SLOTS_KEY", "LoggedMotion", "LoggedRun", "logged_run"]
 
 SLOTS_KEY: Final = "slots"
-"""Name of the slots to run among the metadata."""
+"""Key of the requested number of slots in the metadata of a log."""
 OUTSIDE: Final = "outside"
-"""Name of the motion where another program sent the goals, in logs and trials."""
+"""Name of the motion in logs and trials if another program sent the goals."""
 
 T = TypeVar("T")
 
@@ -24,36 +24,34 @@ T = TypeVar("T")
 class LoggedMotion(msgspec.Struct, frozen=True):
     """Motion of a run: of a plan, or the table `[motion]` of its robot.toml."""
 
-    motion: str | None = None  # Name, in the log of a plan; kind, in that of a configured motion
-    kind: str | None = None
-    period_s: float | None = None  # Conditions, where they are known
+    motion: str | None = None  # Name, in the log of a plan
+    kind: str | None = None  # Kind, in the log of a configured motion
+    period_s: float | None = None  # Conditions; None if unknown
     amplitude_rad: float | None = None
     phase_2_rad: float | None = None
     design: MotionDocument | None = None  # Content of a motion file
 
 
 class _LoggedConfig(msgspec.Struct, frozen=True):
-    """What is used of the robot.toml of a run."""
+    """Part of a run's robot.toml that readers use."""
 
     motion: LoggedMotion = LoggedMotion()
     payload_kg: float | None = None
 
 
 class LoggedRun(msgspec.Struct, frozen=True):
-    """Facts of a log."""
-
     period_s: float | None
-    payload_kg: float | None  # Mass at the tip as the log states it
-    assumed_payload_kg: float | None  # Mass that robot.toml gave to the estimator
+    payload_kg: float | None  # Mass at the tip, from the metadata
+    assumed_payload_kg: float | None  # Mass that the estimator assumed, from robot.toml
     motion: LoggedMotion
-    # Whether a probing motion preceded it, after which the observer was told the payload
+    # Whether a probing motion preceded the run, which may have set the observer's payload
     probed: bool = False
-    # Slots after which the run was to end; None where the log does not say
+    # Requested number of slots; None if the log does not contain it
     slots: int | None = None
 
 
 def logged_run(log: Recording) -> LoggedRun:
-    """Facts that the metadata of a log hold."""
+    """Decode the facts in the metadata of a log."""
     config = _decoded(log, "config", "{}", _LoggedConfig)
     period_s = _decoded(log, "period_s", "null", float | None)  # type: ignore[arg-type]
     if period_s is not None and not 1e-3 <= period_s <= 1.0:

@@ -6,9 +6,9 @@
                                                                     viewers ◄──┘ └──► MCAP file
 
 The kernel queues only a few packets for a socket (`net.unix.max_dgram_qlen`, often 10), so one
-thread only receives: a slow disk fills the memory of this process and drops no ticks. The process
-ends when the loop's end of the socket closes, for whatever reason, and leaves a complete file. Its
-last word through the socket is how many ticks the file holds.
+thread only receives. A slow disk then fills the memory of this process, and no ticks are dropped.
+The process ends when the loop's end of the socket closes, for any reason, with a complete file.
+Finally it reports the number of ticks in the file through the socket.
 Started as `python -m firmware_py.log.recorder`, it reads its task from stdin.
 """
 
@@ -49,10 +49,10 @@ class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     fd: int  # Descriptor of the socket, inherited
     path: str | None
     live: tuple[str, int] | None = None  # Host and port of the live view
-    origins: tuple[str, ...] = ORIGINS  # Origins that the live view admits
-    viewers: int = VIEWERS  # Largest number of its viewers
+    origins: tuple[str, ...] = ORIGINS  # Permitted origins of the live view
+    viewers: int = VIEWERS  # Largest number of viewers
     dof: int  # Number of joints, which determines the layout of a record
-    start_ns: int  # Wall time of the start of the run; `time_s` of a tick is added to it
+    start_ns: int  # Wall time of the start of the run, to which `time_s` of a tick is added
     metadata: dict[str, str]
 
 
@@ -66,10 +66,10 @@ def recording(
     origins: tuple[str, ...] = ORIGINS,
     viewers: int = VIEWERS,
 ) -> Iterator[SocketTelemetry]:
-    """Run a recorder for the duration of the context.
+    """Run a recorder during the context, and yield the telemetry for the loop.
 
-    `path`: file to write, with its directory; None writes no file.
-    Yields telemetry for the loop; after the block it says how many ticks the file holds.
+    `path`: file to write, whose directory is made; None writes no file. After the block, `logged`
+    of the telemetry is the number of ticks in the file.
     """
     if path is not None:
         require_packages()
@@ -98,7 +98,7 @@ def recording(
 
 
 def _spawned(end: socket.socket) -> subprocess.Popen[bytes]:
-    """Start a recorder that inherits its end of the socket."""
+    """Start a recorder process that inherits its end of the socket."""
     return subprocess.Popen(
         [sys.executable, "-m", "firmware_py.log.recorder"],
         stdin=subprocess.PIPE,
@@ -125,7 +125,7 @@ def _make_directory(path: Path) -> None:
 
 
 def _await_start(ours: socket.socket) -> None:
-    """Wait until the recorder is ready, or raise its refusal."""
+    """Wait until the recorder is ready, or raise its error."""
     ours.settimeout(_START_TIMEOUT_S)
     try:
         answer = ours.recv(_ANSWER_BYTES)
@@ -138,8 +138,8 @@ def _await_start(ours: socket.socket) -> None:
 
 
 def _await_end(ours: socket.socket) -> int | None:
-    """End the log; return how many ticks it holds, None where the recorder does not say."""
-    with contextlib.suppress(OSError):  # it has ended already, and may have said so
+    """End the log; return its number of ticks, or None if the recorder does not report it."""
+    with contextlib.suppress(OSError):  # the recorder may have ended already
         ours.shutdown(socket.SHUT_WR)
     try:
         ours.settimeout(_STOP_TIMEOUT_S)
@@ -149,9 +149,9 @@ def _await_end(ours: socket.socket) -> int | None:
 
 
 def main() -> int:
-    """Pass one run on until the loop closes its end; return 1 if a file could not be finished."""
+    """Record one run until the loop closes its end; return 1 if the file was not completed."""
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # it ends after the loop
+        signal.signal(number, signal.SIG_IGN)  # the recorder ends after the loop
     os.nice(_NICENESS)
     with lasting_streams():  # a closed terminal must not end the log
         return _record()
@@ -189,7 +189,7 @@ def _sinks(task: RecorderTask) -> Iterator[Sink]:
 
 
 def _receive(end: socket.socket, packets: queue.SimpleQueue[bytes]) -> None:
-    """Put packets into the queue; an empty one, from a closed socket, ends the run."""
+    """Put packets into the queue; an empty packet, from a closed socket, ends the run."""
     record = b"-"
     while record:
         try:
@@ -205,7 +205,7 @@ def _pass_on(
     encode: TickEncoder,
     scene: SceneEncoder | None,
 ) -> int:
-    """Give every tick and its scene to every sink; drop a sink that fails (a full disk)."""
+    """Write every tick and its scene to every sink; drop a sink that fails (a full disk)."""
     code = 0
     while (record := packets.get()) and sinks:
         time_ns, data = encode(record)

@@ -1,8 +1,8 @@
 """Log file of a run: an MCAP file with one message per tick.
 
-`firmware_py.log.recorder` writes it from another process. `read_recording` reads it; a file that
-was cut off is read up to its last complete chunk. The packages mcap and lz4 are not imported by the
-process of the loop while it runs.
+`firmware_py.log.recorder` writes it in another process. `read_recording` reads it; a truncated file
+is read up to its last complete chunk. The process of the loop does not import the packages mcap and
+lz4 while it runs.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
 SCHEMA_NAME: Final = "dropstitch.Tick"
 CHUNK_BYTES: Final = 16 * 1024
-"""Size of a chunk: a third of a second of two joints, the largest loss if recorder or power fail.
-Chunks of four times the length make the file 9 % smaller, of half the length 10 % larger."""
+"""Size of a chunk: a third of a second with two joints, the largest loss if recorder or power fail.
+Chunks four times as long make the file 9 % smaller, half as long 10 % larger."""
 
 MOST_CHUNK_BYTES: Final = 4_000_000
 """Size of the largest chunk that is read: other programs write chunks of a megabyte."""
 MOST_TICKS: Final = 500_000
-"""Most ticks of a log: 180 MB of two joints, 2.4 hours at 17 ms."""
+"""Most ticks of a log: 180 MB with two joints, 2.4 hours at 17 ms."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ class Recording:
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        Values by name of the signal (`firmware_py.signals.tick_signals`), exact; NaN where the log
-        has null. Integers are integers.
+        Exact values by name of the signal (`firmware_py.signals.tick_signals`) in SI units, one per
+        tick; NaN where the log has null. Integer signals have an integer type.
     metadata : dict of str to str
-        Facts about the run, see `firmware_py.robot.log_metadata`; `dof` is added.
+        Facts about the run, see `firmware_py.robot.log_metadata`, and `dof`.
     complete : bool
-        False where the file was cut off.
+        False if the file is truncated.
     path : Path
         The file, for messages.
     """
@@ -71,7 +71,7 @@ class Recording:
 
 
 def tick_schema(dof: int) -> dict[str, Any]:
-    """Return the JSON Schema of a tick, with unit and meaning of every column."""
+    """Return the JSON Schema of a tick, with unit and description of every column."""
     return {
         "title": SCHEMA_NAME,
         "type": "object",
@@ -83,7 +83,7 @@ def tick_schema(dof: int) -> dict[str, Any]:
 
 
 def require_packages() -> None:
-    """Check that the packages of the log file are installed."""
+    """Check that the packages for log files are installed."""
     missing = [name for name in ("mcap", "lz4") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
@@ -93,7 +93,7 @@ def require_packages() -> None:
 
 
 class _TickColumn:
-    """Values of one signal, as they are read: 8 bytes each."""
+    """Growing column of one signal, 8 bytes per value."""
 
     def __init__(self, *, whole: bool) -> None:
         self._values: array[Any] = array("q" if whole else "d")
@@ -101,20 +101,20 @@ class _TickColumn:
         self._absent: list[int] = []
 
     def add(self, value: int | float | str | None) -> None:
-        """Add a value; null is NaN, an infinity a string, as `TickEncoder` writes them."""
+        """Add a value; null means NaN, and infinities are strings, as in `TickEncoder`."""
         if value is None and self._whole:
             self._absent.append(len(self._values))
             value = 0
         elif not self._whole:
             value = math.nan if value is None else float(value)
-        self._values.append(value)  # a TypeError for text in place of an integer
+        self._values.append(value)  # a TypeError for text instead of an integer
 
     def take_back(self, count: int) -> None:
         """Keep the first `count` values."""
         del self._values[count:]
 
     def result(self) -> NDArray[Any]:
-        """Return integers, or doubles where the signal is one or where a value is absent."""
+        """Return the values as integers; as doubles if the signal is one or a value is missing."""
         kind = np.int64 if self._whole else np.float64
         values: NDArray[Any] = np.frombuffer(self._values, dtype=kind)
         if self._absent:
@@ -129,14 +129,20 @@ def read_recording(path: Path | str, first: int | None = None) -> Recording:
     Parameters
     ----------
     path : Path or str
-        The file.
+        The log, an MCAP file.
     first : int, optional
-        Number of ticks after which to stop.
+        Number of ticks to read; by default all.
+
+    Returns
+    -------
+    Recording
+        Columns and metadata; of a truncated file, those up to its last complete chunk.
 
     Raises
     ------
     InputError
-        If a package or the file is missing, or it is no log of this project, or holds no tick.
+        If a package or the file is missing, or the file is not a log of this project or has no
+        tick.
     """
     require_packages()
     path = Path(path)
@@ -172,7 +178,7 @@ def read_recording(path: Path | str, first: int | None = None) -> Recording:
 
 
 def _columns_of(metadata: dict[str, str]) -> dict[str, _TickColumn]:
-    """Columns of a robot of one or two joints; none where the metadata name no such robot."""
+    """Return empty columns for the joints in the metadata; none for other files."""
     if metadata.get("dof") not in ("1", "2"):
         return {}
     kinds = tick_dtype(int(metadata["dof"]))
@@ -180,7 +186,7 @@ def _columns_of(metadata: dict[str, str]) -> dict[str, _TickColumn]:
 
 
 def _damage() -> tuple[type[Exception], ...]:
-    """Errors that a truncated or damaged file raises."""
+    """Return the errors that a truncated or damaged file raises."""
     from mcap.exceptions import McapError
 
     return (
@@ -190,7 +196,7 @@ def _damage() -> tuple[type[Exception], ...]:
 
 
 def _metadata(data: bytes) -> Iterator[dict[str, str]]:
-    """Metadata of this project in a file, wherever they stand."""
+    """Yield the metadata records of this project in a file."""
     from mcap.records import Metadata
     from mcap.stream_reader import StreamReader
 
@@ -200,11 +206,11 @@ def _metadata(data: bytes) -> Iterator[dict[str, str]]:
 
 
 def _messages(data: bytes) -> Iterator[bytes]:
-    """Ticks of a file; a message of a channel that the file does not declare is taken for one."""
+    """Yield the ticks of a file, including messages of undeclared channels."""
     from mcap.records import Channel, Chunk, Message
     from mcap.stream_reader import StreamReader, breakup_chunk
 
-    # From memory: a damaged length then gets the bytes that are left, however large it is.
+    # From memory, a damaged length cannot read more than the rest of the file.
     stream = io.BytesIO(data)
     others: set[int] = set()
     for record in StreamReader(stream, validate_crcs=True, emit_chunks=True).records:
@@ -218,7 +224,7 @@ def _messages(data: bytes) -> Iterator[bytes]:
 
 
 def _opened(chunk: Any) -> Any:
-    """Chunk with its content uncompressed; no more than it declares, and that is bounded."""
+    """Decompress a chunk, at most to its declared size, which is bounded."""
     import lz4.frame
 
     size = chunk.uncompressed_size

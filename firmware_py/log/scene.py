@@ -1,8 +1,8 @@
 """Scene of a run for a 3-D viewer: link, markers and predicted tip as `foxglove.SceneUpdate`.
 
-A message is complete in itself, so a viewer may begin anywhere in a log. It is protobuf, written
-here field by field: the robot's recorder needs no further package. `scene_update.binpb` is the
-descriptor that a reader decodes it by, as foxglove-sdk defines it.
+Each message is complete, so a viewer may begin anywhere in a log. It is protobuf, encoded here
+field by field, so that the robot's recorder needs no further package. `scene_update.binpb` is the
+descriptor for readers, as foxglove-sdk defines it.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ SCENE_TOPIC: Final = "/scene"
 SCENE_SCHEMA: Final = "foxglove.SceneUpdate"
 FRAME: Final = "world"
 SHAPE_KEY: Final = "link_shape"
-"""Key of the metadata of a log."""
+"""Key of the link's shape in the metadata of a log."""
 EVERY: Final = 6
-"""Ticks for each scene: ten a second at 17 ms, which looks smooth."""
+"""Ticks per scene: ten scenes a second at 17 ms, which looks smooth."""
 
 MARKER_SIZE_M: Final = 0.02
 LINE_SIZE_M: Final = 0.004
@@ -42,26 +42,23 @@ RIGID: Final[Colour] = (0.54, 0.58, 0.63, 0.8)
 IN_RANGE: Final[Colour] = (0.18, 0.62, 0.42, 0.6)
 OUT_OF_RANGE: Final[Colour] = (0.61, 0.11, 0.09, 0.6)
 _STEP_M: Final = 2.0**-13
-"""Positions are multiples of 0.12 mm: round numbers make the log half as large."""
+"""Resolution of positions, 0.12 mm; rounding halves the size of the log."""
 
 
 @cache
 def scene_schema() -> bytes:
-    """Descriptor of the messages, a protobuf FileDescriptorSet."""
+    """Return the descriptor of the messages, a protobuf FileDescriptorSet."""
     return Path(__file__).with_name("scene_update.binpb").read_bytes()
 
 
 def shape_in(metadata: dict[str, str]) -> LinkShape | None:
-    """Shape of the link that the metadata of a log hold; None where they have none."""
+    """Return the link's shape from the metadata of a log; None if they have none."""
     text = metadata.get(SHAPE_KEY)
     return msgspec.json.decode(text, type=LinkShape) if text else None
 
 
 class SceneEncoder:
-    """Encoder of tick records as scenes.
-
-    `dof`: number of joints, which determines the layout of a record.
-    """
+    """Encoder of tick records as scenes."""
 
     def __init__(self, dof: int, shape: LinkShape) -> None:
         self._dtype, self._shape = tick_dtype(dof), shape
@@ -72,7 +69,7 @@ class SceneEncoder:
         }  # fmt: skip
 
     def __call__(self, record: bytes, time_ns: int) -> bytes | None:
-        """Scene of every `EVERY`-th record; None for others, and where the tip is not known."""
+        """Return the scene of every `EVERY`-th record; None for others and without a tip."""
         due = self._records % EVERY == 0
         self._records += 1
         if not due:
@@ -89,9 +86,9 @@ class SceneEncoder:
 
 
 class _Template:
-    """Scene in which all but coordinates and times is written; filling it takes microseconds.
+    """Encoded scene without coordinates and times; filling them in takes microseconds.
 
-    The coordinates are found by writing a scene of numbers that occur nowhere else in it.
+    The offsets of the coordinates follow from encoding a scene of unique numbers.
     """
 
     def __init__(self, shape: LinkShape, tip_colour: Colour) -> None:
@@ -105,7 +102,7 @@ class _Template:
         own = LinkPose(centre=centre, edges=edges, markers=markers, rigid_tip=rigid)
         self._text = _scene(own, size, shape, tip_colour)
         places = [self._text.index(struct.pack("<d", value)) for value in unique.tolist()]
-        # The tip's sphere stands at the end of the centre line: its place is written twice.
+        # The tip's sphere is at the end of the centre line, so this position occurs twice.
         tips = [self._text.rindex(struct.pack("<d", value)) for value in centre[-1].tolist()]
         self._places = (np.array(places + tips)[:, None] + np.arange(8)).ravel()
 
@@ -124,7 +121,7 @@ class _Template:
 
 
 def _scene(pose: LinkPose, tip_size_m: Array, shape: LinkShape, tip_colour: Colour) -> bytes:
-    """Scene at the time that `_Template.filled` replaces."""
+    """Encode a scene with placeholder times, which `_Template.filled` replaces."""
     link = [
         (12, _surface(pose.edges, shape)),
         (11, _line(pose.centre, AXIS)),
@@ -138,14 +135,14 @@ def _scene(pose: LinkPose, tip_size_m: Array, shape: LinkShape, tip_colour: Colo
 
 
 def _entity(name: str, parts: Iterable[tuple[int, bytes]]) -> bytes:
-    """Entity of a scene, which replaces the one of the same name before it."""
+    """Encode an entity of a scene, which replaces the previous one of the same name."""
     stamp = bytes([1 << 3]) + _SECONDS + bytes([2 << 3]) + _NANOS  # wire type 0
     content = _part(1, stamp) + _part(2, FRAME.encode()) + _part(3, name.encode())
     return _part(2, content + b"".join(_part(number, part) for number, part in parts))
 
 
 def _surface(edges_m: Array, shape: LinkShape) -> bytes:
-    """Skin between the corners of neighbouring sections; empty for fewer than three corners."""
+    """Encode the skin between neighbouring sections; empty for fewer than three corners."""
     around = np.argsort([np.arctan2(y, x) for x, y in shape.corners_m], kind="stable")
     count, corners = len(edges_m), len(around)
     if corners < 3:
@@ -159,7 +156,7 @@ def _surface(edges_m: Array, shape: LinkShape) -> bytes:
 
 
 def _line(points_m: Array, colour: Colour) -> bytes:
-    """Line through points; a strip, which is the default."""
+    """Encode a line through points, a strip by default."""
     return _double(3, LINE_SIZE_M) + _points(5, points_m) + _part(6, _colour(colour))
 
 
@@ -181,12 +178,12 @@ def _colour(colour: Colour) -> bytes:
 
 
 def _double(number: int, value: float) -> bytes:
-    """Field of a double (wire type 1)."""
+    """Encode a field of a double (wire type 1)."""
     return struct.pack("<Bd", number << 3 | 1, value)
 
 
 def _part(number: int, content: bytes) -> bytes:
-    """Field of a message, a text or packed numbers (wire type 2)."""
+    """Encode a field of a message, a text or packed numbers (wire type 2)."""
     return bytes([number << 3 | 2]) + _varint(len(content)) + content
 
 
@@ -199,11 +196,11 @@ def _varint(value: int) -> bytes:
 
 
 def _varint5(value: int) -> bytes:
-    """Integer below 2³⁵ in five bytes, whatever its size."""
+    """Encode an integer below 2³⁵ in exactly five bytes."""
     digits = [value >> shift & 0x7F for shift in (0, 7, 14, 21, 28)]
     return bytes([*(digit | 0x80 for digit in digits[:4]), digits[4]])
 
 
 _SECONDS: Final = _varint5(2**35 - 1)
 _NANOS: Final = _varint5(2**35 - 2)
-"""Times of a template, which no time of a run equals."""
+"""Placeholder times of a template, which no time of a run equals."""

@@ -1,6 +1,6 @@
 """Sinks of the recorder process: an MCAP file and a live view, with the same messages.
 
-Their packages are imported when a sink is made, in the recorder process only.
+A sink imports its packages when it is created, in the recorder process only.
 """
 
 from __future__ import annotations
@@ -24,28 +24,27 @@ from firmware_py.signals import tick_dtype
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
 _VIEWER_BACKLOG: Final = 256
-"""Messages kept for a viewer that is behind; beyond them the oldest are dropped."""
+"""Backlog of a slow viewer in messages; beyond it, the oldest are dropped."""
 
 
 class Sink(Protocol):
     """Receiver of ticks in the recorder process."""
 
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
-        """Take one message."""
+        """Write one message."""
 
     def finish(self) -> None:
         """Complete the output after the last tick."""
 
     @property
     def ticks(self) -> int | None:
-        """Ticks that the output holds; None where it keeps none."""
+        """Number of ticks in the output; None if it stores none."""
 
 
 class TickEncoder:
-    """Encoder of packed records as JSON, exact; NaN becomes null, an infinity a string.
+    """Exact encoder of packed records as JSON; NaN becomes null, an infinity a string.
 
-    `dof`: number of joints, which determines the layout of a record.
-    `start_ns`: wall time of the start of the run; `time_s` of a tick is added to it.
+    `start_ns`: wall time of the start of the run, to which `time_s` of a tick is added.
     """
 
     def __init__(self, dof: int, start_ns: int) -> None:
@@ -65,9 +64,9 @@ class TickEncoder:
 
 
 class McapSink:
-    """MCAP file: small LZ4 chunks, each on the disk as soon as it is full.
+    """MCAP file of small LZ4 chunks, each written to disk as soon as it is full.
 
-    `path`: file to make; one that exists, or a link, is never written to.
+    `path`: new file; an existing file or link is never overwritten.
     """
 
     def __init__(self, path: str, dof: int, metadata: dict[str, str]) -> None:
@@ -87,7 +86,7 @@ class McapSink:
             ) from None  # fmt: skip
 
     def _begin(self, dof: int, metadata: dict[str, str]) -> None:
-        """Write what stands before the first tick."""
+        """Write schemas, channels and metadata, before the first tick."""
         from mcap.writer import CompressionType, Writer
 
         self.ticks = self._taken = 0
@@ -104,9 +103,9 @@ class McapSink:
         self._flush()
 
     def _remove(self, path: str) -> None:
-        """Leave no empty file, which would stand in the way of the next log of this name."""
+        """Remove the empty file, which would block the next log of this name."""
         with contextlib.suppress(OSError):
-            self._stream.close()  # it tries to write once more
+            self._stream.close()  # closing tries to write once more
         with contextlib.suppress(OSError):
             os.remove(path)
 
@@ -158,7 +157,7 @@ class LiveSink:
             self._channels[SCENE_TOPIC] = foxglove.Channel(
                 SCENE_TOPIC, message_encoding="protobuf", schema=shown
             )
-        # Unguarded, so a page must not find it: one of 16 million addresses, on any port.
+        # The server is unprotected, so it hides at one of 16 million addresses, on any port.
         hidden = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
         try:
             self._server: Any = foxglove.start_server(
@@ -174,7 +173,6 @@ class LiveSink:
         self.url = f"ws://{host}:{self._gate.port}"
 
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
-        """Send one message to the viewers."""
         self._channels[topic].log(data, log_time=time_ns)
 
     def finish(self) -> None:

@@ -1,8 +1,9 @@
 """Telemetry: hand-over of packed tick records to another process.
 
-Writing a log in the tick delays it by 8–13.5 ms at worst, in another thread by 30–63 ms; a record
-through a non-blocking socket to another process takes 50 µs (docs/sources.md, "Fixed-rate loop"). A
-record that the socket does not accept at once is dropped and counted, so the loop never waits.
+Writing a log in the tick delays it by up to 8–13.5 ms, in another thread by up to 30–63 ms. Sending
+a record through a non-blocking socket to another process takes 50 µs (docs/sources.md, "Fixed-rate
+loop"). A record that the socket does not accept at once is dropped and counted, so the loop never
+waits.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ class Telemetry(Protocol):
     """Receiver of finished tick records."""
 
     drops: int  # Records that were not delivered
-    logged: int | None  # Ticks that the log holds, once it is complete; None where nobody says
+    logged: int | None  # Ticks in the complete log; None if unknown
 
     def put(self, record: memoryview) -> None:
-        """Take one record; never blocks, never raises."""
+        """Send one record; never blocks, never raises."""
         ...
 
 

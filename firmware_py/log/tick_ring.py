@@ -16,12 +16,12 @@ _FIELD_BYTES: Final = 8
 
 
 class TickRing:
-    """Ring of the last records, written without net allocation."""
+    """Ring buffer of the latest records, written without net allocation."""
 
     def __init__(self, dof: int, keep: int) -> None:
         dtype = tick_dtype(dof)
         names = dtype.names or ()
-        # One call packs the whole record, five times faster than packing by column.
+        # Packing the whole record at once is five times faster than packing by column.
         self._pack = struct.Struct(
             "=" + "".join(_FORMATS[dtype[name].kind] for name in names)
         ).pack_into
@@ -33,7 +33,6 @@ class TickRing:
         self.count = 0
 
     def append(self, values: Sequence[Any]) -> None:
-        """Write a record."""
         self._pack(self._bytes, self.count % self._keep * self._size, *values)
         self.count += 1
 
@@ -48,6 +47,6 @@ class TickRing:
         return self._bytes[start : start + self._size]
 
     def ordered(self) -> NDArray[np.void]:
-        """Copy of the records kept, oldest first."""
+        """Return a copy of the records in the ring, oldest first."""
         order = np.arange(max(0, self.count - self._keep), self.count) % self._keep
         return self._array[order]

@@ -1,9 +1,9 @@
 """Clocks of the loop, real and simulated, and real-time scheduling of its thread.
 
-Waiting for absolute deadlines keeps the phase: 600 ticks of 17 ms drift by 3 ms in all, against
-1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). On a busy machine
-`SCHED_FIFO` has the largest effect. It is set inside the loop's thread: a policy for the whole
-service would promote every other thread as well.
+Waiting for absolute deadlines keeps the phase: 600 ticks of 17 ms drift by 3 ms in total, compared
+with 1.3–2.1 s with relative sleeping (docs/sources.md, "Fixed-rate loop"). On a busy machine
+`SCHED_FIFO` has the largest effect. It is set inside the loop's thread, because a policy for the
+whole service would promote every other thread as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Final, Protocol
 
 import msgspec
 
-if sys.platform != "win32":  # `SimClock` is used there too
+if sys.platform != "win32":  # Windows uses `SimClock`
     import resource
 
 __all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "may_lock_memory", "real_time"]
@@ -39,7 +39,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at a deadline; at once if it has passed."""
+        """Wait until a deadline; return at once if it has passed."""
         ...
 
 
@@ -55,13 +55,12 @@ class DeadlineClock:
 
 
 class SimClock:
-    """Simulated clock: time passes only where somebody waits, so a run is deterministic."""
+    """Simulated clock, whose time advances only by waiting, so that a run is deterministic."""
 
     def __init__(self, start_ns: int = 0) -> None:
         self._now_ns = start_ns
 
     def now_ns(self) -> int:
-        """Return the simulated time."""
         return self._now_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -69,7 +68,7 @@ class SimClock:
         self._now_ns = max(self._now_ns, deadline_ns)
 
     def advance(self, duration_ns: int) -> None:
-        """Advance by `duration_ns`, as a computation or a transmission does."""
+        """Advance by the duration of a computation or a transmission."""
         self._now_ns += duration_ns
 
 
@@ -78,7 +77,7 @@ class RealTimeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     # SCHED_FIFO priority of the loop's thread, 1–99; 0 keeps the normal scheduler
     priority: int = 50
-    lock_memory: bool = True
+    lock_memory: bool = True  # Keep all memory of the process in RAM
     freeze_gc: bool = True  # Collect garbage once, then disable the collector during the loop
     cpu: int | None = None  # Processor to pin the loop's thread to; None does not pin it
 
@@ -87,7 +86,7 @@ class RealTimeOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 def real_time(options: RealTimeOptions) -> Iterator[list[str]]:
     """Make the calling thread real-time as far as the kernel permits; restore it afterwards.
 
-    Yields refused requests with remedies, one sentence each; empty where all were granted.
+    Yields the refused requests with remedies, one sentence each; empty if all were granted.
     """
     refused: list[str] = []
     affinity, collecting = os.sched_getaffinity(0), gc.isenabled()
@@ -137,7 +136,7 @@ def may_lock_memory() -> bool:
 
 
 def _has_capability(number: int) -> bool:
-    """Whether a capability is in the effective set; without /proc, whether the user is root."""
+    """Whether the effective set has a capability; without /proc, whether the user is root."""
     try:
         status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
     except OSError:

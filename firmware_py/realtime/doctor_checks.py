@@ -1,8 +1,8 @@
-"""Doctor checks: settings of this PC that spoil the loop's timing, with remedies.
+"""Doctor checks: settings of this PC that harm the loop's timing, with remedies.
 
-Ranked by what was measured (docs/sources.md, "Fixed-rate loop"): the USB latency timer costs up to
-16 ms of 17, the normal scheduler up to 43 ms under load, paging and the collector hundreds; the
-rest is smaller.
+Measured effects (docs/sources.md, "Fixed-rate loop"): the USB latency timer costs up to 16 ms of
+17, the normal scheduler up to 43 ms under load, paging and the garbage collector hundreds; the rest
+is smaller.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from firmware_py.errors import InputError
 from firmware_py.log.recording import require_packages
 from firmware_py.realtime.clock import may_lock_memory
 
-if sys.platform != "win32":  # --help works there
+if sys.platform != "win32":  # --help works on Windows
     import resource
 
 _GOOD_CLOCKS: Final = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
@@ -34,11 +34,11 @@ class Severity(Enum):
 
     GOOD = "good"
     NOTE = "note"
-    """Not ideal, or not known here; the loop runs well enough."""
+    """Not ideal, or unknown on this PC; the loop runs well enough."""
     SPOILS = "spoils"
     """Deadlines will be missed."""
     UNCHECKED = "not checked"
-    """What it is about is not there, or this kernel does not show it."""
+    """The subject of the check is absent, or this kernel does not report it."""
 
 
 class Finding(NamedTuple):
@@ -47,7 +47,7 @@ class Finding(NamedTuple):
     name: str
     verdict: Severity  # Effect on the timing
     found: str
-    remedy: str = ""  # Remedy; empty where the finding is good
+    remedy: str = ""  # Empty if the setting is good
 
 
 def examine(
@@ -55,7 +55,7 @@ def examine(
 ) -> list[Finding]:
     """Run every check.
 
-    `may_be_real_time`: returns whether SCHED_FIFO is granted; by default it is tried.
+    `may_be_real_time`: returns whether SCHED_FIFO is granted; by default a thread tries it.
     """
     return [
         _latency_timer(root),
@@ -98,7 +98,7 @@ def _latency_timer(root: Path) -> Finding:
 
 
 def try_fifo() -> bool:
-    """Return whether a thread may use SCHED_FIFO, by trying it in a short-lived one."""
+    """Return whether a thread may use SCHED_FIFO, by trying it in a short-lived thread."""
     granted = []
 
     def attempt() -> None:

@@ -9,7 +9,7 @@ import threading
 import time
 from typing import Protocol
 
-if sys.platform != "win32":  # the loop is imported there too, by what plans for it
+if sys.platform != "win32":  # Windows imports the loop for planning
     import resource
 
 __all__ = ["Counters", "KernelCounters", "NoCounters"]
@@ -19,18 +19,15 @@ class Counters(Protocol):
     """Counters of the kernel for the loop's thread."""
 
     def run_delay_ns(self) -> int:
-        """Return the time for which the thread was ready to run and did not."""
+        """Return the run-queue delay: the time in which the thread was ready but did not run."""
         ...
 
     def start_computing(self) -> None:
-        """Note that the thread has no reason to sleep from now on."""
+        """Mark the time from which on the thread does not sleep voluntarily."""
         ...
 
     def delays_ns(self) -> tuple[int, int]:
-        """Return `run_delay_ns`, and the time in which the processor itself stood still.
-
-        The latter counts from `start_computing` on.
-        """
+        """Return `run_delay_ns`, and the steal time of the processor since `start_computing`."""
         ...
 
 
@@ -38,22 +35,20 @@ class NoCounters:
     """Counters for simulated time, in which nothing is preempted."""
 
     def run_delay_ns(self) -> int:
-        """Return zero."""
         return 0
 
     def start_computing(self) -> None:
         """Do nothing."""
 
     def delays_ns(self) -> tuple[int, int]:
-        """Return no time in which the processor stood still."""
+        """Return a steal time of zero."""
         return self.run_delay_ns(), 0
 
 
 class KernelCounters:
     """Counters of the kernel for the thread that creates this object.
 
-    The file stays open, so that a reading is one system call of 1 µs. A counter that does not exist
-    reads as zero.
+    The file stays open, so that a reading is one system call of 1 µs. A missing counter reads zero.
     """
 
     def __init__(self) -> None:
@@ -61,19 +56,17 @@ class KernelCounters:
         self._start = (0, 0, 0, -1)
 
     def run_delay_ns(self) -> int:
-        """See `Counters.run_delay_ns`."""
         return self._ran_and_delayed_ns()[1]
 
     def start_computing(self) -> None:
-        """See `Counters.start_computing`."""
         self._start = (time.monotonic_ns(), *self._ran_and_delayed_ns(), _sleeps())
 
     def delays_ns(self) -> tuple[int, int]:
-        """See `Counters.delays_ns`.
+        """Return run-queue delay and steal time; see `Counters.delays_ns`.
 
-        A thread that does not sleep runs, or waits for its turn, or its processor stands still: a
-        hypervisor has taken it, and the kernel does not count that time as the thread's. Where the
-        thread has slept, the time is its own.
+        A thread that does not sleep is running, is waiting in the run queue, or has lost its
+        processor to the hypervisor, which the kernel counts as neither. If the thread has slept,
+        this difference is not defined, and the steal time is zero.
         """
         start_ns, ran_ns, delayed_ns, sleeps = self._start
         now_ns, (ran_now_ns, delayed_now_ns) = time.monotonic_ns(), self._ran_and_delayed_ns()
@@ -95,7 +88,7 @@ class KernelCounters:
 
 
 def _sleeps() -> int:
-    """Times that this thread has given up its processor."""
+    """Return the number of voluntary context switches of this thread."""
     return resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw
 
 

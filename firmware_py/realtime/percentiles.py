@@ -15,26 +15,23 @@ __all__ = ["Percentiles"]
 Nanoseconds = NDArray[np.int64]
 
 FRACTIONS: Final = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999}
-"""Percentiles by the name of their field."""
+"""Fraction of each percentile, by name of its field."""
 LABELS: Final = {"p50": "p50_ns", "p99": "p99_ns", "p99.9": "p99_9_ns", "max": "max_ns"}
-"""Fields by the label that people read."""
+"""Field of each label."""
 
 
 class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Percentiles of a series of durations in ns; each is a value that occurred."""
+    """Percentiles of a series of durations, each an observed value."""
 
-    n: int  # Number of durations; the other fields are 0 where there is none
-    p50_ns: int  # Smallest value that this fraction of the durations does not exceed
-    p99_ns: int
-    p99_9_ns: int
-    max_ns: int
+    n: int  # Number of durations; if it is 0, so are the other fields
+    p50_ns: int  # Median
+    p99_ns: int  # 99 % of the durations are at most this long
+    p99_9_ns: int  # 99.9 % of the durations are at most this long
+    max_ns: int  # Longest duration
 
     @classmethod
     def of(cls, durations_ns: Nanoseconds, **more: Any) -> Self:
-        """Return the percentiles of a series.
-
-        Shapes: `durations_ns` (n,).
-        """
+        """Return the percentiles of a series of shape (n,)."""
         values = [0] * (len(FRACTIONS) + 1)
         if len(durations_ns):
             levels = (*FRACTIONS.values(), 1.0)

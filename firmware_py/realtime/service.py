@@ -1,8 +1,8 @@
 """Notification of systemd: started, alive, stopping (the protocol of sd_notify(3)).
 
 The protocol is a datagram to the socket that the environment names. The loop notifies systemd from
-its log stage; if it hangs, systemd ends it and runs `dropstitch release`, as the service file of
-`dropstitch install-service` says.
+its log stage. If it hangs, systemd ends it and runs `dropstitch release`, according to the service
+file of `dropstitch install-service`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final, Protocol
 from firmware_py.realtime.clock import Clock
 
 _NOTIFICATIONS: Final = 4
-"""Notifications within the timeout of systemd."""
+"""Number of notifications within the timeout of systemd."""
 
 
 class Service(Protocol):
@@ -34,7 +34,7 @@ class NoService:
 
 
 class SystemdService:
-    """Watchdog of systemd; does nothing where the environment names no socket.
+    """Watchdog of systemd; it does nothing if the environment names no socket.
 
     `clock`: clock of the notifications; there are four within the timeout of systemd.
     `environment`: environment with NOTIFY_SOCKET and WATCHDOG_USEC; by default that of the process.
@@ -70,5 +70,5 @@ class SystemdService:
             self._socket = None
 
     def _notify(self, end: socket.socket, message: bytes) -> None:
-        with contextlib.suppress(OSError):  # a full queue: the next notification will do
+        with contextlib.suppress(OSError):  # queue full: the next notification is enough
             end.sendto(message, self._address)

@@ -3,8 +3,8 @@
 A closed terminal or a lost ssh session sends SIGHUP, Ctrl-C SIGINT, Ctrl-Z SIGTSTP; unhandled,
 each leaves the torque on. Not handled are:
 
-- SIGKILL and SIGSTOP, which the kernel lets nobody handle;
-- the signals of a crash (SIGSEGV, SIGABRT and the like), after which no program can go on;
+- SIGKILL and SIGSTOP, which no program can handle;
+- the signals of a crash (SIGSEGV, SIGABRT and the like), after which no program can continue;
 - signals without effect by default (SIGCHLD, SIGCONT, SIGURG, SIGWINCH).
 """
 
@@ -24,7 +24,7 @@ _UNHANDLED: Final = frozenset({
     "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT", "SIGTRAP", "SIGSYS",
     "SIGCHLD", "SIGCONT", "SIGURG", "SIGWINCH",
 })  # fmt: skip
-"""By name: Windows has few of them, and imports the loop to plan for it."""
+"""By name, because Windows has few of them but imports the loop for planning."""
 STOP_SIGNALS: Final = tuple(
     sorted(int(s) for s in signal.valid_signals() if getattr(s, "name", "") not in _UNHANDLED)
 )
@@ -35,7 +35,7 @@ STOP_SIGNALS: Final = tuple(
 def signals_to(stop: Callable[[str], None]) -> Iterator[None]:
     """Turn `STOP_SIGNALS` into requests for a controlled stop (main thread only).
 
-    SIGHUP stays ignored where it was ignored at the start: `nohup` asks for that.
+    If SIGHUP is ignored at the start, as under `nohup`, it stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -57,7 +57,7 @@ def signals_to(stop: Callable[[str], None]) -> Iterator[None]:
 
 
 def _name(number: int) -> str:
-    """Return the name of a signal; most real-time signals have none of their own."""
+    """Return the name of a signal, also of real-time signals without one in Python."""
     try:
         return signal.Signals(number).name
     except ValueError:

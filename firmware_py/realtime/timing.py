@@ -25,7 +25,7 @@ __all__ = [
 _SUB_BITS: Final = 6
 _SUB_BUCKETS: Final = 1 << _SUB_BITS
 _OCTAVES: Final = 40
-"""Durations up to 2**40 ns, 18 minutes, are distinguished."""
+"""Durations up to 2**40 ns, 18 minutes, are resolved."""
 
 _BOUND_ERROR: Final = 0.05
 _NEGLIGIBLE: Final = 1e-16
@@ -65,7 +65,7 @@ class Histogram:
         return 0
 
     def summary(self) -> Percentiles:
-        """Return count, percentiles and maximum; zeros where nothing was counted."""
+        """Return count, percentiles and maximum; zeros for an empty histogram."""
         fields = {name: self.percentile_ns(level) for name, level in FRACTIONS.items()}
         return Percentiles(n=self.count, max_ns=self.max_ns, **fields)
 
@@ -88,12 +88,12 @@ class Cause(Enum):
 def cause_of_miss(
     busy_ns: int, bus_wait_ns: int, lateness_ns: int, preempted_ns: int, steal_ns: int
 ) -> Cause:
-    """Return the cause with the largest part of a tick that ended after its slot.
+    """Return the cause with the largest share of a tick that overran its slot.
 
-    Lateness that the run queue does not explain is time in which the whole machine stood still. The
-    larger of the two counts for the host.
+    Lateness beyond the run-queue delay means that the whole machine was suspended. So the larger of
+    lateness and delays counts for the host.
 
-    `preempted_ns`, `steal_ns`: run-queue delay during the period; steal time while the tick
+    `preempted_ns`: run-queue delay during the period. `steal_ns`: steal time while the tick
     computed.
     """
     host_ns = max(preempted_ns + steal_ns, lateness_ns)
@@ -105,15 +105,15 @@ def cause_of_miss(
 class TimingSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Timing statistics of a run."""
 
-    stages: dict[str, Percentiles]  # By stage, and "lateness", "busy" and "own", see `Timing`
-    misses: int
-    longest_run_of_misses: int  # Largest number of slots missed in a row
-    causes: dict[str, int]  # Slots missed by cause
-    miss_rate_upper_bound_95: float
+    stages: dict[str, Percentiles]  # Durations of each stage, and of "lateness", "busy" and "own"
+    misses: int  # Number of missed slots
+    longest_run_of_misses: int  # Largest number of consecutive missed slots
+    causes: dict[str, int]  # Missed slots by cause
+    miss_rate_upper_bound_95: float  # One-sided 95 % upper bound on the rate of missed slots
 
 
 class Timing:
-    """Timing of a run in constant memory: a histogram per stage, and the misses by cause."""
+    """Timing of a run in constant memory: a histogram per stage, and missed slots by cause."""
 
     def __init__(self) -> None:
         self.stages = {name: Histogram() for name in (*STAGES, "lateness", "busy", "own")}
@@ -132,7 +132,7 @@ class Timing:
         self.stages["own"].add(busy_ns - bus_wait_ns)
 
     def miss(self, slots: int, cause: Cause) -> None:
-        """Count slots missed in a row."""
+        """Count consecutive missed slots."""
         self.misses += slots
         self.longest_run = max(self.longest_run, slots)
         self.causes[cause] += slots
@@ -152,10 +152,9 @@ class Timing:
 def miss_rate_bound(misses: int, slots: int) -> float:
     """Return the one-sided 95 % upper bound on the miss rate by Clopper and Pearson.
 
-    It is the rate at which so few misses, or fewer, have a probability of 5 %. Without a miss it is
-    1 − 0.05^(1/n), just below 3/n (docs/sources.md, "Fixed-rate loop").
-
-    Returns upper bound, 0 to 1; 1 where nothing was observed.
+    It is the rate at which this number of misses, or fewer, has a probability of 5 %. Without a
+    miss it is 1 − 0.05^(1/n), just below 3/n (docs/sources.md, "Fixed-rate loop"). Without any slot
+    it is 1.
     """
     if misses >= slots:
         return 1.0
@@ -169,9 +168,9 @@ def miss_rate_bound(misses: int, slots: int) -> float:
 
 
 def _probability_of_at_most(misses: int, slots: int, rate: float) -> float:
-    """Binomial distribution function, summed downwards from its largest term.
+    """Return the binomial distribution function, summed downwards from its largest term.
 
-    The rate is at least misses / slots, so that the terms fall.
+    The rate must be at least misses / slots, so that the terms decrease.
     """
     term = total = math.exp(
         math.lgamma(slots + 1) - math.lgamma(misses + 1) - math.lgamma(slots - misses + 1)

@@ -5,17 +5,19 @@ blend     when                                   how
 ========= ====================================== ==============================================
 approach  at the start of the run                to the first goal of the motion, which waits
 absorb    after missed slots                     the motion plus an offset that decays to zero,
-                                                 so that the speed of the motion is kept
+                                                 which keeps the speed of the motion
 join      the motion runs and the arm is at rest from rest into the motion: every goal lies
-          (after a replug)                       between the two and so within the angle limits
+          (after a replug)                       between the two, hence within the angle limits
 ========= ====================================== ==============================================
 
 Each follows a quintic, which is at rest at both ends (minimum-jerk polynomial; Flash and Hogan,
 *J. Neuroscience* 5, 1985). Its duration follows from a quarter of the permitted rate and
-acceleration. An approach keeps every limit by itself; the others add to the motion's own speed.
-The distance that a join has to bridge changes while it runs. Where the motion is known ahead, its
-largest distance until then counts, and both together must leave room within the limits; else, and
-at most, the distance to the limits counts.
+acceleration. An approach keeps every limit; the other two add to the motion's own speed.
+
+The distance that a join has to bridge changes while it runs. If the motion is known ahead, the
+duration follows from the largest distance during the join, and is extended until blend and motion
+together stay within `_ROOM` of the limits. Otherwise, and at most, it follows from the distance to
+the angle limits.
 """
 
 from __future__ import annotations
@@ -32,16 +34,16 @@ from firmware_py.safety.limits import Limits
 _FRACTION: Final = 0.25
 """Fraction of the limits of rate and acceleration that a blend may use."""
 _ROOM: Final = 0.9
-"""Fraction of the limits that blend and known motion may use together; the rest is for corrections
-of the goals and for a payload that changes [assumed]."""
+"""Fraction of the limits that blend and known motion may use together. The rest is reserved for
+corrections of the goals and for a change of the estimated payload [assumed]."""
 _PEAK_RATE: Final = 1.875
-"""Largest slope of the quintic, in the middle, over its mean slope."""
+"""Largest slope of the quintic, in its middle, relative to its mean slope."""
 _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
 """Largest second derivative of the quintic on the interval from 0 to 1."""
 
 
 class Blend:
-    """Blend in progress; see the module's table."""
+    """Blend of one of the kinds in the module's table."""
 
     def __init__(self, limits: Limits, dof: int, period_s: float) -> None:
         self._limits, self._period_s = limits, period_s
@@ -54,18 +56,14 @@ class Blend:
         self._offset = [0.0] * dof
 
     def approach(self, goal: Sequence[float], start: Sequence[float]) -> int:
-        """Start an approach to a position; return its duration in ticks.
-
-        `goal`, `start`: latest goals and first goals of the motion, in rad.
-        """
+        """Start an approach from the latest goals to the first of the motion; return its ticks."""
         self._leave(goal, max(abs(to - at) for to, at in zip(start, goal, strict=True)))
         return self._ticks
 
     def absorb(self, goal: Sequence[float], desired_before: Sequence[float]) -> None:
         """Start an offset that keeps the latest goals and then decays to zero.
 
-        `goal`, `desired_before`: latest goals, and the motion one period before the next goals, in
-        rad.
+        `goal`: latest goals in rad. `desired_before`: the motion one period before the next goals.
         """
         if self._from_rest and self.active:
             self.join(goal)
@@ -82,7 +80,7 @@ class Blend:
     def join(self, goal: Sequence[float], ahead: Iterable[Sequence[float]] = ()) -> None:
         """Start a blend from rest into the motion, wherever it is within the limits.
 
-        `ahead`: goals of the motion in the ticks to come, in rad, where they are known.
+        `ahead`: goals of the motion in the next ticks, in rad; empty if they are not known.
         """
         low, high = self._limits.angle_rad
         self._leave(goal, max(max(high - at, at - low) for at in goal))
@@ -93,7 +91,7 @@ class Blend:
         self._ticks = min(ticks, self._ticks)
 
     def _known_ticks(self, rows: Sequence[Sequence[float]]) -> int:
-        """Ticks after which the largest distance of a known motion until then is bridged."""
+        """Return the shortest duration that bridges the largest distance of a known motion."""
         distance = 0.0
         for ticks, row in enumerate(rows, 1):
             pairs = zip(row, self._anchor, strict=True)
@@ -103,7 +101,7 @@ class Blend:
         return self._ticks
 
     def _keeps_limits(self, rows: Sequence[Sequence[float]], ticks: int) -> bool:
-        """Whether a join along a known motion leaves room within the limits."""
+        """Whether a join along a known motion stays within `_ROOM` of the limits."""
         before, velocity = list(self._anchor), [0.0] * len(self._anchor)
         for tick, row in enumerate(rows, 1):
             goal = self._between(row, _left(tick / ticks))
@@ -143,7 +141,7 @@ class Blend:
         return [to + left * offset for to, offset in zip(desired, self._offset, strict=True)]
 
     def _between(self, desired: Sequence[float], left: float) -> list[float]:
-        """Goals between the motion and where the blend from rest began."""
+        """Interpolate between the motion and the anchor at which the blend began."""
         pairs = zip(desired, self._anchor, strict=True)
         return [to + left * (anchor - to) for to, anchor in pairs]
 

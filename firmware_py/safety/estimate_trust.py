@@ -1,13 +1,14 @@
-"""Trust in the estimated tip: whether corrections by it may act, and what follows where not.
+"""Trust in the estimated tip: whether feedback may use it, and what happens if not.
 
 ::
 
     NONE        no feedback
     TRUSTED ──innovation too large, out of range, stale data──► FADING
-    FADING  ──the corrections are gone, 0.2 s later──► LOST
-    LOST    ──the estimate was good for `regain_s`──► TRUSTED
+    FADING  ──corrections faded out, after 0.2 s──► LOST
+    LOST    ──estimate accepted for `regain_s`──► TRUSTED
 
-It stands beside the supervisor's states: a robot without trust runs on without feedback, or stops.
+It is independent of the supervisor's states: a robot without trust continues without feedback, or
+stops.
 """
 
 from __future__ import annotations
@@ -36,16 +37,15 @@ class TrustState(IntEnum):
 class TrustOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[feedback]` of robot.toml."""
 
-    use: bool = True  # Whether a plan that has feedback runs with it
-    # What follows when the estimate is not trusted: the plan goes on without feedback, or a
-    # controlled stop
+    use: bool = True  # Whether to use the feedback of a plan that has one
+    # What to do when trust is lost: continue the plan without feedback, or stop (controlled)
     when_lost: Literal["continue", "stop"] = "continue"
-    bad_ticks: int = 2  # Ticks in a row with a bad estimate after which it is not trusted
-    regain_s: float = 1.0  # Time for which the estimate must be good before it is trusted again
+    bad_ticks: int = 2  # Consecutive rejected estimates after which trust is lost
+    regain_s: float = 1.0  # Time of accepted estimates that restores trust
 
 
 class EstimateTrust:
-    """State machine of `TrustState`, run once a tick."""
+    """State machine of `TrustState`, updated once per tick."""
 
     def __init__(self, options: TrustOptions, period_s: float) -> None:
         self._options, self._period_s = options, period_s
@@ -55,11 +55,11 @@ class EstimateTrust:
 
     @property
     def stops(self) -> bool:
-        """Whether the robot must stop."""
+        """Whether trust was lost and the options demand a stop."""
         return self.losses > 0 and self._options.when_lost == "stop"
 
     def update(self, doubt: str, step_s: float) -> None:
-        """Take what is wrong with the estimate of a tick; empty for nothing."""
+        """Update with the reason to reject the estimate of a tick; empty if it is accepted."""
         self._bad = self._bad + max(1, math.floor(step_s / self._period_s + 0.5)) if doubt else 0
         if self.state is TrustState.TRUSTED and self._bad >= self._options.bad_ticks:
             self.state, self.reason = TrustState.FADING, doubt

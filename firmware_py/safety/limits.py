@@ -1,6 +1,6 @@
 """Limits of goals and measurements, and the checks against them.
 
-A limit is the last permitted value. `firmware_py.safety.supervisor` decides what follows from a
+A limit is the last permitted value. `firmware_py.safety.supervisor` decides how to react to a
 violation.
 """
 
@@ -15,7 +15,7 @@ import msgspec
 __all__ = ["Limits"]
 
 _ROUNDING: Final = 1.0 + 1e-9
-"""Tolerance for the rounding of a difference quotient of goals at the limit."""
+"""Rounding tolerance of a rate or acceleration of goals at the limit, by finite differences."""
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -23,27 +23,27 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     # Range of the goals; measured angles may exceed it by `following_error_rad`
     angle_rad: tuple[float, float] = (-0.6, 0.6)
-    # Largest rate and acceleration of the goals. The study's motion starts at full speed: 0.76
-    # rad/s within one period.
-    rate_rad_s: float = 2.0
+    rate_rad_s: float = 2.0  # Largest rate of the goals
+    # Largest acceleration of the goals. The study's motion starts at full speed: 0.76 rad/s within
+    # one period.
     acceleration_rad_s2: float = 60.0
     current_a: float = 8.0  # Largest magnitude of the motor current
-    # Largest distance of a measured angle from the goal sent before it
+    # Largest difference between a measured angle and the goal sent before it
     following_error_rad: float = 0.2
-    # Largest change of a measured angle between samples; more is an encoder fault
+    # Largest change of a measured angle between two samples; more is an encoder fault
     jump_rad: float = 0.1
-    # Box in the world frame for the predicted tip
+    # Lower corner, in the world frame, of the box that must contain the predicted tip
     tip_min_m: tuple[float, float, float] = (-1.2, -1.2, 0.0)
-    tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)
-    persistence_ticks: int = 3  # Samples in a row that must violate a limit before the robot stops
-    # Ticks in a row without fresh data, or slots missed in a row, at which the robot stops
+    tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)  # Upper corner of that box
+    persistence_ticks: int = 3  # Consecutive samples beyond a limit that stop the robot
+    # Consecutive ticks without fresh data, or consecutive missed slots, that stop the robot
     stale_ticks: int = 3
-    # Largest count of missed slots, reduced by one with each tick that is on time; beyond it the
-    # loop is too slow for its period and the robot stops
+    # Largest count of missed slots, reduced by one with each punctual tick. A larger count means
+    # that the loop is too slow for its period, and stops the robot.
     missed_slots: int = 12
     blend_s: float = 1.0  # Shortest duration of a blend into the motion
     stop_deceleration_rad_s2: float = 6.0  # Deceleration of the goals in a controlled stop
-    hold_s: float = 0.5  # Time for which the last goal is held before the torque goes off
+    hold_s: float = 0.5  # Hold of the last goal before torque off
 
     def sample_violation(
         self,
@@ -57,9 +57,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ) -> str:
         """Return the first limit that a measurement violates, as a sentence; empty for none.
 
-        `angle`, `current`: measured angles in rad and currents in A, one per joint.
-        `goal`, `angle_before`: goals sent before the sample, and angles of the sample before it, in
-        rad.
+        `goal`: goals sent before the sample, in rad. `angle_before`: angles of the previous sample.
         """
         low, high = self.angle_rad
         margin = self.following_error_rad
@@ -103,8 +101,8 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     ) -> str:
         """Return the first limit that a goal violates, as a sentence; empty for none.
 
-        `goal`, `before`: goals in question, and those one period before, in rad.
-        `velocity`: rate at which the goals before were reached, in rad/s.
+        `goal`, `before`: new goals and those of the previous period, in rad.
+        `velocity`: rate of the goals in the previous period, in rad/s.
         """
         low, high = self.angle_rad
         for joint, value in enumerate(goal):

@@ -34,8 +34,6 @@ class SafetyState(IntEnum):
 
 
 class Transition(NamedTuple):
-    """Permitted transition and its cause."""
-
     source: SafetyState
     target: SafetyState
     cause: str
@@ -64,7 +62,6 @@ TRANSITIONS: Final = (
     ),
     Transition(SafetyState.OFF, SafetyState.STARTING, "the port is back within `bus.replug_s`"),
 )  # fmt: skip
-"""Every permitted transition with its cause."""
 
 ALLOWED: Final = frozenset((t.source, t.target) for t in TRANSITIONS)
 """Every permitted pair of source and target."""

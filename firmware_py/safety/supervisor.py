@@ -1,9 +1,9 @@
-"""Safety supervisor: decision in every tick whether the robot continues, and with which goal.
+"""Safety supervisor: it decides in every tick whether the robot continues, and with which goal.
 
 States and transitions are in `firmware_py.safety.states`, limits in `firmware_py.safety.limits`. A
-goal that violates a limit stops the robot at once. A measurement must violate a limit
-`persistence_ticks` times in a row, since a single outlier is more often a fault of the sensor than
-of the arm. Goals never jump, they blend (`firmware_py.safety.blend`).
+goal beyond a limit stops the robot at once. A measurement stops it only after `persistence_ticks`
+consecutive violations, since a single outlier is more often a sensor fault than a fault of the
+arm. Goals never jump, they blend (`firmware_py.safety.blend`).
 """
 
 from __future__ import annotations
@@ -46,22 +46,22 @@ class SafetySupervisor:
 
     @property
     def reason(self) -> str:
-        """Cause of the stop, then faults seen while it stopped, behind earlier stops; or empty."""
+        """Reasons of all stops so far, the latest last; empty before a stop."""
         return self._reason.whole
 
     @property
     def tripped(self) -> bool:
-        """Whether a fault, not a request, caused the latest stop."""
+        """Whether the latest stop was caused by a fault, not by a request."""
         return self._reason.tripped
 
     @property
     def faults(self) -> frozenset[Fault]:
-        """Kinds of fault that stopped the robot or were seen while it stopped, at any time."""
+        """Kinds of fault that stopped the robot or were detected while it stopped, all stops."""
         return frozenset(self._reason.faults | self._reason.earlier_faults)
 
     @property
     def following(self) -> bool:
-        """Whether the goals are those of the motion: no stop, no blend."""
+        """Whether the goals follow the motion, without a stop or a blend in progress."""
         return self.state in (SafetyState.RUNNING, SafetyState.DEGRADED) and not self._blend.active
 
     def _enter(self, state: SafetyState) -> None:
@@ -90,36 +90,33 @@ class SafetySupervisor:
         self._enter(SafetyState.RUNNING)
 
     def restart(self) -> None:
-        """Restart after the port has come back: OFF → STARTING; what had stopped it is kept."""
+        """Restart after the port came back: OFF → STARTING; keep the reason of the stop."""
         self._enter(SafetyState.STARTING)
         self._reason.restart("the port was back")
         self.stale_ticks = self._violations = self._missed_slots = 0
-        self._velocity[:] = [0.0] * self._dof  # it stands
+        self._velocity[:] = [0.0] * self._dof  # the arm is at rest
 
     def request_stop(self, reason: str) -> None:
-        """Begin a controlled stop that no fault causes (end of the motion, a signal)."""
+        """Begin a controlled stop without a fault (end of the motion, a signal)."""
         if self.state < SafetyState.STOPPING:
             self._begin_stop()
             self._reason.begin(reason)
 
     def trip(self, reason: str, fault: Fault = Fault.CLOCK) -> None:
-        """Begin a controlled stop because of a fault that the loop has found."""
+        """Begin a controlled stop because of a fault that the loop detected."""
         self._stop(fault, reason)
 
     def conclude(self, alert: int, *, released: bool) -> None:
-        """Add to the reason what was seen when the torque was switched off.
-
-        `alert`, `released`: alert bits of the servos; whether every servo confirmed torque off.
-        """
+        """Add faults at torque off to the reason: alert bits, servos that did not confirm it."""
         if alert:
             self._reason.add(Fault.ALERT, _alert_reason(alert))
         if not released:
             self._reason.add(Fault.TORQUE, UNRELEASED)
 
     def _stop(self, fault: Fault, reason: str, *, ends_hold: bool = False) -> None:
-        """Stop because of a fault; where the robot stops already, add the fault to the reason.
+        """Stop because of a fault; if the robot is already stopping, add the fault to the reason.
 
-        If holding on is worse than torque off, the hold ends as soon as the goals are at rest.
+        `ends_hold`: whether to skip the rest of the hold, where torque off is safer than holding.
         """
         if self.state < SafetyState.STOPPING:
             self._begin_stop()
@@ -145,7 +142,7 @@ class SafetySupervisor:
     ) -> SafetyState:
         """Check the measurement and the prediction of a tick; return the state.
 
-        Shapes: `angle_rad`, `current_a` (dof,), `tip_m`, `di` (3,).
+        Shapes: `angle_rad`, `current_a` (dof,), `tip_m` (3,).
         """
         self.stale_ticks = 0 if status.fresh else self.stale_ticks + 1 + missed
         self._missed_slots = (
@@ -183,32 +180,30 @@ class SafetySupervisor:
     def approach(self, start_rad: Array) -> int:
         """Start the approach to the first goal of the motion; return its duration in ticks.
 
-        Shapes: `start_rad` (dof,).
-        `start_rad`: first goal of the motion, to be passed to `admit` in each of these ticks.
+        `start_rad`: first goal of the motion, shape (dof,); pass it to `admit` in each of these
+        ticks.
         """
         return self._blend.approach(self._goal, start_rad.tolist())
 
     def rebase(self, desired_before_rad: Array) -> None:
         """Absorb a jump after missed slots: goals follow the motion with a decaying offset.
 
-        Shapes: `desired_before_rad` (dof,).
-        `desired_before_rad`: the motion one period before the next goal. The latest goal takes its
-        place, so that the speed of the motion is kept.
+        `desired_before_rad`: the motion one period before the next goal, shape (dof,). The offset
+        starts as the difference of the latest goal to it, which keeps the speed of the motion.
         """
         self._blend.absorb(self._goal, desired_before_rad.tolist())
 
     def resume(self, ahead: Iterable[Array] = ()) -> None:
-        """Blend from rest into the motion, wherever it is, after a replug.
+        """Blend from rest into the running motion after a replug.
 
-        `ahead`: goals of the motion from the next tick on, where they are known.
+        `ahead`: goals of the motion from the next tick on; empty if they are not known.
         """
         self._blend.join(self._goal, (row.tolist() for row in ahead))
 
     def admit(self, desired_rad: Array) -> Array:
         """Return the goal to send: the desired one if it is permitted, else one that stops.
 
-        Shapes: `desired_rad` (dof,).
-        Returns shape (dof,), `goal_rad`, overwritten in place.
+        Shapes: `desired_rad` (dof,). The result is `goal_rad`, overwritten in every tick.
         """
         if self.state in (SafetyState.RUNNING, SafetyState.DEGRADED):
             goal = self._blend.next(desired_rad.tolist())
@@ -248,10 +243,9 @@ def _alert_reason(alert: int) -> str:
 
 
 def check_motion(goals_rad: Array, limits: Limits, period_s: float, where: str) -> None:
-    """Refuse a table of goals with which the supervisor would stop the robot.
+    """Refuse a table of goals that would make the supervisor stop the robot.
 
-    Shapes: `goals_rad` (n, dof).
-    `goals_rad`: one row per period, from rest at the first row.
+    `goals_rad`: one row per period, shape (n, dof), from rest at the first row.
     """
     supervisor = SafetySupervisor(limits, goals_rad.shape[1], period_s)
     supervisor.arm(goals_rad[0])

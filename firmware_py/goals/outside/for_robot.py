@@ -1,4 +1,4 @@
-"""Goals from another program for one robot: channel, map that fits, facts for the log."""
+"""Goals from another program for one robot: channel, matching map, metadata of the log."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def outside_goals(
     bundle: ModelBundle,
     patience_s: float = 0.0,
 ) -> Iterator[OutsideGoals]:
-    """Wait for the program that sends goals; its connection is closed at the end.
+    """Wait for the program that sends goals, and yield its goals; at the end the connection closes.
 
-    `config`: joints, period, limits, and the payload where it is known.
     `bundle`: the robot's bundle, whose plant is compared with that of the map.
+    `patience_s`: see `SocketChannel`.
     """
-    if config.bus.replug_s > 0:  # the program's goals and the arm would part meanwhile, unnoticed
+    if config.bus.replug_s > 0:  # during the wait the goals would move away from the arm
         raise InputError(
             "bus.replug_s", f"is {config.bus.replug_s:g}, but another program sends the goals, and "
             "it does not know what the arm did while the port was gone",
@@ -72,9 +72,8 @@ def _fitting(path: Path, config: RobotConfig) -> GoalMap:
 
 
 def outside_facts() -> dict[str, str]:
-    """Return what the log of such a run holds in place of the configured motion.
+    """Return the metadata of such a log, which replace those of the configured motion.
 
-    Duration and amplitude are unknown when the log begins: whoever reads it takes them from its
-    goals.
+    Duration and amplitude are unknown when the log begins; readers derive them from the goals.
     """
     return {"motion": msgspec.json.encode({"motion": OUTSIDE}).decode(), "rest_samples": "1"}

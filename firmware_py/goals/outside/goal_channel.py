@@ -1,7 +1,7 @@
-"""Channel to the program that sends goals: a Unix socket that keeps messages apart.
+"""Channel to the program that sends goals: a Unix socket that preserves message boundaries.
 
-`SOCK_SEQPACKET` delivers whole messages in order and tells at once when the other side has gone.
-The robot listens, takes one program, and never waits for it in a tick.
+`SOCK_SEQPACKET` delivers whole messages in order and reports at once that the other side has
+closed. The robot listens, accepts one program, and never waits for it in a tick.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PREFIX: Final = "unix:"
 
 
 class GoalChannel(Protocol):
-    """Messages to and from a program."""
+    """Interface of a channel to and from a program."""
 
     gone: bool  # Whether the program has closed its side
 
@@ -31,16 +31,15 @@ class GoalChannel(Protocol):
         ...
 
     def send(self, data: bytes) -> None:
-        """Send a message; where the program does not read, it is dropped."""
+        """Send a message, which is dropped if the program does not read."""
         ...
 
 
 class SocketChannel:
-    """Channel over a connected socket.
+    """Channel over a connected `SOCK_SEQPACKET` socket, which it closes.
 
-    `connection`: of the kind `SOCK_SEQPACKET`; it is closed with the channel.
-    `patience_s`: longest wait for an answer to the latest status, in simulated time alone: there
-    nothing goes on while the program computes. 0 never waits.
+    `patience_s`: timeout for the answer to the latest status; 0 never waits. It is for simulated
+    time only, which stands still while the program computes.
     """
 
     def __init__(self, connection: socket.socket, patience_s: float = 0.0) -> None:
@@ -50,7 +49,6 @@ class SocketChannel:
         connection.setblocking(False)
 
     def receive(self, most: int) -> list[bytes]:
-        """See `GoalChannel.receive`."""
         found: list[bytes] = []
         if self._asked and self._patience_s and not self.gone:
             self._connection.settimeout(self._patience_s)
@@ -75,7 +73,6 @@ class SocketChannel:
         return bool(data)
 
     def send(self, data: bytes) -> None:
-        """See `GoalChannel.send`."""
         try:
             self._connection.send(data)
             self._asked = True
@@ -92,10 +89,9 @@ class SocketChannel:
 def accepted_program(
     address: str, wait_s: float, patience_s: float = 0.0
 ) -> Iterator[SocketChannel]:
-    """Listen, wait for a program, and close everything at the end.
+    """Listen, and yield the channel of the first program that connects; refuse any other.
 
     `address`: `unix:PATH`; only the owner of the robot's process may connect.
-    Yields the program that connected first; others are refused.
     """
     path = _path_of(address)
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as listener:
@@ -125,7 +121,7 @@ def accepted_program(
 
 
 def connect(address: str) -> socket.socket:
-    """Connect to a robot that listens for goals, for programs in Python."""
+    """Connect a Python program to a robot that listens for goals."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     try:
         connection.connect(str(_path_of(address)))
@@ -144,7 +140,7 @@ def _path_of(address: str) -> Path:
 
 
 def _remove_old(path: Path) -> None:
-    """Remove the socket of a robot that has gone; one that listens stays, and `bind` fails."""
+    """Remove a socket that nobody listens on; with a listener it stays, and `bind` fails."""
     if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
         return
     with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as probe:

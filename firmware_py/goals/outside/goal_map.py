@@ -1,8 +1,8 @@
-"""Map of the goals at which the tip rests at a place, and of the first mode, over payloads.
+"""Map from tip positions to the goals at which the tip rests there, and the first mode, by payload.
 
-`dropstitch goalmap` writes it, the robot reads it: the twin inverted for approaches from
-upright, by a ramp of 4 s and a hold of 10 s (`models.plan.moves.rest_map`), and what the
-zero-vibration shaper is tuned by.
+`dropstitch goalmap` writes it, the robot reads it. The goals come from the inverted twin, for
+approaches from upright with a ramp of 4 s and a hold of 10 s (`models.plan.moves.rest_map`). The
+mode tunes the zero-vibration shaper.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ from firmware_py.link.link_facts import LinkFacts
 __all__ = ["GoalMap", "PayloadMap", "RestGoals", "read_goal_map"]
 
 MOST_PLACES: Final = 201
-"""Largest number of places along an axis that is read [assumed]."""
+"""Most positions along an axis of a map that is read [assumed]."""
 
 
 class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Map for one payload."""
 
     payload_kg: float
-    # Goals of each joint at each place, the last coordinate running fastest; None where the tip
+    # Goals of each joint at each position, the last coordinate varying fastest; null where the tip
     # cannot rest
     goals_rad: tuple[tuple[float | None, ...], ...]
-    half_period_s: tuple[float, ...]  # Half of the period of the first mode, one per joint
-    decay: tuple[float, ...]  # Its amplitude after that time over that before
+    half_period_s: tuple[float, ...]  # Half period of the first mode, one per joint
+    decay: tuple[float, ...]  # Ratio of the mode's amplitudes after and before half a period
 
 
 class GoalMap(Document, frozen=True):
-    """Goals at which the tip rests, over places and payloads."""
+    """Goals at which the tip rests, by tip position and payload."""
 
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch goalmap"
 
-    dof: int  # Joints; the places are x, and y with two
+    dof: int  # Number of joints; positions are x, and y with two joints
     period_s: float
-    places_m: tuple[float, ...]  # Places along each axis, rising and evenly spaced
-    payloads: tuple[PayloadMap, ...]  # In rising order of payload
-    plant_sha256: str  # Hash of the plant, as the manifest of a bundle has it
+    places_m: tuple[float, ...]  # Positions along each axis, rising and evenly spaced
+    payloads: tuple[PayloadMap, ...]  # Map of each payload, in rising order
+    plant_sha256: str  # Hash of the plant, as in the manifest of a bundle
     link: LinkFacts
 
 
@@ -79,7 +79,7 @@ def _wrong_in(found: GoalMap) -> str:
 
 
 class RestGoals:
-    """Interpolation in a map."""
+    """Interpolation of a map in position and payload."""
 
     def __init__(self, found: GoalMap) -> None:
         places = found.places_m
@@ -87,16 +87,16 @@ class RestGoals:
         self._count, self._dof = len(places), found.dof
         self._grid = [own.payload_kg for own in found.payloads]
         self.lowest_kg, self.highest_kg = self._grid[0], self._grid[-1]
-        # Lists, not arrays: a tick reads some numbers of them, one at a time.
+        # Lists, not arrays: a tick reads few numbers, one at a time.
         self._goals = [[list(column) for column in own.goals_rad] for own in found.payloads]
         self._half = [own.half_period_s for own in found.payloads]
         self._decay = [own.decay for own in found.payloads]
         self.longest_s = max(max(own) for own in self._half)
 
     def goals_rad(self, tip_m: tuple[float, ...], payload_kg: float) -> list[float] | None:
-        """Goals at which the tip rests at a place, one per joint; None where it cannot.
+        """Return the goals at which the tip rests at a position; None if it cannot rest there.
 
-        `payload_kg`: mass at the tip; beyond the grid its nearest end.
+        `payload_kg`: mass at the tip, clipped to the grid.
         """
         corners, count = [(0, 1.0)], self._count
         for value in tip_m:
@@ -124,9 +124,9 @@ class RestGoals:
         return result
 
     def mode(self, payload_kg: float) -> tuple[list[float], list[float]]:
-        """Half period in s and decay of the first mode, one per joint.
+        """Return half period in s and decay of the first mode, one per joint.
 
-        `payload_kg`: mass at the tip; beyond the grid its nearest end.
+        `payload_kg`: mass at the tip, clipped to the grid.
         """
         low, part = self._place_of(payload_kg)
         high = low + 1 if part else low
@@ -136,7 +136,7 @@ class RestGoals:
         )
 
     def _place_of(self, payload_kg: float) -> tuple[int, float]:
-        """Payload of the grid below, and the fraction of the way to the next."""
+        """Return the index of the next lower payload, and the fraction along the interval."""
         grid = self._grid
         k = 0
         while k < len(grid) - 2 and payload_kg > grid[k + 1]:

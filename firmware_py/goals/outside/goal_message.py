@@ -1,7 +1,7 @@
-"""Messages between the robot and a program that sends goals, one JSON object a message.
+"""Messages between the robot and a program that sends goals, one JSON object each.
 
-In every tick the robot sends a `StatusMessage`; the program answers with a `GoalMessage`. The form
-is documented in docs/tip/goals.md.
+In every tick the robot sends a `StatusMessage`; the program answers with a `GoalMessage`.
+docs/tip/goals.md documents the format.
 """
 
 from __future__ import annotations
@@ -14,31 +14,31 @@ import msgspec
 __all__ = ["GoalMessage", "StatusMessage", "decode_goal", "encode_goal", "encode_status"]
 
 MOST_BYTES: Final = 512
-"""Longest message that is read [assumed]: one of two joints has 70."""
+"""Length of the longest message that is read [assumed]; a message for two joints has 70."""
 
 
 class GoalMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Goals that a program sends; one of `joint_rad`, `tip_m` and `end` is given."""
+    """Goals from a program: exactly one of `joint_rad`, `tip_m` and `end`."""
 
-    tick: int  # Number of the status that it answers
+    tick: int  # `tick` of the status message that it answers
     joint_rad: tuple[float, ...] | None = None
-    # Place of the tip in the world frame: x, and y where there are two joints
+    # Position of the tip in the world frame: x, and y with two joints
     tip_m: tuple[float, ...] | None = None
-    end: bool = False  # Whether the run is over: the robot stops without a fault
+    end: bool = False  # Whether to end the run without a fault
 
 
 class StatusMessage(msgspec.Struct, frozen=True):
     """State of the robot after a tick."""
 
     tick: int
-    time_s: float  # Time since the start
+    time_s: float  # Time since the start of the motion
     state: str  # State of the safety supervisor
-    goal_rad: tuple[float, ...]  # Goals sent and angles measured, one per joint
-    angle_rad: tuple[float, ...]
+    goal_rad: tuple[float, ...]  # Goals sent, one per joint
+    angle_rad: tuple[float, ...]  # Measured angles, one per joint
     tip_m: tuple[float, ...]  # Predicted tip, x, y and z in the world frame
-    in_range: bool  # Whether the prediction is inside its training range
-    payload_kg: float | None  # Estimated mass at the tip; None where it is not estimated
-    reason: str = ""  # Cause of a stop; empty before
+    in_range: bool  # Whether the inputs of the predictor are in its training range
+    payload_kg: float | None  # Estimated mass at the tip; None if it is not estimated
+    reason: str = ""  # Reason of the stop; empty before
 
 
 _DECODER: Final = msgspec.json.Decoder(GoalMessage)
@@ -46,7 +46,7 @@ _ENCODER: Final = msgspec.json.Encoder()
 
 
 def decode_goal(data: bytes, dof: int) -> GoalMessage | str:
-    """Return the goals of a message, or a sentence that says what is wrong with it."""
+    """Return the goals of a message, or a description of its error."""
     if len(data) > MOST_BYTES:
         return f"has more than {MOST_BYTES} bytes"
     try:
@@ -64,10 +64,10 @@ def decode_goal(data: bytes, dof: int) -> GoalMessage | str:
 
 
 def encode_goal(goal: GoalMessage) -> bytes:
-    """Return a message with goals, for programs in Python."""
+    """Return the message of goals, for programs in Python."""
     return _ENCODER.encode(goal)
 
 
 def encode_status(status: StatusMessage) -> bytes:
-    """Return a message with the state of the robot; NaN becomes null."""
+    """Return the message of a status; NaN becomes null."""
     return _ENCODER.encode(status)

@@ -1,13 +1,13 @@
-"""Goals that another program sends, one message a tick, checked and shaped.
+"""Goals that another program sends, one message per tick, checked and shaped.
 
-What is wrong with the program ends in a controlled stop with a reason: no goal in time, a goal
-that answers an old status, more messages than ticks, a message that cannot be read, a place out of
-reach, an angle or a rate beyond its limit, a closed connection. In a tick without a message the
-goals go on at their latest rate, `limits.stale_ticks` - 1 times at most. The supervisor checks the
-goals that go out, as those of any source.
+In a tick without a message the goals are extrapolated at their latest rate, in at most
+`limits.stale_ticks` - 1 consecutive ticks. A fault of the program leads to a controlled stop with a
+reason: a timeout, an answer to an old status, too many messages in a tick, an invalid message, a
+position out of reach, an angle or a rate beyond its limit, a closed connection. The supervisor
+checks the resulting goals like those of any source.
 
-With a map, places of the tip become the goals at which it rests there, and all goals pass the
-zero-vibration shaper, both by the estimated payload, which is followed at a limited rate.
+With a map, tip positions become the goals at which the tip rests there, and all goals pass the
+zero-vibration shaper. Both depend on the estimated payload, which is followed at a limited rate.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ __all__ = ["OutsideGoals"]
 
 Array = NDArray[np.float64]
 MOST_IN_A_TICK: Final = 4
-"""Messages of one tick; more are a flood [assumed: what a program sends that was held up for as
-long as goals may be stale]."""
+"""Most messages in one tick; more are refused as a flood [assumed: the backlog of a program after a
+delay as long as goals may be stale]."""
 FIRST_WAIT_S: Final = 5.0
-"""Longest wait for the first goal after the first status [assumed]."""
+"""Timeout for the first goal after the first status [assumed]."""
 PAYLOAD_RATE_KG_S: Final = 0.5
-"""Largest rate at which the estimated payload is followed: that of plans."""
+"""Largest rate at which the estimated payload is followed, as in plans."""
 ENDLESS: Final = 1 << 62
 _ROUNDING: Final = 1.0 + 1e-6
 
@@ -48,11 +48,11 @@ _ROUNDING: Final = 1.0 + 1e-6
 class OutsideGoals:
     """Goals of another program as `firmware_py.goals.goal_source.GoalSource`.
 
-    The arm waits with all goals at zero for the first message; the first goals must begin there.
+    The arm waits with all goals at zero for the first message, whose goals must begin there.
 
-    `goal_map`: goals at rest and modes; without it only joint goals are taken, unshaped.
-    `payload_kg`: payload where it is known; None follows the estimate, from the middle of the map.
-    `note`: sentence on a map that does not quite fit the robot's bundle.
+    `goal_map`: goals at rest and modes; without it only joint goals are accepted, unshaped.
+    `payload_kg`: known payload; None follows the estimate, starting in the middle of the map.
+    `note`: sentence on a difference between the plants of map and bundle.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class OutsideGoals:
         self._goal, self._before = np.zeros(dof), np.zeros(dof)
 
     def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload; one that is not finite changes nothing."""
+        """Follow the estimated payload at a limited rate; ignore one that is not finite."""
         if self._rest is None or self._known or not math.isfinite(estimate.payload_kg):
             return
         wanted = min(max(estimate.payload_kg, self._rest.lowest_kg), self._rest.highest_kg)
@@ -85,9 +85,9 @@ class OutsideGoals:
         self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
 
     def at(self, slot: int) -> Array:
-        """Return the goals of a slot, shape (dof,); a new slot takes the messages that have come.
+        """Return the goals of a slot, shape (dof,); zero before slot 0.
 
-        `slot`: number of the slot; before the first the goals wait at zero.
+        The first call for a slot also processes the messages received.
         """
         if slot < 0 or slot <= self._slot:
             return self._goal if slot == self._slot else self._before
@@ -98,7 +98,7 @@ class OutsideGoals:
         return self._goal
 
     def report(self, tick: Tick, reason: str) -> None:
-        """Tell the program the state after a tick; see `GoalSource.report`."""
+        """Send the program the status after a tick; see `GoalSource.report`."""
         if tick.slot < 0:
             return
         payload, tip = tick.estimate.payload_kg, tick.prediction.tip_m
@@ -110,7 +110,7 @@ class OutsideGoals:
         self._told = tick.slot
 
     def _hear(self, slot: int, steps: int) -> None:
-        """Take the messages of this tick: each is checked, the newest goals are followed."""
+        """Receive and check the messages of this tick, and follow the newest goals."""
         found = self._channel.receive(MOST_IN_A_TICK + 1)
         if len(found) > MOST_IN_A_TICK:
             self._refuse(f"sends more than {MOST_IN_A_TICK} goals in a tick")
@@ -148,7 +148,7 @@ class OutsideGoals:
         self._rate = [0.0] * self.dof
 
     def _miss(self, slot: int, steps: int) -> None:
-        """Go on at the latest rate, for as long as goals may be stale."""
+        """Extrapolate the goals at their latest rate, until they are stale."""
         if self._answered < 0:
             if slot * self._period_s > FIRST_WAIT_S:
                 self._refuse(f"has sent none within {FIRST_WAIT_S:g} s")
@@ -163,7 +163,7 @@ class OutsideGoals:
         self._wanted = [min(max(at + ahead_s * rate, low), high) for at, rate in pairs]
 
     def _permitted(self, message: GoalMessage) -> list[float] | None:
-        """Goals of a message; None, with `trouble`, where no arm may go there."""
+        """Return the goals of a message; None, with `trouble` set, if the arm must not go there."""
         goals = list(message.joint_rad or ())
         if message.tip_m is not None:
             if self._rest is None:
@@ -184,7 +184,7 @@ class OutsideGoals:
         return goals
 
     def _take(self, goals: list[float]) -> None:
-        """Follow goals, unless the way to them is too fast."""
+        """Follow goals, unless their rate exceeds the limit."""
         most = self._limits.rate_rad_s
         rates = []
         for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):

@@ -1,4 +1,4 @@
-"""Bridge between ROS 2 and the robot: topics in place of the socket's messages.
+"""Bridge between ROS 2 and the robot: topics instead of the socket's messages.
 
 | topic | type | direction |
 |---|---|---|
@@ -7,9 +7,9 @@
 | `joint_states` | sensor_msgs/JointState | from the robot |
 | `tip` | geometry_msgs/PointStamped | from the robot |
 
-Goals may come at any time and rate: in every tick the bridge goes on towards the latest, at
-`--rate` rad/s or `--speed` m/s at most. ROS 2 is no dependency; rclpy is imported when the bridge
-is started:
+Goals may arrive at any time and rate: in every tick the bridge moves towards the latest, at most at
+`--rate` rad/s or `--speed` m/s. ROS 2 is not a dependency; rclpy is imported when the bridge
+starts:
 
     python -m firmware_py.goals.outside.ros2_bridge --goals unix:/run/dropstitch/goals
 """
@@ -36,9 +36,9 @@ Array = NDArray[np.float64]
 
 
 class GoalFollower:
-    """Goals that go towards the latest wanted ones at a limited rate.
+    """Goals that move towards the latest request at a limited rate.
 
-    `rate_rad_s`, `speed_m_s`: largest rates of joint goals and of places of the tip.
+    `rate_rad_s`, `speed_m_s`: largest rate of joint goals and largest speed of tip goals.
     """
 
     def __init__(self, rate_rad_s: float, speed_m_s: float, period_s: float = PERIOD_S) -> None:
@@ -47,7 +47,7 @@ class GoalFollower:
         self._at: Array | None = None
 
     def want(self, kind: str, values: Sequence[float]) -> None:
-        """Take goals."""
+        """Set the goals to move to; `kind` is "joint_rad" or "tip_m"."""
         if kind != self._kind:
             self._at = None
         self._kind, self._wanted = kind, np.array(values, dtype=np.float64)

@@ -1,8 +1,8 @@
 """Zero-vibration shaper of goals whose future is unknown.
 
-Each goal goes out in two parts, the second half a period of the first mode later and weaker by its
-decay, so that the two swings cancel (Singer and Seering, *ASME J. Dynamic Systems* 112, 1990). The
-mode may change with every tick, as the estimated payload does.
+Each goal is sent in two parts, the second half a period of the first mode later and smaller by its
+decay, so that the two vibrations cancel (Singer and Seering, *ASME J. Dynamic Systems* 112, 1990).
+The mode may change in every tick, with the estimated payload.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ __all__ = ["ZeroVibration"]
 
 
 class ZeroVibration:
-    """Shaper that remembers the latest goals."""
+    """Shaper with a history of the latest goals."""
 
     def __init__(self, start_rad: Sequence[float], longest_s: float, period_s: float) -> None:
         self._period_s = period_s
