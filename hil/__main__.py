@@ -1,4 +1,4 @@
-"""Commands around the loop and emulated servos: emulate, sil, faults, campaign, gap, report."""
+"""Run the loop against emulated servos, inject faults, and report on the results."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ COMMANDS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `python -m hil`."""
     return dispatch("python -m hil", __doc__ or "", COMMANDS, argv)
 
 

@@ -23,7 +23,6 @@ _OBSERVER = "observer.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")

@@ -16,7 +16,6 @@ EXAMPLE = "python -m fmu check build/twin_1dof.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("file", type=Path, metavar="FILE.fmu", help="the FMU")
     add("--plant", type=Path, metavar="PLANT", help="compare with this plant")

@@ -19,7 +19,6 @@ EXAMPLE = "python -m fmu simulate build/twin_1dof.fmu --payload 1 --out build/tw
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("file", type=Path, metavar="FILE.fmu", help="the FMU")
     add("--out", type=Path, required=True, metavar="DIR", help="where result.csv and .svg go")

@@ -16,7 +16,6 @@ EXAMPLE = "python -m fmu ssp build/bundle_1dof --plant build/plant.json --out bu
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("bundle", type=Path, metavar="BUNDLE", help="directory that 'models train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
