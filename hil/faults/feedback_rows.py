@@ -16,7 +16,7 @@ _NO_TRUST: Final = "the estimated tip is no longer trusted"
 
 
 def _doubted(fault: str, kind: str, value: float, reason: str) -> list[FaultRow]:
-    """Fault of the estimated tip: ignored for one tick; if it lasts, corrections fade, or a stop."""
+    """Fault of the estimated tip: one tick is ignored; if it lasts, corrections fade, or a stop."""
     once, many = Injection(kind, 1, value), Injection(kind, 30, value)
     gone = Expectation("finished", lost=0, trust="LOST")
     stopped = Expectation("tripped", within=2, reason=f"{_NO_TRUST}: {reason}", trust="LOST")
