@@ -1,4 +1,4 @@
-"""Run of a campaign: an engine runs the cases without a result, and the store keeps the outcomes."""
+"""Run of a campaign: an engine runs the cases without a result, the store keeps the outcomes."""
 
 from __future__ import annotations
 

@@ -43,8 +43,8 @@ class ProbeRecord:
     def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
         """Return the certain and the possible stall time of the processor within a window.
 
-        A stall is certain from the probe's deadline to its late wake-up. It may have begun up to one
-        period earlier, but not before the previous wake-up.
+        A stall is certain from the probe's deadline to its late wake-up. It may have begun up to
+        one period earlier, but not before the previous wake-up.
         """
         if not self.proves:
             return 0, 0

@@ -52,7 +52,7 @@ def _spin(cpus: set[int]) -> None:
 
 
 def assign_processors() -> tuple[int, set[int]]:
-    """Return the processor for the loop, and those for everything else; a single one serves both."""
+    """Return the processor for the loop, and those for everything else (a single one is both)."""
     available = sorted(os.sched_getaffinity(0))
     return available[-1], set(available[:-1]) or set(available)
 

@@ -41,9 +41,9 @@ def write_timeline(
 
 
 def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
-    """Return a mask of the ticks to show, shape (n,): all of a short run, a selection of a long one.
+    """Return a mask of the ticks to show, shape (n,): all of a short run, a part of a long one.
 
-    The selection is the beginning, and the ticks around the longest ones and around misses.
+    The part is the beginning, and the ticks around the longest ones and around misses.
     """
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)
