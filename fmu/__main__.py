@@ -1,4 +1,4 @@
-"""Commands of the FMI export: build, check and simulate FMUs."""
+"""Build, check and simulate FMUs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ COMMANDS = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run `python -m fmu`."""
     return dispatch("python -m fmu", __doc__ or "", COMMANDS, argv)
 
 

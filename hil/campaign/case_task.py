@@ -44,6 +44,6 @@ class TaskOutcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def canonical_json(value: Any) -> str:
-    """Encode as JSON with sorted keys and without spaces; numbers that are not finite become null."""
+    """Encode as JSON with sorted keys and without spaces; NaN and infinity become null."""
     plain = msgspec.json.decode(msgspec.json.encode(value))  # msgspec writes NaN as null
     return json.dumps(plain, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
