@@ -59,7 +59,7 @@ def robot_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
 
 
 def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:
-    """Time and prediction error (predicted minus true tip), (n, 3); None if they were not recorded."""
+    """Time, and predicted minus true tip (n, 3), in the first motion; None without a record."""
     programme = loop.timing.run.programme_s
     if loop.ticks is None or loop.true_tip_m is None or not programme:
         return None
