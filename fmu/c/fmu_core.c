@@ -317,7 +317,7 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (time_s + step_s > memory->stop_s + 1e-6 * step_s + TIME_TOLERANCE * fabs(memory->stop_s))
         return fmu_refuse(fmu, "The step to %.9g s leads beyond the stop time of %.9g s.",
                           time_s + step_s, memory->stop_s);
-    fmu_follow_example(fmu, SAMPLED ? time_s + step_s : time_s); /* samples are taken at the end of a step */
+    fmu_follow_example(fmu, SAMPLED ? time_s + step_s : time_s); /* sampled at the end */
     fmu_advance_step(fmu, step_s);
     memory->value[0] = time_s + step_s;
     memory->stale = STALE;

@@ -80,7 +80,7 @@ typedef struct {
     double state[ROOM(N_STATES)];
     double start_s;
     double stop_s; /* end of the experiment; infinite if the host defines none */
-    double samples; /* number of samples in Model Exchange; the next is due at start + samples * SAMPLE_S */
+    double samples; /* their number in Model Exchange; the next: start + samples * SAMPLE_S */
     int32_t mode;
     int32_t stale;
     int32_t driven; /* whether the host moves the inputs, or the FMU has no example motion */

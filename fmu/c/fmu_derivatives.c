@@ -126,8 +126,8 @@ int fmu_forward(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint3
 #endif
 #if WITH_REVERSE
 
-/* Contribution of one known through the initial state. No adjoint of the initial state is generated:
- * it is needed once per run, and would be a tenth of the FMU's code. */
+/* Contribution of one known through the initial state. No adjoint of the initial state is
+ * generated: it is needed once per run, and would be a tenth of the FMU's code. */
 static double through_start(Fmu *fmu, int place)
 {
     double sum = 0.0;

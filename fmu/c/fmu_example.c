@@ -1,6 +1,6 @@
-/* Example motion: until the host sets one of its inputs, the FMU sets these inputs itself, so that a
- * tool that simulates the FMU without inputs shows a motion. It begins at the start values, and does
- * not affect a host that sets its inputs before the first step.
+/* Example motion: until the host sets one of its inputs, the FMU sets these inputs itself, so that
+ * a tool that simulates the FMU without inputs shows a motion. It begins at the start values, and
+ * does not affect a host that sets its inputs before the first step.
  */
 #include "fmu_core.h"
 #include "fmu_math.h"

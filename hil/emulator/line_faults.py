@@ -21,7 +21,8 @@ UNHEARD: Final = "unheard"
 """Fault of an instruction: no servo receives it."""
 FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
 LATE_NS: Final = 12_000_000
-"""Delay of a late packet: it arrives after the deadline of its exchange, in the next one."""
+"""Delay of a late packet: it misses the deadline of its exchange, but arrives before the second
+exchange after that."""
 
 
 class FaultPlan:

@@ -66,7 +66,7 @@ class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held_up_ticks: int = 0  # Ticks without fresh data in which the host preempted the loop
     # Lowest trust in the estimated tip, see `firmware_py.safety.estimate_trust`
     trust: str = TrustState.NONE.name
-    # Ticks from the first loss of trust to the end of the corrections; None if trust was kept
+    # Ticks from the first loss of trust until the corrections were gone; None if they never were
     fade_ticks: int | None = None
 
 
