@@ -1,1 +1,1 @@
-"""FMI export: plant, predictor and observer as co-simulation FMUs."""
+"""FMI export: twin, predictor and observer as FMUs for co-simulation and model exchange."""

@@ -1,4 +1,4 @@
-"""Observer FMU of a bundle, with golden ticks computed independently of its binary."""
+"""Observer FMU of a bundle, with golden ticks that are computed independently of its binary."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OBSERVER = "observer.fmu"
 
 
 class ModelEstimator:
-    """`DeformationEstimator` on the interpreted model: the reference for the compiled FMU."""
+    """`DeformationEstimator` that runs the interpreted model, as reference for the compiled FMU."""
 
     waits_for_fresh: ClassVar[bool] = True
 
@@ -55,11 +55,11 @@ class ModelEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the state before the first sample."""
+        """Forget all samples."""
         self._state: Array | None = None
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Take one sample; see `DeformationEstimator.update`.
+        """Update the estimate with one sample; see `DeformationEstimator.update`.
 
         Shapes: `angle_rad`, `current_a` (dof,).
         """
@@ -77,11 +77,10 @@ def add_observer(
 ) -> Path:
     """Build the observer FMU into a bundle and make it the bundle's estimator.
 
-    The golden ticks keep their motion. Their expected outputs are recomputed by the interpreted
-    model, so the replay on the robot tests the binary. The manifest is replaced last, atomically.
+    The golden ticks keep their motion. The interpreted model recomputes their expected outputs, so
+    the replay on the robot tests the binary. The manifest is replaced last, atomically.
 
-    `platforms`: see `build_fmu`; this machine's has to be among them, since the golden ticks run on
-    it.
+    `platforms` (see `build_fmu`) must include this machine's, because the golden ticks run here.
     """
     plant = parts.required_plant().for_robot()
     if manifest.plant_sha256 != plant.sha256():
@@ -114,7 +113,7 @@ def add_observer(
 
 
 def _expected(motion: Golden, parts: FmuParts, predictor: OnnxPredictor) -> Golden:
-    """Golden ticks of a motion with the answers of the interpreted model."""
+    """Golden ticks of a motion, with the outputs of the interpreted model."""
     reference = parts._replace(predictor=None).model()
     return record_golden(
         ModelEstimator(reference, predictor.wanted), predictor,
@@ -125,7 +124,7 @@ def _expected(motion: Golden, parts: FmuParts, predictor: OnnxPredictor) -> Gold
 def _proven(
     golden: Golden, path: Path, predictor: OnnxPredictor, *, compiled: bool
 ) -> dict[str, Latency]:
-    """Latency of each runtime of a new observer; refuses one that misses the golden ticks."""
+    """Verify each runtime of a new observer on the golden ticks; return their latencies."""
     dof = golden.angle_rad.shape[1]
     with FmuInstance(path) as fmu:
         estimator = ObserverEstimator(fmu, dof, predictor.wanted)
@@ -141,7 +140,7 @@ def _proven(
 
 
 def _latency(golden: Golden, estimator: ObserverEstimator, predictor: Predictor) -> Latency:
-    """Time of a whole answer, from the sample to the interval."""
+    """Latency of observer and predictor together, from the sample to the prediction interval."""
     angle_rad, current_a = golden.angle_rad[-1], golden.current_a[-1]
 
     def answer() -> None:
@@ -154,7 +153,7 @@ def _latency(golden: Golden, estimator: ObserverEstimator, predictor: Predictor)
 
 
 def _tell_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency]) -> None:
-    """Add the cost of a whole answer to the comparison and the model card, where there are any."""
+    """Add the latencies to the bundle's comparison of predictors and its model card, if any."""
     path = bundle / "predictors.json"
     if not path.is_file():
         return

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 class FmuArchive:
-    """An unpacked FMU; a context manager that removes the unpacked files."""
+    """Unpacked FMU; as a context manager it removes the unpacked files at the end."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -45,7 +45,7 @@ class FmuArchive:
         try:
             fmpy.extract(str(self.path), str(self.directory))
             self.description = fmpy.read_model_description(str(self.directory), validate=False)
-        except Exception as error:  # zip, XML and FMPy each raise types of their own
+        except Exception as error:  # zip, XML and FMPy raise different types
             self.close()
             reason = str(error).strip().splitlines() or ["damaged"]
             raise InputError(path, f"is not an FMU ({reason[0]})", remedy) from None
@@ -55,11 +55,11 @@ class FmuArchive:
 
     @property
     def fmi(self) -> int:
-        """Major version of the standard."""
+        """Major version of FMI."""
         return int(self.description.fmiVersion[0])
 
     def binary(self) -> Path:
-        """Path of the library for this machine."""
+        """Return the path of the library for this machine."""
         here = platform_here()
         name = self.description.coSimulation.modelIdentifier
         if (platform := PLATFORMS.get(here)) is not None:
@@ -72,9 +72,9 @@ class FmuArchive:
         )
 
     def instance(self, interface_type: InterfaceType = "CoSimulation") -> FmpyInstance:
-        """Instantiate; several instances may exist at once.
+        """Instantiate the FMU; several instances may exist at once.
 
-        `interface_type`: what the instance is for; only the former can `step` and `run`.
+        Only an instance for co-simulation can `step` and `run`.
         """
         self.binary()
         return FmpyInstance(self, interface_type)
@@ -91,13 +91,13 @@ class FmuArchive:
 
 
 class FmpyInstance:
-    """An instance of an FMU; variables by name, Booleans as 1 and 0."""
+    """Instance of an FMU, with variables by name and Booleans as 1 and 0."""
 
     def __init__(self, archive: FmuArchive, interface_type: InterfaceType = "CoSimulation") -> None:
         self.fmi = archive.fmi
         self.messages: list[str] = []
         self.variables = {v.name: v for v in archive.description.modelVariables}
-        # Never without a logger: FMPy does not keep its own alive.
+        # A logger is always given, because FMPy does not keep its own alive.
         self.fmu: Any = instantiate_fmu(
             str(archive.directory), archive.description, interface_type,
             debug_logging=True, logger=self._log,
@@ -105,14 +105,14 @@ class FmpyInstance:
         self.time_s = 0.0
 
     def _log(self, *arguments: Any) -> None:
-        """Keep the message, the last argument in either version."""
+        """Store the message, which is the last argument in both versions."""
         message = arguments[-1]
         self.messages.append(message.decode() if isinstance(message, bytes) else str(message))
 
     def initialize(
         self, start: Mapping[str, float] | None = None, stop_s: float | None = None
     ) -> None:
-        """Set values and go through initialization mode."""
+        """Set start values and pass through initialization mode."""
         self.set(start or {})
         if self.fmi == 2:
             self.fmu.setupExperiment(startTime=0.0, stopTime=stop_s)
@@ -123,10 +123,7 @@ class FmpyInstance:
         self.time_s = 0.0
 
     def set(self, values: Mapping[str, float]) -> None:
-        """Set variables.
-
-        `values`: values by name, in the SI unit of each variable.
-        """
+        """Set variables by name, in the SI unit of each."""
         references = [self.variables[name].valueReference for name in values]
         if references:
             put = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
@@ -150,10 +147,10 @@ class FmpyInstance:
         self.time_s += step_s
 
     def run(self, inputs: Sequence[str], u: Array, steps_s: Array, outputs: Sequence[str]) -> Array:
-        """Initialize with the first row of inputs and take every step.
+        """Initialize with the first row of inputs and take all steps.
 
-        Shapes: `u` (n, len(inputs)), `steps_s` (n,).
-        Returns shape (n + 1, len(outputs)), at the start and after each step.
+        Shapes: `u` (n, len(inputs)), `steps_s` (n,). Returns the outputs at the start and after
+        each step, shape (n + 1, len(outputs)).
         """
         self.initialize(dict(zip(inputs, u[0], strict=True)))
         rows = [self.get(outputs)]

@@ -1,4 +1,4 @@
-"""Simulated run of an FMU in FMPy along a motion or a trial."""
+"""Simulation of an FMU in FMPy along a motion or a trial."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FmuRun:
-    """Inputs and outputs of a run.
+    """Inputs and outputs of a simulated FMU.
 
     Attributes
     ----------
     title : str
-        FMU and source of the inputs.
+        Name of the FMU, and source of the inputs.
     time_s : ndarray, shape (n,)
         Time of each row.
     columns : dict of str to ndarray, shape (n,)
-        Inputs, then outputs, as in a trial: a goal is sent just after its row's sample.
+        Inputs, then outputs, by name. As in a trial, a goal is sent just after its row's sample.
     units : dict of str to str
-        Unit of each column.
+        SI unit of each column.
     measured : dict of str to ndarray, shape (n,)
-        Measured values of the outputs, where the source is a trial.
+        Measured values of the outputs by name, if the inputs come from a trial.
     """
 
     title: str
@@ -54,7 +54,13 @@ class FmuRun:
     measured: dict[str, Array]
 
     def rms_against_trial(self) -> dict[str, float]:
-        """Root mean square difference from the trial by output, in the unit of each."""
+        """Return the RMS error against the trial by output, in the unit of each.
+
+        Returns
+        -------
+        dict of str to float
+            RMS error by name of the output; empty if the inputs come from a motion.
+        """
         return {
             name: float(np.sqrt(np.mean((self.columns[name] - values) ** 2)))
             for name, values in self.measured.items()
@@ -68,26 +74,32 @@ def simulate_fmu(
     step_s: float,
     parameters: Mapping[str, float],
 ) -> FmuRun:
-    """Run an FMU.
+    """Simulate an FMU in FMPy.
 
     Parameters
     ----------
     archive : FmuArchive
-        The FMU.
+        Unpacked FMU.
     source : Motion or Trial
         Source of the inputs.
     payload_kg : float or None
-        Payload; None for `usual_payload_kg`. A trial has its own.
+        Payload at the tip for a motion; None for half of the link's largest. For a trial, the
+        trial's payload is used.
     step_s : float
-        Communication step; a trial has its own.
+        Communication step for a motion. For a trial, the trial's time step is used.
     parameters : mapping of str to float
-        Variables to set before the start.
+        Values of variables to set before the start, in SI units.
+
+    Returns
+    -------
+    FmuRun
+        Inputs and outputs at each time.
 
     Raises
     ------
     InputError
-        If the FMU is not one of ours, or refuses a parameter, an input or a step; if the trial is
-        of another link.
+        If `dropstitch` did not build the FMU, if the FMU refuses a parameter, an input or a step,
+        or if the trial is of another link.
     """
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
@@ -102,7 +114,7 @@ def simulate_fmu(
     else:
         held_kg = usual_payload_kg(parts) if payload_kg is None else payload_kg
         u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), held_kg, step_s)
-    # A goal holds over the step that follows it, a measured sample ends the step before it.
+    # A goal holds during the step after it; a measured sample is taken at the end of a step.
     goals = parts.kind == "twin"
     with archive.instance() as instance:
         _set(archive, instance, parameters)
@@ -132,7 +144,7 @@ def _set(archive: FmuArchive, instance: FmpyInstance, parameters: Mapping[str, f
 
 
 def _refusal(archive: FmuArchive, instance: FmpyInstance) -> InputError:
-    """The FMU's last message as an error of the user's input."""
+    """Error of the user's input with the FMU's last message."""
     return InputError(archive.path, instance.messages[-1].rstrip("."), "choose another value")
 
 

@@ -1,8 +1,8 @@
-"""Builder of FMUs: generated C, the C wrapper, one binary per platform, packed into a zip.
+"""Builder of FMUs: generated C and the C wrapper, compiled for each platform, packed into a zip.
 
-Two builds of the same inputs at the same SOURCE_DATE_EPOCH give the same bytes: the token is a
-hash of the content, and every date is that one (docs/sources.md, "FMI"). Without it an FMU holds
-the time of its build.
+Builds are reproducible: equal inputs and an equal SOURCE_DATE_EPOCH give equal bytes, because the
+token is a hash of the contents and every date is SOURCE_DATE_EPOCH (docs/sources.md, "FMI").
+Without SOURCE_DATE_EPOCH, the dates are the time of the build.
 """
 
 from __future__ import annotations
@@ -50,30 +50,36 @@ def build_fmu(
     sections: Sequence[Section] = (),
     example: Sequence[float] = (),
 ) -> Path:
-    """Build an FMU from a step model; returns its path.
+    """Build an FMU from a step model.
 
     Parameters
     ----------
     model : StepModel
         Model that the FMU steps.
     output : Path
-        The .fmu file; replaced atomically when it is complete.
+        The .fmu file; it is replaced atomically when the FMU is complete.
     fmi : {2, 3}
-        Version of the standard.
+        Major version of FMI.
     description : str
-        One sentence.
+        Description in one sentence.
     resources : mapping of str to bytes, optional
-        To embed under resources/.
-    platforms : sequence of str
-        Keys of `PLATFORMS`, and `SOURCE_CODE` for the sources.
+        Files to embed under resources/, by path.
     derivatives : bool
-        Whether the FMU offers derivatives: directional ones, in FMI 3.0 adjoint ones too.
+        Whether the FMU offers directional derivatives and, in FMI 3.0, adjoint ones.
+    platforms : sequence of str
+        Platforms to compile for, keys of `fmu.packaging.platforms.PLATFORMS`; `SOURCE_CODE` adds
+        the sources.
     files : mapping of str to bytes, optional
-        Further files, by their path in the FMU.
+        Further files, by path in the FMU.
     sections : sequence of Section
         Further sections of the documentation.
     example : sequence of float
-        For each input the amplitude of the example motion (`fmu/c/fmu_example.c`); empty for none.
+        Amplitude of the example motion for each input (`fmu/c/fmu_example.c`); empty for none.
+
+    Returns
+    -------
+    Path
+        The .fmu file.
     """
     interface = interface_of(model, _offered(derivatives, fmi), example)
     epoch_s = build_time_s()
@@ -105,7 +111,7 @@ def _offered(derivatives: bool, fmi: FmiVersion) -> Derivatives:
 
 
 def core_sources(fmi: FmiVersion) -> list[Path]:
-    """Return the hand-written C files of an FMU: its functions of the standard and the core."""
+    """Return the hand-written C files of an FMU: the functions of the standard, and the core."""
     return [WRAPPER / f"fmi{fmi}.c", *sorted(WRAPPER.glob("fmu_*.c"))]
 
 
@@ -125,7 +131,7 @@ def _documents(
 def _libraries(
     identifier: str, sources: Sequence[Path], include: Sequence[Path], platforms: Sequence[str]
 ) -> dict[str, bytes]:
-    """Compiled library of each platform, by its name."""
+    """Compile the library for each platform; return them by name of the platform."""
     libraries = {}
     for name in platforms:
         if name != SOURCE_CODE:
@@ -142,7 +148,7 @@ def _token(
     model_c: Path,
     resources: Mapping[str, bytes],
 ) -> str:
-    """A GUID that is a hash of everything that the FMU consists of."""
+    """GUID that is a hash of all parts of the FMU."""
     digest = hashlib.sha256(model_description_xml(interface, fmi, "", description, ""))
     digest.update(repr(interface.example).encode())
     for path in (model_c, *sorted(WRAPPER.glob("*.[ch]"))):

@@ -1,9 +1,9 @@
 """Checks of an FMU: FMPy's validation, and what that validation does not cover.
 
-The binary exports every function of the standard, every number has an SI unit, a saved state
-continues bit by bit, and illegal calls are refused. The FMU carries the parts that it was built
-from: its outputs agree with their interpreted model within `FMU_PARITY`, at fixed and varying
-steps.
+The binary exports every function of the standard, every number has an SI unit, a restored state
+continues bit by bit, and illegal calls are refused. The FMU contains the parts from which it was
+built; its outputs agree with the interpreted model of these parts within `FMU_PARITY`, at fixed and
+varying steps.
 """
 
 from __future__ import annotations
@@ -50,15 +50,16 @@ class FmuReport:
     Attributes
     ----------
     path : Path
-        The FMU.
+        The .fmu file.
     fmi : int
-        Version of the standard.
+        Major version of FMI.
     checks : list of FmuCheck
-        In the order in which they ran.
+        Checks in the order in which they ran.
     parity : dict of str to float
-        Largest difference from the interpreted model by output, over fixed and varying steps.
+        Largest difference from the interpreted model by output, in SI units, over fixed and varying
+        steps.
     step_us : dict of str to float
-        Median time of a step in FMPy, as `fmu.parity.step_times_us` measures it.
+        Median time of a step in FMPy in µs (see `fmu.parity.step_times_us`).
     """
 
     path: Path
@@ -73,7 +74,7 @@ class FmuReport:
         return all(check.passed for check in self.checks)
 
     def data(self) -> dict[str, Any]:
-        """Return the report as plain types, for --json."""
+        """Return the report as plain types, as --json prints it."""
         return {
             "file": str(self.path),
             "fmi": self.fmi,
@@ -102,9 +103,14 @@ def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
     Parameters
     ----------
     archive : FmuArchive
-        The FMU.
+        Unpacked FMU.
     parts : FmuParts or None
-        What it was built from; without them the parity checks are skipped.
+        Parts from which it was built; without them the parity checks are skipped.
+
+    Returns
+    -------
+    FmuReport
+        Results of the checks.
     """
     report = FmuReport(archive.path, archive.fmi)
     report.checks.append(_validation(archive.path))
@@ -171,7 +177,7 @@ def _reference(archive: FmuArchive) -> FmuCheck:
 
 
 def _refusals(archive: FmuArchive) -> Iterator[FmuCheck]:
-    """Illegal calls are refused with a message, and the instance stays usable."""
+    """Check that illegal calls are refused with a message, and the instance stays usable."""
     variables = archive.description.modelVariables
     with archive.instance() as instance:
         wrong: list[tuple[str, Any]] = [

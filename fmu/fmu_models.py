@@ -1,12 +1,12 @@
 """Models of the three kinds of FMU, each composed into one `StepModel`.
 
-======== =============================== ====================================================
-kind     inputs                          outputs
-======== =============================== ====================================================
-twin     goals, payload                  the plant's, and the predictor's beside them
-observer angles, currents, age           the plant observer's; the predictor's beside them
-predictor what its graph names           end effector, in_range, half width
-======== =============================== ====================================================
+========= =============================== ====================================================
+kind      inputs                          outputs
+========= =============================== ====================================================
+twin      goals, payload                  those of the plant and of the predictor
+observer  angles, currents, age           those of the plant observer and of the predictor
+predictor those of its ONNX graph         tip, in_range, half width of the interval
+========= =============================== ====================================================
 """
 
 from __future__ import annotations
@@ -32,14 +32,13 @@ __all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
 
 Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
-"""Kinds of FMU."""
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
 MODEL_CARD: Final = "MODEL_CARD.md"
-"""Files in the resources of an FMU: the parts that it was built from, and its kind and dof."""
+"""Files in the resources of an FMU: its plant and predictor, its kind and dof, its model card."""
 _MOST_CARD_BYTES: Final = 1000
-"""Size of the largest file of kind and dof; ours has 30 bytes."""
+"""Largest size of a file of kind and dof; the usual size is 30 bytes."""
 _MOST_DOF: Final = 2
-"""Joints of the largest model."""
+"""Largest number of joints."""
 
 DESCRIPTIONS: Final[dict[Kind, str]] = {
     "twin": "Digital twin of the drop-stitch inflatable link with {dof} joint(s): servo and link "
@@ -53,12 +52,12 @@ DESCRIPTIONS: Final[dict[Kind, str]] = {
 
 
 class FmuParts(NamedTuple):
-    """Parts that an FMU is built from."""
+    """Parts from which an FMU is built."""
 
-    kind: Kind  # "twin", "predictor" or "observer"; see the table of this module
+    kind: Kind  # See the table of this module
     dof: int
-    plant: Plant | None  # None in a predictor
-    predictor: Path | None  # The ONNX file; an observer may be without
+    plant: Plant | None  # None for a predictor
+    predictor: Path | None  # ONNX file; may be None for an observer
 
     def model(self) -> StepModel:
         """Compose the FMU's model."""
@@ -75,13 +74,12 @@ class FmuParts(NamedTuple):
         return self.plant
 
     def required_predictor(self) -> Path:
-        """Return the path of the ONNX file."""
         if self.predictor is None:
             raise InputError(f"{self.kind} FMU", "has no predictor", "build it from a bundle")
         return self.predictor
 
     def replaced_by(self, plant: Path | None, bundle: Path | None) -> FmuParts:
-        """Return these parts with another plant, or with the predictor of another bundle."""
+        """Return the parts with another plant, or with the predictor of another bundle."""
         return self._replace(
             plant=read_plant(plant) if plant and self.plant else self.plant,
             predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
@@ -92,12 +90,12 @@ class FmuParts(NamedTuple):
         return DESCRIPTIONS[self.kind].format(dof=self.dof)
 
     def model_card(self) -> str:
-        """Return the model card of the predictor's bundle; "" where there is none."""
+        """Return the model card of the predictor's bundle, or ""."""
         card = self.predictor.with_name(MODEL_CARD) if self.predictor else None
         return card.read_text(encoding="utf-8") if card and card.is_file() else ""
 
     def resources(self) -> dict[str, bytes]:
-        """Return the files to embed, by name; with them the FMU can be checked by itself."""
+        """Return the files to embed, by name, which let the FMU be checked without other files."""
         files = {CARD: json.dumps({"kind": self.kind, "dof": self.dof}).encode()}
         if self.plant:
             files[PLANT] = plant_json(self.plant.document()).encode()
@@ -109,9 +107,9 @@ class FmuParts(NamedTuple):
 
 
 def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> FmuParts:
-    """Read the parts of an FMU from a directory: a bundle, or the resources of an FMU.
+    """Read the parts of an FMU from a bundle, or from the resources of an FMU.
 
-    `plant`: plant document to use in place of that directory's plant.json.
+    A document `plant` replaces the plant.json of that directory.
     """
     return FmuParts(
         kind,
@@ -122,10 +120,10 @@ def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None)
 
 
 def embedded_parts(resources: Path) -> FmuParts | None:
-    """Return the parts that an unpacked FMU carries; None where it is not one of ours."""
+    """Return the parts in an unpacked FMU; None if `dropstitch` did not build it."""
     try:
         card = read_json(resources / CARD, "build it again", _MOST_CARD_BYTES)
-    except InputError:  # none, or that of another tool
+    except InputError:  # no such file, or one of another tool
         return None
     kind, dof = (card.get("kind"), card.get("dof")) if isinstance(card, dict) else (None, None)
     if kind not in KINDS or type(dof) is not int or not 1 <= dof <= _MOST_DOF:
@@ -138,7 +136,7 @@ HALF_WIDTH_M: Final = 5e-3
 
 
 def _variables(*names: str) -> tuple[Variable, ...]:
-    """Variables of these names, as the signal table defines them."""
+    """Variables by name, as the signal table defines them."""
     table = {s.name: s for s in (AGE, *observer_signals(dof=2), *tick_signals(dof=2))}
     return tuple(
         Variable(
@@ -155,13 +153,13 @@ _OUTPUTS: Final = tuple(
         *tip_names("predicted_"), IN_RANGE.name, *(f"half_width_{axis}_m" for axis in "xyz")
     )
 )
-"""Outputs of the predictor; the robot calculates them once a tick."""
+"""Outputs of the predictor, which the robot computes once per tick."""
 
 
 LARGEST_EXPANDED: Final = 2000
-"""Most scalar operations of a graph that is expanded to scalars: products with zeros and ones
-vanish, and the observer's tip with its interval takes 340 operations. Larger graphs keep their
-matrices."""
+"""Largest number of scalar operations up to which a graph is expanded to scalars. Expansion removes
+products with zeros and ones; the observer's tip with its interval takes 340 operations. Larger
+graphs keep their matrices."""
 
 
 def _predictions(path: Path, features: Sequence[ca.MX]) -> ca.MX:
@@ -175,7 +173,7 @@ def _predictions(path: Path, features: Sequence[ca.MX]) -> ca.MX:
 
 
 def _predictor(dof: int, path: Path) -> StepModel:
-    """The predictor alone: no states, direct feedthrough."""
+    """Model of the predictor alone, without states, with direct feedthrough."""
     inputs = _variables(*predictor_inputs(path, dof))
     x, u, p, h = ca.MX.sym("x", 0), ca.MX.sym("u", len(inputs)), ca.MX.sym("p", 0), ca.MX.sym("h")
     stay = ca.Function("stay", [x, u, p, h], [x])
@@ -195,7 +193,7 @@ def _predictor(dof: int, path: Path) -> StepModel:
 
 
 def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
-    """The plant, with the predictor's outputs for its own motion added to its own."""
+    """Add the predictor's outputs, for the motion of the plant, to those of the plant."""
     x, u, p = (
         ca.MX.sym(name, len(group))
         for name, group in (("x", plant.states), ("u", plant.inputs), ("p", plant.parameters))
@@ -215,7 +213,7 @@ def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
 
 
 def _aged(observer: StepModel, dof: int, path: Path) -> StepModel:
-    """The observer with the predictor, which takes the age of the sample as a further input."""
+    """Add the predictor to an observer, with the age of the sample as input if it needs that."""
     if AGE.name not in predictor_inputs(path, dof):
         return _with_predictor(observer, dof, path)
     count = len(observer.inputs)
@@ -244,17 +242,17 @@ def _aged(observer: StepModel, dof: int, path: Path) -> StepModel:
 
 
 _ERRORS: Final = re.compile(r"innovation_\d_a|tip_[xyz]_deviation_m|age_s")
-"""What an observer says about its own error: a twin has none."""
+"""Outputs of an observer about its estimation error, which is zero for a twin."""
 
 
 def _of_twin(plant: StepModel, x: ca.MX, u: ca.MX, y: ca.MX, name: str) -> ca.MX:
-    """Input of the predictor, as a twin that observes itself without error knows it."""
+    """Input of the predictor, computed from a twin without estimation error."""
     for group, values in ((plant.outputs, y), (plant.inputs, u)):
         if name in names(group):
             return values[names(group).index(name)]
     if _ERRORS.fullmatch(name):
         return ca.MX(0)
-    # The bend of the link is that of all its hinges; the rate of a joint is a state of the drive.
+    # The bend of the link is the sum over its hinges; the rate of a joint is a state of the drive.
     own = [k for k, s in enumerate(names(plant.states)) if s == name or s.endswith(f"_{name}")]
     if not own:
         raise InputError(

@@ -1,4 +1,4 @@
-"""C source that is generated for an FMU: equations, sizes, variable table."""
+"""Generated C source of an FMU: equations, sizes, variable table."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from models.plant.step_model import StepModel
 def write_equations(model: StepModel, interface: Interface, directory: Path) -> Path:
     """Write `model.c` and `model.h`: the equations of the model and of its relations.
 
-    They use the project's own sine and so on, for the same bits on every platform. CasADi tests
-    each access to an argument or result for NULL. The core gives them all, so the tests are taken
-    out, a tenth of the code, unless a function inside leaves one out.
+    They use the functions of `fmu_math.h` instead of the C library's sine and so on, for the same
+    bits on every platform. CasADi tests each argument and result for NULL. The core always passes
+    all of them, so these tests, a tenth of the code, are removed, unless a call between generated
+    functions omits one.
     """
     model_c = write_model_c(model, directory, interface.relations.functions)
     text = model_c.read_text(encoding="utf-8")
@@ -33,7 +34,7 @@ def write_equations(model: StepModel, interface: Interface, directory: Path) -> 
 _GUARDED_ARGUMENT: Final = re.compile(r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0(?=;)")
 _GUARDED_RESULT: Final = re.compile(r"if \(res\[\d+\]!=0\) (?=res\[)")
 _LEFT_OUT: Final = re.compile(r"(arg|res)\d+\[\d+\]=0;")
-"""Forms that CasADi 3.8 writes: an access with its test, and a pointer that is left out."""
+"""Code that CasADi 3.8 generates: accesses with a test for NULL, and an omitted pointer."""
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:
@@ -82,7 +83,7 @@ def _header(model: StepModel, interface: Interface, token: str) -> str:
 
 
 def _work(relations: Relations) -> dict[str, str]:
-    """Work memory that suffices for every function in C, as constant expressions of C.
+    """Sizes of the work memory as constant expressions of C: the largest need of any function.
 
     The size of a union is that of its largest member.
     """
@@ -125,7 +126,7 @@ def _table(interface: Interface) -> str:
 
 
 def _number(value: float) -> str:
-    """A C constant with the same bits."""
+    """C constant with the same bits."""
     if math.isinf(value):
         return "INFINITY" if value > 0 else "-INFINITY"
     return repr(float(value))

@@ -1,9 +1,9 @@
-"""Variable table of an FMU: the one source of its C, its XML, its documentation and its tests.
+"""Variable table of an FMU: the single source of its C, XML, documentation and tests.
 
 Value references number the variables in this order: time, inputs, parameters, outputs, states,
 derivatives of the continuous states, event indicators. A parameter of the model is named
 `parameters.NAME`, a state `states.NAME`, its derivative `der(states.NAME)`. An FMU with an example
-motion has one parameter more, the last, which is not the model's: `example.scale`.
+motion has one more parameter, `example.scale`, after those of the model.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _EXAMPLE_SCALE = Variable(
 _INITIAL = {"parameter": "exact", "output": "calculated", "local": "calculated"}
 
 Dependencies = dict[int, tuple[int, ...]]
-"""For each unknown the references of the knowns on which it depends."""
+"""References of the knowns on which each unknown depends."""
 
 
 @dataclass(frozen=True)
@@ -39,30 +39,31 @@ class FmiVariable:
     """Scalar variable of an FMU."""
 
     reference: int  # Value reference, the row of the table
-    causality: Causality  # "independent", "input", "parameter", "output" or "local"
-    type: Literal["Float64", "Boolean"]  # "Float64" or "Boolean" (FMI 3.0 names)
-    name: str  # As in `models.plant.step_model.Variable`, from which it is made
+    causality: Causality
+    type: Literal["Float64", "Boolean"]  # Name of the type in FMI 3.0
+    # Name and the following fields are those of `models.plant.step_model.Variable`
+    name: str
     unit: str
     start: float
     minimum: float
     maximum: float
     nominal: float
     description: str
-    # Whether the value changes at events of Model Exchange only, not in continuous time
+    # Whether the value changes only at events of Model Exchange, not in continuous time
     sampled: bool = False
-    # Reference of the continuous state whose derivative the variable is
+    # Reference of the continuous state of which the variable is the derivative
     derivative_of: int | None = None
 
     @property
     def variability(self) -> str:
-        """How the value may change over time."""
+        """Attribute `variability`: how the value may change over time."""
         if self.causality == "parameter":
             return "tunable"
         return "discrete" if self.sampled else "continuous"
 
     @property
     def initial(self) -> str | None:
-        """How the variable gets its first value; inputs and time have no such attribute."""
+        """Attribute `initial`, which inputs and time do not have."""
         return _INITIAL.get(self.causality)
 
 
@@ -73,22 +74,22 @@ class Interface:
     name: str  # Model identifier, a C identifier
     variables: tuple[FmiVariable, ...]  # The index is the value reference
     relations: Relations  # Continuous states, event indicators and derivatives of the model
-    # For each output, derivative and event indicator the references of the inputs, parameters and
-    # continuous states on which it depends directly
+    # References of the inputs, parameters and continuous states on which each output, derivative
+    # and event indicator depends directly
     dependencies: Dependencies
-    # For each output, state and derivative the references of the inputs and parameters on which it
-    # depends in initialization mode
+    # References of the inputs and parameters on which each output, state and derivative depends in
+    # initialization mode
     initial_dependencies: Dependencies
-    # For each input the amplitude of the example motion; empty where there is none
+    # Amplitude of the example motion for each input; empty if there is none
     example: tuple[float, ...] = ()
 
     def of(self, causality: Causality) -> tuple[FmiVariable, ...]:
-        """Variables of one causality, in order."""
+        """Return the variables of one causality, in order."""
         return tuple(v for v in self.variables if v.causality == causality)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Every SI unit in use, sorted."""
+        """SI units in use, sorted."""
         return tuple(sorted({v.unit for v in self.variables if v.type == "Float64"}))
 
     @property
@@ -103,7 +104,6 @@ class Interface:
 
     @property
     def indicators(self) -> tuple[FmiVariable, ...]:
-        """Event indicators."""
         return self.variables[len(self.variables) - self.relations.indicators :]
 
 
@@ -112,7 +112,7 @@ def interface_of(
 ) -> Interface:
     """Derive the variable table and the dependencies of a model.
 
-    `example`: for each input the amplitude of the example motion; empty for none.
+    `example` gives the amplitude of the example motion for each input; empty for none.
     """
     relations = relations_of(model, derivatives)
     variables = tuple(_number(model, relations, with_example=bool(example)))
@@ -145,7 +145,7 @@ def interface_of(
 
 
 def _number(model: StepModel, relations: Relations, *, with_example: bool) -> Iterator[FmiVariable]:
-    """Variables in the order of their references."""
+    """Yield the variables in the order of their references."""
     time = Variable(signals.TIME.name.removesuffix("_s"), "s", description="simulation time")
     states = [
         replace(v, name=f"states.{v.name}", sampled=k not in relations.continuous,
@@ -185,7 +185,7 @@ def _number(model: StepModel, relations: Relations, *, with_example: bool) -> It
 
 
 def _discrete_rows(model: StepModel, relations: Relations) -> set[int]:
-    """Outputs that follow from discrete states alone: they change at events only."""
+    """Outputs that depend only on discrete states, and so change only at events."""
     moving = set(relations.continuous)
     changing = set()
     for argument in (0, 1):

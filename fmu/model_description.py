@@ -27,9 +27,9 @@ def model_description_xml(
     generated: str,
     sources: Sequence[str] = (),
 ) -> bytes:
-    """Write modelDescription.xml for FMI 2.0 or FMI 3.0.
+    """Return modelDescription.xml for FMI 2.0 or 3.0.
 
-    `sources`: names of the C files under sources/, which FMI 2.0 lists here.
+    FMI 2.0 lists the C files under sources/ here, by their names `sources`.
     """
     root = _root(interface, fmi, token, description, generated)
     if fmi == 2:
@@ -88,7 +88,7 @@ def _co_simulation(interface: Interface, fmi: FmiVersion) -> ET.Element:
 
 
 def _capabilities(interface: Interface, fmi: FmiVersion) -> dict[str, str]:
-    """Attributes that both interface types have."""
+    """Attributes that both interface types share."""
     spelling = "FMUstate" if fmi == 2 else "FMUState"
     offered = interface.relations.derivatives
     capabilities = {
@@ -164,7 +164,7 @@ def _variable_3(variable: FmiVariable) -> ET.Element:
 
 
 def _structure_2(interface: Interface) -> ET.Element:
-    """FMI 2.0 counts variables from 1; parameters are knowns in initialization only."""
+    """Structure in FMI 2.0, where indices begin at 1 and parameters are knowns only initially."""
     structure = ET.Element("ModelStructure")
     parameters = {v.reference for v in interface.of("parameter")}
     groups = {

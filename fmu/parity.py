@@ -20,11 +20,11 @@ from models.plant.step_model import StepModel, names
 Array = NDArray[np.float64]
 
 DECISIONS: Final = 0.01
-"""Largest fraction of rows in which decisions may differ; assumed."""
+"""Largest fraction of rows in which the in-range decision may differ [assumed]."""
 
 
 class FmuCheck(NamedTuple):
-    """Result of one check: name, whether it passed, and detail."""
+    """Result of one check of an FMU."""
 
     name: str
     passed: bool
@@ -51,9 +51,9 @@ def _simulate(model: StepModel, u: Array, steps_s: Array) -> Array:
 def check_step_parity(
     archive: FmuArchive, model: StepModel, u: Array, found: dict[str, float]
 ) -> Iterator[FmuCheck]:
-    """Compare runs with fixed and varying steps with the interpreted model.
+    """Compare the FMU with the interpreted model at fixed and at varying steps.
 
-    Shapes: `u` (n, inputs).
+    `found` receives the largest difference by output. Shapes: `u` (n, inputs).
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     runs = {"fixed": np.full(len(u), PERIOD_S), "varying": varying_steps_s(len(u))}
@@ -71,9 +71,10 @@ def check_step_parity(
 
 
 def _allow_for_decisions(difference: Array, outputs: Sequence[str]) -> None:
-    """Take out the few rows in which a feature lies on its bound to the last digit.
+    """Ignore the in-range decision if it differs in only a few rows.
 
-    Compiled and interpreted model round differently; there one decides "in range", the other not.
+    Compiled and interpreted model round differently. If a feature lies on its bound to the last
+    digit, one decides "in range", the other not.
     """
     if IN_RANGE.name in outputs:
         rows = difference[:, outputs.index(IN_RANGE.name)]
@@ -82,7 +83,7 @@ def _allow_for_decisions(difference: Array, outputs: Sequence[str]) -> None:
 
 
 def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
-    """Replay the reference run that an FMU holds."""
+    """Replay the reference run in an FMU and compare the outputs."""
     known = {v.name for v in archive.description.modelVariables}
     unknown = [name for name in (*run.inputs, *run.outputs) if name not in known]
     if unknown:
@@ -98,7 +99,7 @@ def check_reference_run(archive: FmuArchive, run: ReferenceRun) -> FmuCheck:
 
 
 def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u: Array) -> FmuCheck:
-    """Compare the FMU's prediction with onnxruntime's on the same features.
+    """Compare the FMU's prediction with onnxruntime's for the same features.
 
     Shapes: `u` (n, inputs).
     """
@@ -118,7 +119,7 @@ def check_onnx_parity(archive: FmuArchive, parts: FmuParts, model: StepModel, u:
 
 
 def predict_named(predictor: OnnxPredictor, dof: int, known: Mapping[str, float]) -> Prediction:
-    """Return the prediction for inputs by name; what is absent counts as zero."""
+    """Return the prediction for inputs by name; missing inputs are zero."""
     joints = range(1, dof + 1)
     angle_rad = np.array([known.get(f"angle_{j}_rad", 0.0) for j in joints])
     current_a = np.array([known.get(f"current_{j}_a", 0.0) for j in joints])
@@ -128,12 +129,10 @@ def predict_named(predictor: OnnxPredictor, dof: int, known: Mapping[str, float]
 
 
 def check_saved_states(archive: FmuArchive, model: StepModel, u: Array) -> FmuCheck:
-    """Compare runs continued from a saved state.
+    """Check that runs continued from a saved state are equal to the last bit.
 
-    The state is saved half way. The run continues from there, again after the state is restored,
-    and in a second instance from the serialised state.
-
-    Shapes: `u` (n, inputs).
+    The state is saved half way. The run continues three times: directly, after the state is
+    restored, and in a second instance from the serialised state. Shapes: `u` (n, inputs).
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     half = len(u) // 2
@@ -169,8 +168,8 @@ def _continue(
 def step_times_us(archive: FmuArchive, model: StepModel, u: Array) -> dict[str, float]:
     """Measure the median time of a step in FMPy, in µs.
 
-    Shapes: `u` (n, inputs).
-    Returns "bare", and "with_sets_and_gets" of all inputs and outputs.
+    "bare" is the step alone, "with_sets_and_gets" includes setting all inputs and getting all
+    outputs. Shapes: `u` (n, inputs).
     """
     inputs, outputs = names(model.inputs), names(model.outputs)
     bare, whole = [], []

@@ -1,4 +1,4 @@
-"""Files of a run of an FMU: the table and the plot."""
+"""Result files of a simulated FMU: table and plot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_fmu_run(result: FmuRun, path: Path) -> None:
 
 
 def draw_run(result: FmuRun, path: Path) -> None:
-    """Plot a run, one panel per quantity; values of a trial are dashed, predicted ones dotted."""
+    """Plot a run as SVG, one panel per quantity; trial dashed, predictions dotted."""
     panels: dict[tuple[str, str], list[str]] = {}
     for name in result.columns:
         panels.setdefault((_quantity(name), result.units[name]), []).append(name)
@@ -44,7 +44,7 @@ def draw_run(result: FmuRun, path: Path) -> None:
                     result.time_s, shown.shown(result.columns[name]), style, lw=1.0,
                     color=colour, label=name,
                 )  # fmt: skip
-                if name in result.measured and not predicted:  # drawn once
+                if name in result.measured and not predicted:  # tip and predicted tip share it
                     axis.plot(
                         result.time_s, shown.shown(result.measured[name]), "--", lw=1.0,
                         color=colour, alpha=0.5, label=f"{name}, trial",
@@ -58,7 +58,7 @@ def draw_run(result: FmuRun, path: Path) -> None:
 
 
 def _quantity(name: str) -> str:
-    """Quantity of a variable: "tip_x_m" and "predicted_tip_x_m" are both the tip."""
+    """Quantity of a variable; for "tip_x_m" and "predicted_tip_x_m" it is the tip."""
     if name == "di":
         return "DI"
     for quantity in ("half_width", "tip", "angle", "goal", "current", "payload", "in_range"):

@@ -26,16 +26,13 @@ Array = NDArray[np.float64]
 
 
 def usual_payload_kg(parts: FmuParts) -> float:
-    """Payload where none is named: half of the largest that the link of the plant carries."""
+    """Return the default payload: half of the largest that the link of the plant carries."""
     link = parts.plant.link if parts.plant else None
     return (link or STUDY_LINK).payload_kg / 2
 
 
 def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, float]) -> None:
-    """Refuse a trial of another link than the FMU's.
-
-    `parts`: parts of the FMU; without a plant of a link there is nothing to compare.
-    """
+    """Refuse a trial of another link than the FMU's, if the FMU has the plant of a link."""
     plant, meta = parts.plant, trial.meta
     if plant is None or plant.load != "link" or not meta.link_length_m:
         return
@@ -74,14 +71,11 @@ def inputs_from_motion(
     step_s: float = PERIOD_S,
     rows: int | None = None,
 ) -> Array:
-    """Make the inputs of an FMU from a motion.
+    """Make the inputs of an FMU from a motion, shape (n, inputs); row k drives step k.
 
-    A twin gets the goals. An observer gets the angles and currents of the twin of its own plant,
-    each sample of age zero. A predictor gets the goals as angles, and currents and a DI that sweep
-    through typical values.
-
-    `rows`: number of the first rows to make; by default the whole motion.
-    Returns shape (n, inputs), row k drives step k.
+    A twin gets the goals. An observer gets angles and currents of the twin of the same plant, with
+    age zero. A predictor gets the goals as angles; its currents and DI sweep through typical
+    values. `rows` limits the inputs to the first rows of the motion.
     """
     goal_rad = motion.table_rad(step_s)
     if parts.kind == "predictor":
@@ -98,11 +92,9 @@ def inputs_from_motion(
 
 
 def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
-    """Make the inputs of an FMU from a trial.
+    """Make the inputs of an FMU from a trial, shape (n, inputs); row k drives step k.
 
     They are the trial's columns, its payload and, for a predictor, its true DI.
-
-    Returns shape (n, inputs), row k drives step k.
     """
     if trial.meta.dof != parts.dof:
         raise InputError(
@@ -127,16 +119,16 @@ def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:
 
 
 _AMPLITUDE: Final = {"A": 0.2, "kg": 1.0, "m": 0.1, "rad": 0.05, "rad/s": 0.3, "s": 0.01}
-"""Amplitude of a predictor's input that is not measured, by its unit; assumed."""
+"""Amplitude of a predictor's inputs that are not measured, by unit [assumed]."""
 
 REACH_M: Final = 1.0
-"""Length of a rigid link, whose tip the observer's follows in the sweep; assumed."""
+"""Length of the rigid link whose tip stands for the observer's in the sweep [assumed]."""
 
 
 def _sweep(model: StepModel, angle_rad: Array) -> Array:
-    """Inputs of a predictor: angles as given, all others at frequencies of their own.
+    """Inputs of a predictor: the angles, and all other inputs as sinusoids of various frequencies.
 
-    Currents to 3 A, DI to 1 %, the tip along that of a rigid link, the rest to `_AMPLITUDE`.
+    Currents reach 3 A, DI 1 %, the rest `_AMPLITUDE`; the tip is that of a rigid link.
     """
     count, dof = angle_rad.shape
     turn = 2.0 * np.pi * np.arange(count) / count

@@ -1,1 +1,1 @@
-"""Software and hardware in the loop: emulated servos, line, timing verdict, faults, report."""
+"""Software and hardware in the loop: emulated servos, timing, injected faults, reports."""

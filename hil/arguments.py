@@ -1,4 +1,4 @@
-"""Arguments common to several commands: servos, line, and payload at the tip."""
+"""Arguments that several commands share: servos, line, and payload at the tip."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def complete_from_link(args: argparse.Namespace, plant: Path | None) -> LinkDescription:
-    """Set servo and payload, where the user does not, by the link of a plant; return the link.
+    """Return the link, and fill in the servo and payload that the user did not set from it.
 
-    `plant`: plant document, or the file of a link; None for the study's link.
+    `plant` is a plant document or the file of a link; without one the study's link is used.
     """
     link = link_of_plant(plant) if plant is not None and plant.is_file() else STUDY_LINK
     if args.model is None:

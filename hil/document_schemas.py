@@ -54,8 +54,8 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "study": StudyDocument,
     "timing": TimingDocument,
 }
-"""Every document that a command writes, by the name of its file; several of one command have a
-folder."""
+"""Every document that a command writes, by the name of its schema file. A command that writes
+several has a folder."""
 
 
 def schema_files() -> dict[str, str]:
@@ -79,7 +79,7 @@ def _structs(base: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
 
 
 def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Comment of each field, those of base classes included."""
+    """Comment of each field, including the fields of base classes."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if base.__module__.startswith("msgspec") or not issubclass(base, msgspec.Struct):
@@ -96,7 +96,6 @@ def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Write the schemas into a directory."""
     parser = argparse.ArgumentParser(prog="python -m hil.document_schemas", description=__doc__)
     parser.add_argument("directory", type=Path, help="docs/schema")
     directory: Path = parser.parse_args(argv).directory

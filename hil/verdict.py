@@ -11,7 +11,7 @@ from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
 
 
 class Verdict(StrEnum):
-    """Result of a check."""
+    """Result of a check; inconclusive if something other than the checked code disturbed it."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -31,15 +31,14 @@ class JUnitCase(NamedTuple):
     """One test case of a JUnit suite."""
 
     name: str
-    verdict: Verdict  # A failure where it is `FAIL`, skipped where it is `INCONCLUSIVE`
-    message: str = ""  # Short and long explanation of a verdict other than `PASS`
-    text: str = ""
+    verdict: Verdict  # `FAIL` becomes a failure, `INCONCLUSIVE` a skipped test
+    message: str = ""  # One line that explains a verdict other than `PASS`
+    text: str = ""  # The full explanation
 
 
 def junit_xml(
     suite: str, cases: Sequence[JUnitCase], properties: Mapping[str, Any] | None = None
 ) -> bytes:
-    """Return a JUnit XML document."""
     verdicts = [case.verdict for case in cases]
     root = ET.Element(
         "testsuite", name=f"dropstitch.{suite}", tests=str(len(cases)),

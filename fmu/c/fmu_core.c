@@ -92,8 +92,8 @@ int fmu_all_finite(const double *value, size_t count)
 }
 
 /* Compute the outputs, and before the first step the state, from inputs and parameters. They are
- * taken only where all are finite numbers, so that the memory never holds others. In Model
- * Exchange the sampled outputs keep their values between two samples. */
+ * stored only if all are finite, so the memory never holds other numbers. In Model Exchange the
+ * sampled outputs keep their values between two samples. */
 int fmu_refresh(Fmu *fmu)
 {
     Memory *memory = &fmu->memory;
@@ -317,7 +317,7 @@ int fmu_step(Fmu *fmu, double time_s, double step_s)
     if (time_s + step_s > memory->stop_s + 1e-6 * step_s + TIME_TOLERANCE * fabs(memory->stop_s))
         return fmu_refuse(fmu, "The step to %.9g s leads beyond the stop time of %.9g s.",
                           time_s + step_s, memory->stop_s);
-    fmu_follow_example(fmu, SAMPLED ? time_s + step_s : time_s); /* a sample is that of the end */
+    fmu_follow_example(fmu, SAMPLED ? time_s + step_s : time_s); /* sampled at the end */
     fmu_advance_step(fmu, step_s);
     memory->value[0] = time_s + step_s;
     memory->stale = STALE;

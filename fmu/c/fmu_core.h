@@ -40,11 +40,11 @@ enum {
     LEGAL_TO_EVALUATE = INITIALIZING | EVENT | CONTINUOUS | TERMINATED
 };
 
-/* Hosts add their steps up and come to times with rounding; FMPy compares them to 1e-9. */
+/* A host that sums its steps arrives at rounded times; FMPy compares times to 1e-9. */
 #define TIME_TOLERANCE 1e-9
 #define LATEST_S 1e12 /* 30,000 years: a double still resolves 0.1 ms there */
 
-/* What is older than the values that it follows from. */
+/* Results that have to be computed again, because a value on which they depend has changed. */
 enum { STALE_OUTPUTS = 1, STALE_RATES = 2, STALE_INDICATORS = 4, STALE = 7 };
 
 typedef enum { FLOAT64, BOOLEAN } Type;
@@ -54,13 +54,13 @@ typedef struct {
     const char *name;
     Type type;
     Causality causality;
-    int sampled; /* takes new values at events of Model Exchange only */
+    int sampled; /* in Model Exchange the value changes only at events */
     double start, minimum, maximum;
 } Variable;
 
 enum {
     N_INPUTS = FIRST_PARAMETER - FIRST_INPUT,
-    N_PARAMETERS = FIRST_OUTPUT - FIRST_PARAMETER - WITH_EXAMPLE, /* those of the model */
+    N_PARAMETERS = FIRST_OUTPUT - FIRST_PARAMETER - WITH_EXAMPLE, /* without example.scale */
     N_OUTPUTS = FIRST_STATE - FIRST_OUTPUT,
     N_CONTINUOUS = FIRST_INDICATOR - FIRST_DERIVATIVE,
     N_INDICATORS = N_VARIABLES - FIRST_INDICATOR,
@@ -70,25 +70,25 @@ enum {
 };
 
 extern const Variable VARIABLES[N_VARIABLES]; /* the index is the value reference */
-extern const int CONTINUOUS_STATES[ROOM(N_CONTINUOUS)]; /* their places among the states */
+extern const int CONTINUOUS_STATES[ROOM(N_CONTINUOUS)]; /* indices into the states */
 extern const double NOMINALS[ROOM(N_CONTINUOUS)];
 extern const double EXAMPLE[ROOM(N_INPUTS)]; /* amplitudes of the example motion */
 
-/* Content of a saved state. */
+/* Contents of a saved state. */
 typedef struct {
     double value[FIRST_STATE]; /* time, inputs, parameters, outputs */
     double state[ROOM(N_STATES)];
     double start_s;
-    double stop_s; /* end of the experiment; infinite where the host defines none */
-    double samples; /* taken in Model Exchange; the next one is due at start + samples * SAMPLE_S */
+    double stop_s; /* end of the experiment; infinite if the host defines none */
+    double samples; /* their number in Model Exchange; the next: start + samples * SAMPLE_S */
     int32_t mode;
     int32_t stale;
     int32_t driven; /* whether the host moves the inputs, or the FMU has no example motion */
-    int32_t unused; /* so that every byte has a value */
+    int32_t unused; /* fills the padding, so that every byte is defined */
 } Memory;
 
 typedef struct {
-    uint64_t hash; /* of all bytes behind it */
+    uint64_t hash; /* hash of all bytes after it */
     char token[sizeof FMU_TOKEN]; /* a state is valid only for the FMU that saved it */
     Memory memory;
 } Saved;
@@ -105,21 +105,21 @@ typedef struct {
     double outputs[ROOM(N_OUTPUTS)];
     double rates[ROOM(N_CONTINUOUS)];
     double indicators[ROOM(N_INDICATORS)];
-    double direction[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* of states, inputs and parameters; or the whole gradient */
-    double gradient[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* that of one relation */
-    double slope[ROOM(N_UNKNOWNS)]; /* of outputs, rates, indicators and states; or their weights */
+    double direction[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* direction of states, inputs and parameters, or the total gradient */
+    double gradient[ROOM(N_KNOWNS + WITH_EXAMPLE)]; /* gradient of one relation */
+    double slope[ROOM(N_UNKNOWNS)]; /* derivatives of outputs, rates, indicators and states, or their weights */
 } Fmu;
 
 typedef int Model(const casadi_real **, casadi_real **, casadi_int *, casadi_real *, int);
 
-/* What an update of the discrete states changed, and when the next one is due. */
+/* Result of an update of the discrete states, and the time of the next one. */
 typedef struct {
     int states_changed;
     double next_s;
 } Update;
 
-/* Functions that return int return 1 on success, else 0 with a message; fmu_step also DISCARDED,
- * where a smaller step may succeed. */
+/* Functions that return int return 1 on success, else 0 with a message. fmu_step also returns
+ * DISCARDED if a smaller step may succeed. */
 enum { DISCARDED = 2 };
 
 int fmu_refuse(Fmu *fmu, const char *format, ...);

@@ -126,8 +126,8 @@ int fmu_forward(Fmu *fmu, const uint32_t unknown[], size_t unknowns, const uint3
 #endif
 #if WITH_REVERSE
 
-/* What one known contributes through the start. No adjoint of the start is written: it is needed
- * once a run, and the code would be a tenth of the FMU. */
+/* Contribution of one known through the initial state. No adjoint of the initial state is
+ * generated: it is needed once per run, and would be a tenth of the FMU's code. */
 static double through_start(Fmu *fmu, int place)
 {
     double sum = 0.0;
@@ -139,7 +139,7 @@ static double through_start(Fmu *fmu, int place)
     return sum;
 }
 
-/* Add the gradient of one weighted relation to the whole one. */
+/* Add the gradient of one weighted relation to the total gradient. */
 static void add_gradient(Fmu *fmu, Model *reverse, const double *weight)
 {
     differentiate(fmu, reverse, 1, weight, fmu->gradient);

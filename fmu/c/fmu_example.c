@@ -1,6 +1,6 @@
-/* Example motion: until the host sets an input that moves in it, the FMU sets these inputs itself, so
- * that a tool that simulates the FMU without inputs shows a motion. It begins at the start values,
- * and a host that sets its inputs before the first step gets nothing of it.
+/* Example motion: until the host sets one of its inputs, the FMU sets these inputs itself, so that
+ * a tool that simulates the FMU without inputs shows a motion. It begins at the start values, and
+ * does not affect a host that sets its inputs before the first step.
  */
 #include "fmu_core.h"
 #include "fmu_math.h"
@@ -25,7 +25,7 @@ void fmu_follow_example(Fmu *fmu, double time_s)
     memory->stale = STALE;
 }
 
-/* End the example where the host sets one of its inputs: the others return to their start. */
+/* End the example as soon as the host sets one of its inputs; the others return to their start. */
 void fmu_end_example(Fmu *fmu, const uint32_t reference[], size_t count)
 {
     int moving = 0;

@@ -39,7 +39,7 @@ int fmu_enter_continuous_time(Fmu *fmu)
     return 1;
 }
 
-/* No step of the integrator ends in an event, but the experiment may. */
+/* A completed step of the integrator never causes an event, but it may exceed the stop time. */
 int fmu_complete_step(Fmu *fmu) { return check_stop(fmu); }
 
 /* Publish the samples of this time and take those of the inputs. */
@@ -96,7 +96,7 @@ int fmu_set_time(Fmu *fmu, double time_s)
 {
     if (!fmu_check_time(fmu, time_s, "time"))
         return 0;
-    fmu->memory.value[0] = time_s; /* nothing depends on the time but through the states */
+    fmu->memory.value[0] = time_s; /* results depend on the time only through the states */
     return 1;
 }
 

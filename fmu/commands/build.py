@@ -1,8 +1,8 @@
-"""FMU build from a bundle and a plant.
+"""Build an FMU from a bundle and a plant.
 
-twin: servo and link in closed loop, driven by goals, with the predictor beside them. predictor:
-the polynomial alone. observer: the estimator of DI and payload that the robot runs. Without --out
-the observer is added to the bundle, and the bundle's golden ticks and manifest are renewed.
+twin: servo and link in closed loop, driven by goals, together with the predictor. predictor: the
+polynomial alone. observer: the estimator of DI and payload that the robot runs. Without --out the
+observer is added to the bundle, and the bundle's golden ticks and manifest are updated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ _OBSERVER = "observer.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("bundle", type=Path, metavar="BUNDLE", help="directory that 'dropstitch train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
@@ -46,7 +45,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the FMU."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu

@@ -1,7 +1,7 @@
-"""Validation of an FMU and comparison with the plant that it was built from.
+"""Validate an FMU and compare it with the plant from which it was built.
 
-The FMU carries its plant and predictor, so no other file is needed. --plant and --bundle replace
-them, to test whether the FMU still agrees with another plant or bundle.
+The FMU contains its plant and predictor, so you need no other file. With --plant and --bundle, you
+test whether it agrees with another plant or bundle instead.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ EXAMPLE = "dropstitch fmu check build/twin_1dof.fmu"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("file", type=Path, metavar="FILE.fmu", help="the FMU")
     add("--plant", type=Path, metavar="PLANT", help="compare with this plant")
@@ -24,7 +23,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Check the FMU; exit 1 where a check fails."""
     from fmu.fmpy_instance import FmuArchive
     from fmu.fmu_checker import check_fmu
     from fmu.fmu_models import embedded_parts

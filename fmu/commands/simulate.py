@@ -1,7 +1,7 @@
-"""Simulation of an FMU in FMPy along a motion or a trial.
+"""Simulate an FMU in FMPy along a motion or a trial.
 
 A twin FMU gets the goals and the payload. An observer or predictor FMU gets measured angles and
-currents, from a trial or from the twin of its own plant. Writes result.csv and result.svg.
+currents, from a trial or from the twin of the same plant. Writes result.csv and result.svg.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ EXAMPLE = "dropstitch fmu simulate build/twin_1dof.fmu --payload-kg 1 --out buil
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("file", type=Path, metavar="FILE.fmu", help="the FMU")
     add("--out", type=Path, required=True, metavar="DIR", help="where result.csv and .svg go")
@@ -40,7 +39,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate the FMU, write and plot the run."""
     if not (math.isfinite(args.step) and 0 < args.step <= 1):
         raise InputError(
             f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"

@@ -1,6 +1,6 @@
-"""SSP package of twin, observer and a controller that leads the tip along a sinusoid.
+"""Build an SSP package of twin, observer and a controller that moves the tip along a sinusoid.
 
-The FMUs in it are of FMI 2.0, which tools that read SSP take.
+Its FMUs are of FMI 2.0, which tools for SSP support.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ EXAMPLE = "dropstitch fmu ssp build/bundle_1dof --plant build/plant.json --out b
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("bundle", type=Path, metavar="BUNDLE", help="directory that 'dropstitch train' wrote")
     add("--plant", type=Path, metavar="PLANT", help="plant document (the bundle's plant.json)")
@@ -32,7 +31,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Build the package."""
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.fmu_models import read_parts
     from fmu.packaging.platforms import platform_names

@@ -1,1 +1,1 @@
-"""Plain C host of FMI 3.0 FMUs, also for libraries of other platforms."""
+"""Host of FMI 3.0 FMUs in plain C, which also runs libraries of other platforms."""

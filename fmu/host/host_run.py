@@ -1,6 +1,6 @@
-"""Runs of an FMU's library in the plain C host: on this machine, under Wine, under qemu-user.
+"""Run an FMU's library in the plain C host: on this machine, under Wine or under qemu-user.
 
-The host prints 17 digits, so that runs of two platforms are compared bit by bit.
+The host prints 17 digits, so runs on two platforms can be compared bit by bit.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _EMULATORS: Final[Mapping[str, Sequence[str]]] = {
     "x86_64-windows": ("wine",),
     "aarch64-linux": ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
 }
-"""Command that runs a program of a platform on Linux, x86-64; Debian's package libc6-arm64-cross
-has the C library in that folder."""
+"""Command that runs a platform's programs on x86-64 Linux. The folder with the C library is that of
+Debian's package libc6-arm64-cross."""
 
 
 def emulator_of(platform: str) -> Sequence[str] | None:
-    """Return the command that runs programs of a platform here; None where there is none."""
+    """Return the command that runs a platform's programs here; None if there is none."""
     command = _EMULATORS.get(platform)
     if command is None or (command and not shutil.which(command[0])):
         return None
@@ -48,11 +48,9 @@ def emulator_of(platform: str) -> Sequence[str] | None:
 def run_in_host(
     fmu: Path, platform: str, u: Array, step_s: float, outputs: Sequence[str], directory: Path
 ) -> list[str]:
-    """Step an FMI 3.0 FMU in the C host.
+    """Step an FMI 3.0 FMU in the C host; return n + 1 lines of outputs with 17 digits.
 
-    Shapes: `u` (n, inputs).
-    `u`: row k drives step k; the first is also that of the initialization.
-    Returns lines of numbers in 17 digits, n + 1.
+    Shapes: `u` (n, inputs). Row k drives step k; the first also serves the initialization.
     """
     emulator = emulator_of(platform)
     if emulator is None:
@@ -80,7 +78,7 @@ def run_in_host(
 
 
 def _rows(root: ET.Element[Any], u: Array, step_s: float, outputs: Sequence[str]) -> str:
-    """Input of the host: references of inputs and outputs, the step, the rows."""
+    """Input of the host: references of inputs and outputs, the step size, the rows."""
     variables = root.findall("ModelVariables/*")
     inputs = [v.attrib["valueReference"] for v in variables if v.get("causality") == "input"]
     reference = {v.attrib["name"]: v.attrib["valueReference"] for v in variables}

@@ -1,1 +1,1 @@
-"""Parts of an FMU file beside model description and equations: binaries, sources, documents."""
+"""Parts of an FMU file other than model description and equations: binaries, sources, documents."""

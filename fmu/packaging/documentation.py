@@ -24,7 +24,7 @@ _USAGE = Markup(
 def documentation_page(
     interface: Interface, description: str, sections: Sequence[Section] = ()
 ) -> str:
-    """Write documentation/index.html: the description, further sections, the table of variables."""
+    """Return documentation/index.html: description, further sections, table of variables."""
     rows = [
         [v.name, v.causality, symbol_of(v.unit), _range(v), v.description]
         for v in interface.variables

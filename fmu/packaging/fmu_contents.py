@@ -1,4 +1,4 @@
-"""Documents of an FMU that is given to others: reference run, documentation, terminals, icon."""
+"""Documents of an FMU for its users: reference run, documentation, terminals, icon."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["FmuContents", "fmu_contents"]
 STEPS: Final = 256
 """Steps of the reference run: one cycle of the study's motion."""
 SMALLEST: Final = 1e-9
-"""What is smaller is rounding."""
+"""Amplitude below which an input counts as constant, because it is a rounding error."""
 
 
 class FmuContents(NamedTuple):
@@ -31,7 +31,7 @@ class FmuContents(NamedTuple):
 
     files: dict[str, bytes]
     sections: list[Section]
-    example: tuple[float, ...]  # For each input the amplitude of its example motion
+    example: tuple[float, ...]  # Amplitude of the example motion for each input
 
 
 def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuContents:
@@ -48,9 +48,9 @@ def fmu_contents(parts: FmuParts, model: StepModel, fmi: Literal[2, 3]) -> FmuCo
 
 
 def _amplitudes(u: NDArray[np.float64]) -> tuple[float, ...]:
-    """For each input the amplitude of the sine of the motion's period, by least squares.
+    """Amplitude of each input's sine with the period of the motion, by least squares.
 
-    What does not swing with the motion, like a payload, gets zero.
+    It is zero for a constant input, like a payload.
     """
     sine = np.sin(2 * np.pi * np.arange(len(u)) / len(u))
     amplitude = 2.0 / len(u) * (sine @ u)

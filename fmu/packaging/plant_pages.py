@@ -1,6 +1,6 @@
-"""Sections on a plant for an FMU's documentation: inputs, equations, parameters, validation.
+"""Sections of an FMU's documentation on its plant: inputs, equations, parameters, validation.
 
-The equations are the docstrings of the parts that the plant is made of.
+The equations come from the docstrings of the plant's components and effects.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _HELD: Final[dict[Kind, str]] = {
     "predictor": "The outputs follow the inputs directly; the FMU has no state. Its inputs are "
     "what the observer of the same bundle gives.",
 }
-"""How inputs are held, by kind; measured, docs/sources.md, "FMI"."""
+"""Text on how each kind holds its inputs; the values are measured (docs/sources.md, "FMI")."""
 
 
 def plant_sections(parts: FmuParts, interface: Interface) -> list[Section]:
-    """Return the sections on what an FMU is made of."""
+    """Return the sections on inputs, plant and predictor of an FMU."""
     held: list[Part] = [Paragraph(_HELD[parts.kind])]
     if parts.kind != "predictor":
         held.append(Paragraph(_direct_outputs(interface)))
@@ -55,7 +55,7 @@ def plant_sections(parts: FmuParts, interface: Interface) -> list[Section]:
 
 
 def _direct_outputs(interface: Interface) -> str:
-    """Sentences on the outputs that follow an input without a step, as the FMU declares them."""
+    """Text on the outputs that depend directly on an input, as the FMU declares them."""
     inputs = {v.reference: v.name for v in interface.of("input")}
     direct = []
     for output in interface.of("output"):
@@ -88,7 +88,7 @@ def _equations(parts: FmuParts, plant: Plant) -> Section:
 
 
 def _paragraphs(docstring: str) -> Markup:
-    """Docstring as HTML: paragraphs, and what is indented after "::" as it stands."""
+    """Convert a docstring to HTML: paragraphs, and literal blocks after "::"."""
     blocks = []
     for block in re.split(r"\n\s*\n", docstring.strip()):
         if re.match(r"Attributes\n-+", block):

@@ -1,8 +1,8 @@
 """Platforms of an FMU: compiler targets, folders of both standards, universal libraries for macOS.
 
-FMI 3.0 gives each platform a folder of its own (section 2.5.1.4). FMI 2.0 knows one folder for
-macOS, so both processors share a universal library there, and none for Linux on aarch64: that
-library gets FMI 3.0's folder (docs/sources.md, "FMI").
+FMI 3.0 has a folder for each platform (section 2.5.1.4). FMI 2.0 has a single folder for macOS, so
+both processors share a universal library there. It has no folder for Linux on aarch64, so that
+library goes to FMI 3.0's folder (docs/sources.md, "FMI").
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from models.shared.c_compiler import TARGETS
 __all__ = ["HOST", "PLATFORMS", "SOURCE_CODE", "Platform", "binary_files", "platform_names"]
 
 HOST: Final = "x86_64-linux"
-"""The platform that an FMU is built for where none is named: the robot's and the tests'."""
+"""Default platform of an FMU, that of the robot and the tests."""
 
 SOURCE_CODE: Final = "c-code"
 """Name of the source code among the platforms, as FMPy calls it."""
@@ -26,13 +26,13 @@ SOURCE_CODE: Final = "c-code"
 class Platform(NamedTuple):
     """Platform of a binary."""
 
-    target: str  # Zig's name of it, with the oldest glibc that it needs
+    target: str  # Name of the target in Zig, with the oldest supported glibc
     fmi2_folder: str
     suffix: str
-    flags: tuple[str, ...] = ()  # Options of the compiler beside those of every platform
+    flags: tuple[str, ...] = ()  # Further options of the compiler
 
     def folder(self, name: str, fmi: Literal[2, 3]) -> str:
-        """Return the folder under binaries/ of the platform of this name."""
+        """Return the folder under binaries/; `name` is that of the platform."""
         return self.fmi2_folder if fmi == 2 else name
 
 
@@ -43,17 +43,16 @@ _FOLDERS: Final = {
     "x86_64-darwin": ("darwin64", ".dylib"),
     "aarch64-darwin": ("darwin64", ".dylib"),
 }
-"""Folder of FMI 2.0 and suffix of the library."""
+"""Folder in FMI 2.0, and suffix of the library."""
 
 PLATFORMS: Final = {name: Platform(target, *_FOLDERS[name]) for name, target in TARGETS.items()}
-"""Platforms by FMI 3.0's names, with the targets of `models.shared.c_compiler`."""
+"""Platforms by their names in FMI 3.0, with the targets of `models.shared.c_compiler`."""
 
 
 def platform_names(text: str) -> tuple[str, ...]:
-    """Return the platforms that a list of names stands for.
+    """Parse names of `PLATFORMS` and `SOURCE_CODE`, separated by commas.
 
-    `text`: names of `PLATFORMS` and `SOURCE_CODE`, separated by commas; "all" stands for all of
-    `PLATFORMS`.
+    "all" stands for all of `PLATFORMS`.
     """
     known = (*PLATFORMS, SOURCE_CODE)
     parts = [part.strip() for part in text.split(",")]
@@ -69,7 +68,7 @@ def platform_names(text: str) -> tuple[str, ...]:
 
 
 def binary_files(name: str, libraries: Mapping[str, bytes], fmi: Literal[2, 3]) -> dict[str, bytes]:
-    """Return the files of libraries in an FMU."""
+    """Return the libraries of all platforms by their path in the FMU."""
     places: dict[str, list[bytes]] = {}
     for key, library in libraries.items():
         platform = PLATFORMS[key]
@@ -80,13 +79,14 @@ def binary_files(name: str, libraries: Mapping[str, bytes], fmi: Literal[2, 3]) 
 
 _FAT_MAGIC: Final = 0xCAFEBABE
 _ALIGNMENT: Final = 14
-"""Power of two at which a slice starts: the page size of arm64."""
+"""Alignment of slices as a power of two: the page size of arm64."""
 
 
 def universal_library(slices: Sequence[bytes]) -> bytes:
-    """Join Mach-O libraries for several processors into one file; one alone stays as it is.
+    """Join Mach-O libraries for several processors into one file; a single one is not changed.
 
-    A big-endian header `fat_header` with one `fat_arch` for each slice (Apple, `mach-o/fat.h`).
+    The file begins with a big-endian `fat_header` with one `fat_arch` for each slice (Apple,
+    `mach-o/fat.h`).
     """
     if len(slices) == 1:
         return slices[0]

@@ -1,9 +1,9 @@
-"""Reference run of an FMU: example inputs and the outputs that the interpreted model gives.
+"""Reference run of an FMU: example inputs, and the outputs of the interpreted model.
 
 Both are CSV files under extra/org.fmi-standard.fmi-ls-ref, listed in the manifest of FMI-LS-REF
-(docs/sources.md, "FMI"). Inputs have the form that FMPy and fmusim take as an input file. Row k
-holds the inputs that are set at its time and hold over the step that begins there. Outputs are
-written every fourth step.
+(docs/sources.md, "FMI"). FMPy and fmusim can read the inputs as an input file. The inputs in row k
+are set at its time and hold during the step that begins there. Outputs are written every fourth
+step.
 """
 
 from __future__ import annotations
@@ -30,13 +30,14 @@ FOLDER: Final = "extra/org.fmi-standard.fmi-ls-ref"
 INPUTS, RESULTS, MANIFEST = "example_in.csv", "example_ref.csv", "fmi-ls-manifest.xml"
 TIME: Final = "time"
 _EVERY: Final = 4
-"""Steps from one row of outputs to the next: enough to see a motion of 4 s, and small."""
+"""Steps between two rows of outputs: dense enough for a motion of 4 s, with a small file."""
 _MOST_TABLE_BYTES: Final = 1_000_000
-"""Size of the largest table; one of ours has 40 kB. As lists of text it takes thirty times that."""
+"""Largest size of a table; the usual size is 40 kB. In memory, lists of text take thirty times the
+size."""
 
 _NAMESPACE: Final = "http://fmi-standard.org/fmi-ls-manifest"
 _VERSION: Final = "1.0.0-alpha.1"
-"""Version of FMI-LS-REF; the standard is a draft."""
+"""Version of FMI-LS-REF, which is a draft."""
 
 
 class ReferenceRun(NamedTuple):
@@ -45,16 +46,15 @@ class ReferenceRun(NamedTuple):
     step_s: float
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
-    u: Array  # (n, len(inputs)), row k holds from k * step_s on; the last row is that of the end
-    times_s: Array  # (m,)
-    y: Array  # (m, len(outputs))
+    u: Array  # (n, len(inputs)), row k is set at k * step_s; the last row only marks the end
+    times_s: Array  # (m,), times of the outputs
+    y: Array  # (m, len(outputs)), outputs
 
 
 def reference_run(model: StepModel, u: Array, step_s: float) -> ReferenceRun:
-    """Run the interpreted model.
+    """Simulate the interpreted model.
 
-    Shapes: `u` (n, inputs).
-    `u`: row k drives step k; the last row only ends the run.
+    Shapes: `u` (n, inputs). Row k drives step k; the last row only marks the end.
     """
     rows = np.arange(0, len(u), _EVERY)
     times_s: Array = step_s * np.arange(len(u), dtype=np.float64)
@@ -71,7 +71,7 @@ def reference_run(model: StepModel, u: Array, step_s: float) -> ReferenceRun:
 def reference_files(run: ReferenceRun, related: Mapping[str, str]) -> dict[str, bytes]:
     """Return the files of a reference run by their path in the FMU.
 
-    `related`: roles of further files that the manifest lists, by their path in the FMU.
+    The manifest also lists the `related` files, given as roles by path in the FMU.
     """
     times_s: Array = run.step_s * np.arange(len(run.u), dtype=np.float64)
     manifest = _manifest({f"../../{path}": role for path, role in related.items()})
@@ -83,7 +83,7 @@ def reference_files(run: ReferenceRun, related: Mapping[str, str]) -> dict[str, 
 
 
 def read_reference_run(directory: Path) -> ReferenceRun | None:
-    """Read the reference run of an unpacked FMU; None where it has none."""
+    """Read the reference run of an unpacked FMU; None if it has none."""
     folder = directory / FOLDER
     if not (folder / INPUTS).is_file() or not (folder / RESULTS).is_file():
         return None

@@ -1,7 +1,7 @@
-"""Source code in an FMU: folder sources/, its build description, and the list that FMI 2.0 wants.
+"""Source code in an FMU: folder sources/, its build description, and the list for FMI 2.0.
 
-The headers of the standard stay out, as both standards say: importers have them (FMI 2.0, section
-2.3; FMI 3.0, section 2.5.1.5).
+The headers of the standard are not included, because importers have them (FMI 2.0, section 2.3;
+FMI 3.0, section 2.5.1.5).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _build_description(name: str, sources: Sequence[Path]) -> bytes:
     group = ET.SubElement(configuration, "SourceFileSet", language="C99")
     for source in sources:
         ET.SubElement(group, "SourceFile", name=source.name)
-    # CasADi exports its functions where this is not defined; only those of FMI are for importers.
+    # Without this definition CasADi's functions would be exported; importers need only FMI's.
     ET.SubElement(group, "PreprocessorDefinition", name="CASADI_SYMBOL_EXPORT", value="")
     ET.indent(root)
     text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)

@@ -1,7 +1,7 @@
 """Terminals and icon of an FMU (FMI 3.0, section 2.4.10; FMI 2.0 has model.png only).
 
-A terminal groups variables that are connected together: the measurement of a twin goes to that of
-an observer, member by member.
+A terminal groups variables that are connected together. For example, the terminal `measurement` of
+a twin connects to that of an observer, member by member.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["terminal_files"]
 
 HERE: Final = Path(__file__).parent
 _SIZE: Final = 100.0
-"""Half the edge of the icon in its own coordinates, as in Modelica."""
+"""Half of the icon's edge in its coordinates, as in Modelica."""
 _SCALE_MM: Final = 0.1
 """Suggested size of a coordinate, as in Modelica's diagrams."""
 
@@ -27,7 +27,7 @@ _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "link": ("di", "tip_", "payload_"),
     "prediction": ("predicted_", "in_range", "half_width_"),
 }
-"""Terminals, and how the names of their members begin; what an FMU lacks is left out."""
+"""Terminals and the prefixes of their members; an FMU has only those with members."""
 
 
 def terminal_files(interface: Interface, fmi: Literal[2, 3]) -> dict[str, bytes]:

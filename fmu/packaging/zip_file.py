@@ -1,4 +1,4 @@
-"""Zip files that depend on nothing but their content and one date."""
+"""Reproducible zip files, which depend only on their contents and one date."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from firmware_py.files.output_files import replacing
 __all__ = ["build_time_s", "date_and_time", "write_zip"]
 
 EPOCH_VARIABLE: Final = "SOURCE_DATE_EPOCH"
-"""Environment variable with the time that a build is dated to (reproducible-builds.org)."""
+"""Environment variable with the date of a build (reproducible-builds.org)."""
 
 _EARLIEST_ZIP_S: Final = 315_532_800
 """1980-01-01, the earliest date that a zip can hold."""
@@ -35,12 +35,12 @@ def build_time_s() -> int:
 
 
 def date_and_time(epoch_s: int) -> str:
-    """Return a time as FMI writes it, like "2026-11-21T00:00:00Z"."""
+    """Format a time for FMI, like "2026-11-21T00:00:00Z"."""
     return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(epoch_s))
 
 
 def write_zip(content: Mapping[str, bytes], output: Path, epoch_s: int) -> None:
-    """Write a zip file, atomically: the same content and time give the same bytes."""
+    """Write a zip file atomically; equal contents and time give equal bytes."""
     output.parent.mkdir(parents=True, exist_ok=True)
     date = time.gmtime(max(epoch_s, _EARLIEST_ZIP_S))[:6]
     with (

@@ -1,1 +1,1 @@
-"""System of twin, observer and controller as an SSP package."""
+"""SSP package of a system of twin, observer and controller."""

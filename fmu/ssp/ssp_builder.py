@@ -24,10 +24,7 @@ def build_ssp(
     payload_kg: float = 1.0,
     platforms: Sequence[str] = (HOST,),
 ) -> Path:
-    """Build the package.
-
-    `payload_kg`: payload of the twin, which the observer does not know.
-    """
+    """Build the package; the observer has to estimate `payload_kg`, the payload of the twin."""
     controller = tip_controller(twin.dof)
     models = dict(zip(PATHS, (controller, twin.model(), observer.model()), strict=True))
     says = {

@@ -1,7 +1,7 @@
 """System structure of an SSP package: twin, observer and controller (SSP 1.0, SystemStructure.ssd).
 
-The controller sends goals to the twin, the twin's measured angles and currents go to the observer,
-its end effector goes to the controller.
+The controller sends goals to the twin, the twin sends measured angles and currents to the observer,
+and the observer sends its estimated tip to the controller.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from models.plant.step_model import StepModel, Variable, names
 __all__ = ["PATHS", "system_structure"]
 
 PATHS: Final = ("controller", "twin", "observer")
-"""Components, in the order in which a host without an order of its own steps them."""
+"""Components, in the order in which a host without a scheduling algorithm steps them."""
 
 _FLOWS: Final = (("controller", "twin"), ("twin", "observer"), ("observer", "controller"))
-"""Source and target: what the one has as output and the other as input is connected."""
+"""Source and target of connections: outputs connect to inputs of the same name."""
 
 STOP_TIME_S: Final = 20.0
 SSD: Final = "http://ssp-standard.org/SSP1/SystemStructureDescription"
@@ -30,7 +30,7 @@ SSV: Final = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 def system_structure(
     name: str, models: Mapping[str, StepModel], payload_kg: float, generated: str
 ) -> bytes:
-    """Write SystemStructure.ssd."""
+    """Return SystemStructure.ssd."""
     for prefix, space in (("ssd", SSD), ("ssc", SSC), ("ssv", SSV)):
         ET.register_namespace(prefix, space)
     root = ET.Element(
@@ -65,9 +65,10 @@ def _component(
     given: Container[str],
     start: Mapping[str, float],
 ) -> None:
-    """Write a component with its connectors; an input that nothing gives keeps its start value.
+    """Write a component with its connectors; an input without a source keeps its start value.
 
-    Such an input has no connector: FMPy 0.3.32 takes the signal of the connection before it.
+    Such an input has no connector, because FMPy 0.3.32 would feed it the signal of the previous
+    connection.
     """
     component = ET.SubElement(
         elements, f"{{{SSD}}}Component",
@@ -96,7 +97,7 @@ def _component(
 
 
 def _libcosim_step(experiment: ET.Element) -> None:
-    """Communication step for hosts of the Open Simulation Platform, as an annotation of theirs."""
+    """Write the communication step as an annotation of the Open Simulation Platform."""
     space = "http://opensimulationplatform.com/SSP/OSPAnnotations"
     ET.register_namespace("osp", space)
     annotations = ET.SubElement(experiment, f"{{{SSD}}}Annotations")

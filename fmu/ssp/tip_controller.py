@@ -1,7 +1,7 @@
-"""Controller for the example system: it leads the tip along a sinusoid by the observer's tip.
+"""Controller of the example system: it moves the tip along a sinusoid, with the estimated tip.
 
-The angle at which the tip is seen from the joint is that of the joint and of the bend. The goal is
-the reference plus the integral of the difference, which takes the mean of the bend away::
+The direction φ of the tip from the base includes the angle of the joint and the bend of the link.
+The goal is the reference plus the integral of the error, which removes the mean of the bend::
 
     φ_1 = atan2(x, z),   φ_2 = asin(y / |r|),   İ_j = k (r_j(t) − φ_j),   goal_j = r_j + I_j
 """
@@ -19,18 +19,16 @@ from models.plant.step_model import StepModel, Variable
 __all__ = ["tip_controller"]
 
 AMPLITUDE_RAD: Final = 0.4
-"""Of the reference; within the study's 30 degrees with the bend of 2 kg [assumed]."""
+"""Amplitude of the reference: within the study's 30 degrees with the bend of 2 kg [assumed]."""
 GAIN_1_S: Final = 0.5
-"""Of the integral: a time constant of 2 s, slower than the link's oscillation of 1 Hz [assumed]."""
+"""Gain of the integral: a time constant of 2 s, slower than the link's vibration of 1 Hz
+[assumed]."""
 BOUND_RAD: Final = 0.3
-"""Of the integral: the bend of the link with 2 kg is below 0.2 rad [assumed]."""
+"""Bound of the integral: the bend of the link with 2 kg is below 0.2 rad [assumed]."""
 
 
 def tip_controller(dof: int) -> StepModel:
-    """Compose the controller.
-
-    Returns inputs tip_x_m, tip_y_m and tip_z_m; outputs goal_j_rad.
-    """
+    """Compose the controller, with inputs tip_x_m, tip_y_m and tip_z_m and outputs goal_j_rad."""
     joints = range(1, dof + 1)
     x, u, p = ca.SX.sym("x", 1 + dof), ca.SX.sym("u", 3), ca.SX.sym("p", 3)
     h = ca.SX.sym("h")

@@ -1,7 +1,7 @@
-"""Cases of a campaign: configurations checked by their kind, each with its key.
+"""Cases of a campaign: configurations checked by their kind, each with a key.
 
-The key is the SHA-256 of the full configuration, defaults included, with the contents of files in
-place of their paths, and of the version of the code. Equal keys mean equal results.
+The key is the SHA-256 of the version of the code and the full configuration, including defaults.
+Files enter with their contents instead of their paths. Equal keys mean equal results.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ KEY_DIGITS: Final = 32
 
 @dataclass(frozen=True)
 class CampaignCase:
-    """One case."""
+    """One case of a campaign."""
 
     key: str  # Hash that names its result
-    config: Any  # Configuration, as the campaign's file spells it
+    config: Any  # Configuration with the paths as in the campaign's file
 
 
 class CaseMaker:
     """Maker of the cases and tasks of one kind.
 
-    `directory`: of what cases share, such as a twin that was built for them.
+    `directory` holds files that cases share, such as a twin that was built for them.
     """
 
     def __init__(self, kind: CaseKind[Any], module: str, directory: Path) -> None:
@@ -44,7 +44,7 @@ class CaseMaker:
         self._hashes: dict[str, str] = {}
 
     def cases(self, configurations: Iterable[Mapping[str, Any]], where: str) -> list[CampaignCase]:
-        """Cases of some configurations, each once."""
+        """Return the cases of some configurations, without duplicates."""
         found: dict[str, CampaignCase] = {}
         for number, plain in enumerate(configurations, start=1):
             try:
@@ -60,7 +60,7 @@ class CaseMaker:
         return list(found.values())
 
     def task(self, case: CampaignCase) -> CaseTask:
-        """Task of a case for a worker: paths absolute, what cases share made."""
+        """Return a case's task for a worker, with absolute paths; shared files are made first."""
         shared = self.kind.prepare(case.config, self._directory)
         config = msgspec.structs.replace(case.config, **shared)
         paths = {name: str(Path(p).resolve()) for name, p in self.kind.files(config).items()}

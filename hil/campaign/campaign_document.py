@@ -1,4 +1,4 @@
-"""Document of a campaign (`campaign.json`): its cases by state, its code, its failures."""
+"""Document of a campaign (`campaign.json`): cases by state, version of the code, failures."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from hil.campaign.campaign_summary import summary_rows
 from hil.campaign.result_store import ResultStore
 
 MOST_SENTENCES: Final = 50
-"""Different sentences of failures that are listed; all stand in summary.csv."""
+"""Largest number of different failures in the document; summary.csv has all."""
 
 
 class FailureCount(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Failures with one sentence."""
+    """Cases that failed with the same message."""
 
-    state: str
-    sentence: str
-    cases: int  # How many have it
-    example: str  # Key of one of them: `failures/KEY-N.json` holds its log
+    state: str  # State of the cases, such as "refused", "failed" or "killed"
+    sentence: str  # Message
+    cases: int  # Number of cases
+    example: str  # Key of one of the cases; `failures/KEY-N.json` holds its log
 
 
 class CampaignDocument(Document, frozen=True, kw_only=True):
@@ -34,15 +34,15 @@ class CampaignDocument(Document, frozen=True, kw_only=True):
 
     MADE_BY: ClassVar[str] = "dropstitch campaign"
 
-    name: str  # Of the campaign's file
-    kind: str
-    code: str
-    axes: tuple[str, ...]  # Names of what varies
+    name: str  # Name in the campaign's file
+    kind: str  # Kind of the cases
+    code: str  # Version of the code
+    axes: tuple[str, ...]  # Names of the axes
     cases: int  # Number of different cases
-    states: dict[str, int]
-    # What the last run did: results kept, damaged ones, and outcomes by state
+    states: dict[str, int]  # Number of cases by state
+    # The last run: number of earlier results used, of damaged ones, and of cases run by outcome
     last_run: dict[str, int]
-    failures: tuple[FailureCount, ...]  # Cases without a result, the most frequent sentence first
+    failures: tuple[FailureCount, ...]  # Cases without a result, the most frequent message first
 
     def write(self, path: Path) -> None:
         write_document(path, self)
@@ -55,7 +55,7 @@ def campaign_document(
     cases: Sequence[CampaignCase],
     store: ResultStore,
 ) -> CampaignDocument:
-    """Contents of `campaign.json`."""
+    """Return the contents of `campaign.json`."""
     states: Counter[str] = Counter()
     sentences: Counter[tuple[str, str]] = Counter()
     examples: dict[tuple[str, str], str] = {}
@@ -83,7 +83,6 @@ def campaign_document(
 
 
 def describe_campaign_document(document: CampaignDocument, out: Path) -> str:
-    """Return the result as text."""
     done = document.states.get("done", 0)
     kept = f", {document.last_run['kept']} of them before" if document.last_run["kept"] else ""
     lines = [f"{done} of {document.cases} cases have a result{kept}"]

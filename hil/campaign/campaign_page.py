@@ -1,4 +1,4 @@
-"""Page of a campaign: its cases, the figures of their results over each axis, failures, costs."""
+"""Page of a campaign: figures of its results over each axis, conditions, failures, costs."""
 
 from __future__ import annotations
 
@@ -43,9 +43,10 @@ from models.shared.palette import BLUE
 from models.shared.svg_drawing import Drawing
 
 MOST_POINTS: Final = 3000
-"""Points of a drawing; more make the page slow, the rest is left out evenly [assumed]."""
+"""Largest number of points in a drawing. More make the page slow, so they are thinned evenly
+[assumed]."""
 MOST_LEVELS: Final = 12
-"""Values of an axis that get a row of their own; the others are shown as points."""
+"""Largest number of an axis's values for a table with a row each; more are drawn as points."""
 NO_BREAK: Final = "\u00a0"
 SOURCES: Final = {
     "sil": "simulated runs of the robot's loop", "fmu": "simulated runs of an FMU",
@@ -92,7 +93,7 @@ def write_campaign_page(
 
 
 def _slim(row: SummaryRow, axes: set[str], figures: Mapping[str, str]) -> SummaryRow:
-    """A row with what the page shows alone: a campaign may have very many."""
+    """Reduce a row to the values that the page shows, to save memory in a large campaign."""
     config = {n: v for n, v in row.config.items() if _owner(n, axes)}
     result = {n: v for n, v in row.result.items() if n in figures}
     return SummaryRow(row.key, row.state, row.sentence, config, result)
@@ -139,13 +140,13 @@ def _quantiles(values: Sequence[float], name: str) -> list[Cell]:
 
 
 def _varied(spec: CampaignSpec) -> list[str]:
-    """Axes with more than one value; the others are conditions that all cases share."""
+    """Axes with more than one value; the others are conditions common to all cases."""
     alone = {name for name, values in grid_axes(spec.grid).items() if len(values) == 1}
     return [name for name in axis_names(spec) if name not in alone]
 
 
 def _conditions(spec: CampaignSpec, kind: CaseKind[Any]) -> Part:
-    """What the file says: values that all cases share, axes of the grid, and draws."""
+    """Conditions in the campaign's file: fixed values, axes of the grid, and draws."""
     rows = [("kind", kind.name)]
     rows += [(name, _in_words(name, value)) for name, value in flat(spec.fixed).items()]
     for name, values in grid_axes(spec.grid).items():
@@ -161,7 +162,7 @@ def _conditions(spec: CampaignSpec, kind: CaseKind[Any]) -> Part:
 
 
 def _in_words(name: str, value: Any) -> str:
-    """A value of the file in its display unit; a table as its names and values."""
+    """Text of a value in its display unit; of a table, its names and values."""
     if isinstance(value, dict):
         return ", ".join(f"{n} {_in_words('', v)}" for n, v in flat(value).items()) or "none"
     if isinstance(value, list):
@@ -207,7 +208,7 @@ def _axis_section(
 
 
 def _value_of(row: SummaryRow, axis: str) -> Any:
-    """Value of an axis; tables, such as effects, as words."""
+    """Value of an axis; a table, such as effects, as text."""
     if axis in row.config:
         return row.config[axis]
     inside = {n.removeprefix(f"{axis}."): v for n, v in row.config.items() if n != axis}

@@ -1,4 +1,4 @@
-"""Run of a campaign: what is missing goes through an engine into the store."""
+"""Run of a campaign: an engine runs the cases without a result, the store keeps the outcomes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hil.campaign.engines.engine import Engine
 from hil.campaign.result_store import ResultStore
 
 ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Variables that keep numerical libraries to the processor of their worker."""
+"""Environment variables that limit numerical libraries to one thread per worker."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,13 @@ class RunCounts:
     """Counts of a run."""
 
     cases: int
-    kept: int  # Results that were there, whole and of this code
-    damaged: int  # Result files that were not whole; their cases ran again
-    ran: dict[str, int]  # Cases that ran, by how they ended
+    kept: int  # Valid results of an earlier run with this code
+    damaged: int  # Damaged result files; their cases ran again
+    ran: dict[str, int]  # Cases that ran, by outcome
 
 
 class LazyTasks(Sequence[CaseTask]):
-    """Tasks of cases, each made when it is asked for."""
+    """Tasks of cases, each made when an engine needs it."""
 
     def __init__(self, maker: CaseMaker, cases: Sequence[CampaignCase]) -> None:
         self._maker, self._cases = maker, cases
@@ -55,13 +55,13 @@ class LazyTasks(Sequence[CaseTask]):
 def missing_cases(
     cases: Sequence[CampaignCase], store: ResultStore
 ) -> tuple[list[CampaignCase], int]:
-    """Cases without a valid result, and how many of them have a damaged one."""
+    """Return the cases without a valid result, and how many of them have a damaged one."""
     left = [case for case in cases if store.read(case.key) is None]
     return left, sum(store.path(case.key).exists() for case in left)
 
 
 def check_engine(cases: Sequence[CampaignCase], maker: CaseMaker, engine: Engine) -> None:
-    """Refuse to measure time on processors that others may use."""
+    """Refuse real-time cases on an engine whose processors other programs may use."""
     if engine.shared and any(maker.kind.in_real_time(case.config) for case in cases):
         raise InputError(
             "line", "keeps real time, and workers of a cluster are shared with other programs",
@@ -72,7 +72,7 @@ def check_engine(cases: Sequence[CampaignCase], maker: CaseMaker, engine: Engine
 def run_campaign_cases(
     cases: Sequence[CampaignCase], maker: CaseMaker, store: ResultStore, engine: Engine
 ) -> RunCounts:
-    """Run the cases that have no valid result; keep every outcome as it comes."""
+    """Run the cases without a valid result; store each outcome as soon as it arrives."""
     check_engine(cases, maker, engine)
     left, damaged = missing_cases(cases, store)
     if damaged:
@@ -109,7 +109,7 @@ def _run_missing(
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Environment in which new processes keep to one thread each."""
+    """Limit numerical libraries in new processes to one thread each, during the block."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update({name: "1" for name in ONE_THREAD})
     try:

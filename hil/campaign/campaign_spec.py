@@ -1,8 +1,8 @@
-"""File of a campaign: kind, fixed values, grid and draw, and the configurations that follow.
+"""Specification of a campaign: kind, fixed values, grid and draw, and the resulting configurations.
 
-Names of the tables may be nested: `[grid.effects]` with `backlash = [0, 0.006]` is an axis
-`effects.backlash`. Draw k of a campaign depends on its seed and on k alone, so that a campaign with
-more draws holds the cases of one with fewer.
+Tables may be nested: `[grid.effects]` with `backlash = [0, 0.006]` is an axis `effects.backlash`.
+Draw k depends only on the campaign's seed, on k and on the number of its grid combination, so a
+campaign with more draws contains the cases of one with fewer.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 
 MOST_CASES: Final = 1_000_000
-"""Cases of the largest campaign: their keys alone take 300 MB [assumed]."""
+"""Largest number of cases: their keys alone take 300 MB [assumed]."""
 MOST_WHOLE: Final = 2**63 - 1
-"""Largest whole number of an axis: what a seed and NumPy's draws can be."""
+"""Largest whole number of an axis, limited by seeds and by NumPy's draws."""
 DISTRIBUTIONS: Final = ("uniform", "log_uniform", "integers", "choice")
 _COUNT: Final = {"first", "count"}
 
@@ -30,22 +30,22 @@ Axes = dict[str, Any]
 
 
 class CampaignSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Content of the file."""
+    """Contents of the file."""
 
-    kind: str  # sil, fmu, gap, rig, or a module with a kind of one's own
+    kind: str  # sil, fmu, gap, rig, or a module with your own kind
     name: str = ""  # Heading of the page
-    fixed: dict[str, Any] = {}  # Values that all cases share
-    # Axes of which every combination is a case: a list of values, or `{first, count}`
+    fixed: dict[str, Any] = {}  # Values common to all cases
+    # Axes whose combinations are the cases: a list of values each, or `{first, count}`
     grid: dict[str, Any] = {}
-    # Axes that are drawn at random: `{uniform = [a, b]}`, `{log_uniform = [a, b]}`, `{integers =
-    # [a, b]}` (both ends included), `{choice = […]}`
+    # Random axes: `{uniform = [a, b]}`, `{log_uniform = [a, b]}`, `{integers = [a, b]}` (including
+    # both ends), `{choice = […]}`
     draw: dict[str, Any] = {}
-    draws: int | None = None  # Draws of each combination of the grid
+    draws: int | None = None  # Number of draws for each combination of the grid
     draw_seed: int = 0
 
 
 def read_spec(path: Path) -> CampaignSpec:
-    """Read the file of a campaign."""
+    """Read and check the file of a campaign."""
     spec = convert(
         read_toml(path, "write one, see docs/campaigns.md"), CampaignSpec, path,
         "is no campaign", "see docs/campaigns.md",
@@ -54,7 +54,7 @@ def read_spec(path: Path) -> CampaignSpec:
 
 
 def check_spec(spec: CampaignSpec, path: Path) -> CampaignSpec:
-    """Return a campaign whose axes can be used."""
+    """Check the axes and the number of cases of a campaign, and return it."""
     try:
         grid, draw = grid_axes(spec.grid), draw_axes(spec.draw)
     except ValueError as error:
@@ -76,7 +76,7 @@ def check_spec(spec: CampaignSpec, path: Path) -> CampaignSpec:
 
 
 def _fixed_names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Dotted names of the fixed values; a list is one value, since an axis cannot be inside it."""
+    """Dotted names of the fixed values; a list is one value, because no axis can be inside it."""
     for name, value in table.items():
         if isinstance(value, dict):
             yield from _fixed_names(value, f"{prefix}{name}.")
@@ -85,7 +85,7 @@ def _fixed_names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _clash(places: Sequence[tuple[str, str]]) -> str:
-    """Two places of which one is the other or inside it, in words; empty where there are none."""
+    """Describe two places of which one is equal to, or inside, the other; "" if there are none."""
     tables: dict[str, str] = {}
     for table, name in places:
         if name in tables:
@@ -100,7 +100,7 @@ def _clash(places: Sequence[tuple[str, str]]) -> str:
 
 
 def case_count(spec: CampaignSpec) -> int:
-    """Number of cases, doubled ones counted twice; counted no further than beyond `MOST_CASES`."""
+    """Return the number of cases, including duplicates; above `MOST_CASES` it is a lower bound."""
     count = spec.draws or 1
     for values in grid_axes(spec.grid).values():
         if count > MOST_CASES:
@@ -110,7 +110,7 @@ def case_count(spec: CampaignSpec) -> int:
 
 
 def configurations(spec: CampaignSpec) -> Iterator[dict[str, Any]]:
-    """Configurations of the cases, the grid's last axis and then the draws changing fastest."""
+    """Yield the configurations of the cases; draws change fastest, then the grid's last axis."""
     grid, draw = grid_axes(spec.grid), draw_axes(spec.draw)
     for number, values in enumerate(itertools.product(*grid.values())):
         chosen = dict(zip(grid, values, strict=True))
@@ -123,12 +123,12 @@ def configurations(spec: CampaignSpec) -> Iterator[dict[str, Any]]:
 
 
 def axis_names(spec: CampaignSpec) -> list[str]:
-    """Names of the axes, those of the grid first."""
+    """Return the names of the axes, those of the grid first."""
     return [*grid_axes(spec.grid), *draw_axes(spec.draw)]
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Values of each axis of a grid."""
+    """Return the values of each axis of a grid."""
     axes = {}
     for name, value in _leaves(table, lambda v: set(v) == _COUNT):
         if isinstance(value, dict):
@@ -147,7 +147,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def draw_axes(table: Mapping[str, Any]) -> dict[str, tuple[str, list[Any]]]:
-    """Distribution of each axis that is drawn."""
+    """Return the distribution of each random axis, with its limits or choices."""
     axes = {}
     for name, value in _leaves(table, lambda v: len(v) == 1 and next(iter(v)) in DISTRIBUTIONS):
         if not isinstance(value, dict):
@@ -171,7 +171,7 @@ def draw_axes(table: Mapping[str, Any]) -> dict[str, tuple[str, list[Any]]]:
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Values of nested tables and lists of tables by their dotted names."""
+    """Flatten nested tables and lists of tables to values by dotted name."""
     found: dict[str, Any] = {}
     for name, value in table.items():
         if isinstance(value, dict):
@@ -214,7 +214,7 @@ def _drawn(axis: tuple[str, list[Any]], rng: np.random.Generator) -> Any:
 
 
 def _nested(fixed: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Fixed values with those of the axes at their places; the fixed ones stay as they are."""
+    """Insert the values of the axes into a copy of the fixed values."""
     result = {n: dict(v) if isinstance(v, dict) else v for n, v in fixed.items()}
     for name, value in values.items():
         *parents, last = name.split(".")

@@ -1,6 +1,6 @@
 """Summary of a campaign as CSV: one row for each case, in the order of the campaign's file.
 
-Nothing in it was measured in time, so it is the same bytes whatever engine ran the cases.
+It contains no measured times, so its bytes do not depend on the engine that ran the cases.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ Value = str | int | float | bool | None
 class SummaryRow:
     """One case of a summary."""
 
-    key: str  # Key; "done", a kind of failure, or "missing"; why there is no result
-    state: str
-    sentence: str
-    config: dict[str, Value]  # Flat values of both
-    result: dict[str, Value]
+    key: str
+    state: str  # "done", the state of a failure, or "missing"
+    sentence: str  # Why there is no result
+    config: dict[str, Value]  # Values by dotted name
+    result: dict[str, Value]  # Values by dotted name
 
 
 def summary_rows(cases: Sequence[CampaignCase], store: ResultStore) -> Iterator[SummaryRow]:
-    """Rows of the summary, read from the store one by one."""
+    """Yield the rows of the summary, read from the store one by one."""
     for case in cases:
         config = _scalars(msgspec.to_builtins(case.config))
         if (record := store.read(case.key)) is not None:
@@ -49,7 +49,7 @@ def write_summary(cases: Sequence[CampaignCase], store: ResultStore, path: Path)
     """Write the summary; return its size in bytes."""
     config: dict[str, None] = {}
     result: dict[str, None] = {}
-    for row in summary_rows(cases, store):  # twice, since all rows may be too much for memory
+    for row in summary_rows(cases, store):  # read twice: all rows may not fit into memory
         config |= dict.fromkeys(row.config)
         result |= dict.fromkeys(row.result)
     columns = [*(f"config.{n}" for n in sorted(config)), *(f"result.{n}" for n in sorted(result))]
@@ -66,7 +66,7 @@ def write_summary(cases: Sequence[CampaignCase], store: ResultStore, path: Path)
 
 
 def _scalars(table: dict[str, Any]) -> dict[str, Value]:
-    """Flat values; a list stays in one cell, as JSON."""
+    """Values by dotted name; a list stays in one cell, as JSON."""
     return {
         name: value if isinstance(value, Value) else msgspec.json.encode(value).decode()
         for name, value in flat(table).items()

@@ -1,7 +1,7 @@
-"""Worker of a campaign: one task in, one outcome out, whatever happens between.
+"""Worker of a campaign: it runs one task and returns one outcome, even after an error.
 
-Every engine calls `run_task`, in its own processes. A worker refuses tasks where its code or its
-files differ from those that the campaign began with.
+Every engine calls `run_task` in its own processes. A worker refuses a task if its code or files
+differ from those at the start of the campaign.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ if sys.platform != "win32":  # is imported there, see `firmware_py.console`
     import resource
 
 MOST_LOG: Final = 20_000
-"""Characters of a log that are kept, the last ones."""
+"""Length to which a log is cut; its last characters are kept."""
 _ONE_AT_A_TIME: Final = threading.Lock()
-"""A worker of dask may have several threads; simulations of one process share their libraries."""
+"""Lock for workers of dask with several threads: simulations in one process share libraries."""
 
 
 def run_task(task: CaseTask) -> TaskOutcome:
-    """Run one case."""
+    """Run one case; errors become outcomes."""
     with _ONE_AT_A_TIME:
         return _run(task)
 
@@ -64,7 +64,7 @@ def _run(task: CaseTask) -> TaskOutcome:
                 key=task.key, state="refused", sentence=sentence,
                 log=printed.getvalue()[-MOST_LOG:], cost=cost(),
             )  # fmt: skip
-        except Exception as error:  # whatever it is: the campaign goes on
+        except Exception as error:  # the campaign continues after any error
             sentence = f"{type(error).__name__}: {error}".replace(scratch, "scratch")
             log = f"{printed.getvalue()}\n{traceback.format_exc()}"
             return TaskOutcome(

@@ -1,8 +1,9 @@
 """Version of the code that computes a case: hash of its sources and of its libraries' versions.
 
-A commit would change with every page of the docs, and says nothing about files that are not
-committed; the sources say what runs, and every worker can hash its own. Commands and pages compute
-nothing and are left out. A library of another version may compute other digits, so it counts.
+The hash of a commit would change with every page of the docs, and would miss uncommitted files. A
+hash of the sources covers what runs, and every worker can compute its own. Commands and pages
+compute no results and are excluded. Another version of a library may give other digits, so the
+versions are included.
 """
 
 from __future__ import annotations
@@ -24,18 +25,19 @@ NOT_COMPUTING: Final = frozenset({"commands", "report", "scores", "__pycache__"}
 """Folders of a room whose code computes no result."""
 CAMPAIGN: Final = "hil/campaign/"
 KINDS_OF_CASES: Final = "hil/campaign/kinds/"
-"""Of this folder only the kinds compute; the rest moves, keeps and shows results."""
+"""The only folder of `CAMPAIGN` that computes; the rest transports, stores and shows results."""
 LIBRARIES: Final = (
     "numpy", "scipy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "pyelastica", "fmpy",
     "msgspec", "ziglang",
 )  # fmt: skip
 MOST_FILES: Final = 10_000
-"""Files of the largest directory that a case names: 100 times a study's trials [assumed]."""
+"""Largest number of files in a directory that a case names: 100 times a study's trials
+[assumed]."""
 
 
 @functools.cache
 def code_version(rooms: tuple[str, ...]) -> str:
-    """Version of the code of some rooms on this machine, 16 hexadecimal digits."""
+    """Return the version of the code of some rooms on this machine, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for room in rooms:
         for path in _sources(ROOT / room):
@@ -65,9 +67,9 @@ def _version(library: str) -> str:
 
 @functools.lru_cache(maxsize=4096)
 def content_sha256(path: Path) -> str:
-    """SHA-256 of a file, or of the names and contents of all files of a directory."""
+    """Return the SHA-256 of a file, or of the names and contents of all files in a directory."""
     remedy = "name a file or a directory that can be read"
-    if not os.path.isdir(path):  # False, too, for a name that is too long
+    if not os.path.isdir(path):  # also False for a name that is too long
         return hashlib.sha256(read_bytes(path, remedy)).hexdigest()
     digest = hashlib.sha256()
     for file in _files_of(path, remedy):
@@ -77,7 +79,7 @@ def content_sha256(path: Path) -> str:
 
 
 def _files_of(directory: Path, remedy: str) -> list[Path]:
-    """Regular files of a directory in order; links to directories are not followed."""
+    """Regular files of a directory, sorted; links to directories are not followed."""
     found: list[Path] = []
     for folder, _, names in os.walk(directory):
         try:

@@ -1,7 +1,7 @@
-"""Plan of a campaign on paper: time, memory and disk for so many cases on so many workers.
+"""Cost plan of a campaign: time, memory and disk for a number of cases and workers.
 
-Everything follows from cases that were run, by the rows of `costs.csv`. Time is that of the
-processor: a machine that others use needs longer. The start of a worker is measured apart.
+The plan extrapolates from the cases in `costs.csv`. Times are processor times; a machine that other
+programs use takes longer. The start of a worker is measured separately.
 """
 
 from __future__ import annotations
@@ -21,50 +21,51 @@ from firmware_py.errors import InputError
 from hil.campaign.code_version import ROOT
 
 SAMPLE: Final = 5
-"""Cases that are run for a plan where none of this code and kind has run yet [assumed]."""
+"""Number of cases that a plan needs; if fewer have run with this code, they are run [assumed]."""
 OVERHEAD_S: Final = 0.004
 """Time of the campaign's own process for each case: task, result file, row of costs."""
 BLOCK_BYTES: Final = 4096
 """Disk space of the smallest file."""
 TASK_BYTES: Final = 2500
-"""Memory of the campaign's own process for each case: 800 for key and configuration, measured on
-20,000 cases of kind sil; the rest for its row of the page [assumed]."""
+"""Memory of the campaign's process for each case: 800 for key and configuration, measured on 20,000
+cases of kind sil; the rest for its row of the page [assumed]."""
 
 
 class CostPlan(Document, frozen=True, kw_only=True):
-    """Plan of a campaign."""
+    """Estimated cost of a campaign."""
 
     MADE_BY: ClassVar[str] = "dropstitch campaign --dry-run"
 
-    kind: str
-    cases: int
-    workers: int
-    measured: int  # Cases that it follows from
-    cpu_s_per_case: float  # Processor time of a case: mean, and 95th percentile
-    cpu_s_p95: float
-    start_s: float  # Processor time of the start of a worker
-    cpu_hours: float  # Of all cases, and divided among the workers
-    wall_hours: float
-    worker_bytes: int  # Memory of a worker, of all workers, and of the campaign's own process
-    workers_bytes: int
-    campaign_bytes: int
-    result_bytes: int  # Size of a result, and space of all on the disk, costs and summary included
-    disk_bytes: int
-    command: str
+    kind: str  # Kind of the cases
+    cases: int  # Number of cases
+    workers: int  # Number of workers
+    measured: int  # Number of measured cases behind the estimate
+    cpu_s_per_case: float  # Processor time of a case, mean
+    cpu_s_p95: float  # Processor time of a case, 95th percentile
+    start_s: float  # Processor time of the start of a worker, with the extra time of its first case
+    cpu_hours: float  # Processor time of the whole campaign
+    wall_hours: float  # Wall-clock time if each worker has a processor to itself
+    worker_bytes: int  # Memory of a worker
+    workers_bytes: int  # Memory of all workers
+    campaign_bytes: int  # Memory of the campaign's process
+    result_bytes: int  # Size of a result
+    disk_bytes: int  # Disk space of all results, including costs and summary
+    command: str  # Command that runs the campaign
 
 
 def cost_plan(
     kind: str, costs: Sequence[Mapping[str, str]], cases: int, workers: int, start_s: float,
     command: str,
 ) -> CostPlan:  # fmt: skip
-    """Plan from measured costs."""
+    """Estimate the cost of a campaign from measured costs."""
     done = [row for row in costs if row["state"] == "done"]
     if not done:
         raise InputError(
             "--dry-run", "has no case that ended well to plan from", "see the failures"
         )
     cpu_s = np.array([float(row["cpu_s"]) for row in costs])
-    # The first case of each worker reads bundles, compiles and fills caches: it is a start.
+    # The first case of each worker reads bundles, compiles and fills caches; its extra time counts
+    # as part of the start.
     workers_of = [row["worker"] for row in costs]
     first = np.array([name not in workers_of[:k] for k, name in enumerate(workers_of)])
     later = cpu_s[~first] if (~first).any() else cpu_s
@@ -95,7 +96,7 @@ def cost_plan(
 
 
 def worker_start_s(module: str) -> float:
-    """Processor time of a fresh process until it can begin a case of a kind."""
+    """Measure the processor time of a new process until it can begin a case of a kind."""
     code = f"import hil.campaign.case_worker; import {module}"
     before, paths = os.times(), [str(ROOT), os.environ.get("PYTHONPATH", "")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
@@ -107,7 +108,6 @@ def worker_start_s(module: str) -> float:
 
 
 def describe_plan(plan: CostPlan) -> str:
-    """Return a plan as text."""
     return "\n".join(
         [
             f"{plan.cases} cases of kind {plan.kind} on {plan.workers} workers, from "
@@ -131,7 +131,7 @@ def _span(hours: float) -> str:
 
 
 LARGE_BYTES: Final = 2_000_000_000
-"""Size from which it is told in gigabytes."""
+"""Size from which the text is in gigabytes."""
 
 
 def _size(count: int) -> str:
@@ -139,5 +139,5 @@ def _size(count: int) -> str:
 
 
 def rows_of_code(rows: Sequence[Mapping[str, Any]], code: str) -> list[Mapping[str, Any]]:
-    """Rows of costs of one version of the code."""
+    """Return the rows of costs that were measured with one version of the code."""
     return [row for row in rows if row["code"] == code]

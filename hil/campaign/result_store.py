@@ -3,11 +3,11 @@
 ::
 
     DIR/results/ab/KEY.json     result, with its own hash
-    DIR/failures/KEY-1.json     first failure of a case, with its log; none is ever removed
+    DIR/failures/KEY-1.json     first failure of a case, with its log; failures are never removed
     DIR/costs.csv               time and memory of each case, in the order of their ends
-    DIR/shared/                 what cases share, such as a twin
+    DIR/shared/                 files that cases share, such as a twin
 
-A file appears under its name once it is whole, and is read again only if its hash is right.
+A file gets its name only when it is complete. A result counts only if its hash matches.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class CaseRecord(Document, frozen=True, kw_only=True):
 
     MADE_BY: ClassVar[str] = "dropstitch campaign"
 
-    sha256: str  # Hash of the rest of the document, as canonical JSON
-    key: str
-    kind: str
-    code: str
-    config: dict[str, Any]
-    result: dict[str, Any]
+    sha256: str  # Hash of key, kind, code, config and result as canonical JSON
+    key: str  # Hash of the full configuration and the version of the code
+    kind: str  # Kind of the case
+    code: str  # Version of the code
+    config: dict[str, Any]  # Configuration of the case
+    result: dict[str, Any]  # Result of the case
 
 
 class FailureRecord(Document, frozen=True, kw_only=True):
@@ -54,17 +54,18 @@ class FailureRecord(Document, frozen=True, kw_only=True):
 
     MADE_BY: ClassVar[str] = "dropstitch campaign"
 
-    key: str  # Key of the case, its kind, and the version of the code
-    kind: str
-    code: str
-    state: State  # "refused", "failed" or "killed"
+    key: str  # Hash of the full configuration and the version of the code
+    kind: str  # Kind of the case
+    code: str  # Version of the code
+    # "refused": the input cannot be used; "failed": an error in the code; "killed": workers died
+    state: State
     sentence: str  # Why there is no result
-    log: str  # What the case printed, and where its code failed
-    config: dict[str, Any]
+    log: str  # Output of the case, with the traceback of an error
+    config: dict[str, Any]  # Configuration of the case
 
 
 class ResultStore:
-    """Directory of a campaign."""
+    """Store of results, failures and costs in the directory of a campaign."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -76,7 +77,7 @@ class ResultStore:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other campaigns out of the directory for as long as the block lasts."""
+        """Lock the directory against other campaigns during the block."""
         path = self.directory / ".lock"
         try:
             file = path.open("w")
@@ -96,11 +97,11 @@ class ResultStore:
             yield
 
     def path(self, key: str) -> Path:
-        """File of a result."""
+        """Return the path of a result."""
         return self._results / key[:2] / f"{key}.json"
 
     def read(self, key: str) -> CaseRecord | None:
-        """Result of a case; None where it is missing, damaged or not of this case."""
+        """Return the result of a case; None if it is missing, damaged or of another case."""
         try:
             record = msgspec.json.decode(self.path(key).read_bytes(), type=CaseRecord)
         except (OSError, ValueError, RecursionError):
@@ -118,7 +119,7 @@ class ResultStore:
         return _write_whole(self.path(key), canonical_json(record) + "\n")
 
     def write_failure(self, kind: str, code: str, config: Any, outcome: TaskOutcome) -> None:
-        """Write a failure beside those that the case had before."""
+        """Write a failure, in addition to earlier ones of the case."""
         record = FailureRecord(
             schema=FailureRecord.VERSION, key=outcome.key, kind=kind, code=code,
             state=outcome.state, sentence=outcome.sentence, log=outcome.log,
@@ -130,7 +131,7 @@ class ResultStore:
         self._failed()[outcome.key] = number
 
     def _failed(self) -> dict[str, int]:
-        """Number of the last failure of each case, from one look at the directory."""
+        """Number of the last failure of each case; the directory is read once."""
         if self._last_failures is None:
             self._last_failures = {}
             for path in self._failures.glob("*-*.json"):
@@ -141,13 +142,13 @@ class ResultStore:
         return self._last_failures
 
     def last_failure(self, key: str) -> FailureRecord | None:
-        """Last failure of a case."""
+        """Return the last failure of a case; None if there is none."""
         if not (number := self._failed().get(key)):
             return None
         return read_document(self._failures / f"{key}-{number}.json", FailureRecord)
 
     def add_cost(self, code: str, outcome: TaskOutcome, result_bytes: int) -> None:
-        """Add the cost of a case to the table."""
+        """Append the cost of a case to the table."""
         if outcome.cost is None:
             return
         new, cost = not self.costs.exists(), outcome.cost
@@ -161,10 +162,7 @@ class ResultStore:
             )  # fmt: skip
 
     def read_costs(self) -> list[dict[str, str]]:
-        """Rows of the table of costs; empty where there is none.
-
-        A row that is damaged, or was cut off with its run, does not count.
-        """
+        """Return the rows of the table of costs, without damaged or incomplete ones."""
         if not self.costs.exists():
             return []
         try:
@@ -175,7 +173,7 @@ class ResultStore:
 
 
 def _is_whole(row: Mapping[str | None, Any]) -> bool:
-    """Whether a row of costs has every column, its numbers finite."""
+    """Whether a row of costs has all columns, and finite numbers."""
     if not all(isinstance(row.get(name), str) for name in COST_COLUMNS):
         return False
     try:
@@ -194,7 +192,7 @@ def _hash_of(record: CaseRecord) -> str:
 
 
 def _write_whole(path: Path, text: str) -> int:
-    """Write a file beside its name and rename it; return its size."""
+    """Write a file atomically, by renaming a temporary one; return its size."""
     path.parent.mkdir(exist_ok=True)
     fresh = path.with_name(f".{path.name}.{os.getpid()}.part")
     data = text.encode()

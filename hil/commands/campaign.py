@@ -1,9 +1,9 @@
-"""Campaign of many cases over a grid or a draw, on this machine or a cluster; resumable.
+"""Run many cases, over a grid or a random draw of settings, on this machine or a cluster.
 
 SPEC.toml names the kind of the cases (sil, fmu, gap, rig) and their axes. Writes to OUT: results/
-(one file a case), failures/ (with logs), summary.csv, campaign.json, report.html, and apart from
-them costs.csv. A second run does what is missing, damaged or without result. Exit 0 every case has
-a result, 1 one has none.
+(one file per case), failures/ (with logs), summary.csv, campaign.json, report.html and costs.csv.
+A second run resumes: it runs the cases whose results are missing or damaged, or that failed.
+Exit 0: every case has a result. Exit 1: at least one has none.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ EXECUTORS = ("processes", "dask", "submitit")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("spec", type=Path, metavar="SPEC.toml", help="see docs/campaigns.md")
     add("--out", type=Path, required=True, metavar="DIR", help="directory for the results")
@@ -60,7 +59,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read, run, summarise."""
     from hil.campaign.campaign_cases import CaseMaker
     from hil.campaign.campaign_spec import configurations, read_spec
     from hil.campaign.kinds.case_kind import load_kind
@@ -144,7 +142,7 @@ def _run_all(
 def _plan(
     args: argparse.Namespace, cases: list[CampaignCase], maker: CaseMaker, store: ResultStore
 ) -> int:
-    """Plan from the cases that ran already, or from a few that are run now and kept."""
+    """Estimate the cost from earlier cases, or from a few that run now; their results count."""
     from hil.campaign.campaign_run import run_campaign_cases
     from hil.campaign.cost_plan import (
         SAMPLE,
@@ -184,7 +182,7 @@ def _command(args: argparse.Namespace, workers: int) -> str:
 
 
 def _say_other_code(store: ResultStore, code: str) -> None:
-    """Tell on stderr where results of other code are there: they do not count."""
+    """Warn if the directory holds results of an earlier version of the code, which do not count."""
     path = store.directory / "code.txt"
     before = path.read_text(encoding="utf-8").strip() if path.exists() else code
     if before != code:

@@ -1,8 +1,8 @@
-"""Emulated servos for any Dynamixel program, until Ctrl-C; prints the name of the port to open.
+"""Emulate servos for any Dynamixel program until Ctrl-C; print the name of the port to open.
 
-The servos share one bus with the plant behind them. Goals that a program writes move the plant, and
-the measurements that it reads come from the plant. Where the kernel permits it, they are served at
-the real-time priority that a robot's loop has by default.
+The servos share one bus and move a simulated plant: goals that your program writes move the plant,
+and the measurements that it reads come from the plant. If the kernel permits it, the emulator runs
+at the real-time priority that a robot's loop has by default.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from hil.emulator.line_faults import parse_rates
 from hil.emulator.twin_fmu import build_twin
 
 SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)
-"""That of a loop by default. A loop that waits for a reply sleeps, so the servos need no more; and
-they run for days, so garbage is collected."""
+"""Scheduling of a robot's loop by default, which suffices: a loop that waits for a reply sleeps.
+Garbage is collected, because the servos run for days."""
 NOT_REAL_TIME: Final = (
     "dropstitch emulate: warning: the kernel refuses real-time priority, so on a busy machine "
     "the servos answer late and the ticks of a loop may be out of range; run it as root or grant "
@@ -36,7 +36,6 @@ EXAMPLE = "dropstitch emulate --model PH54-200-S500-R --line pty --plant build/p
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--line", choices=("pty", "socket"), default="pty")
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--plant", type=Path, metavar="PLANT", help="plant file behind the servos")
@@ -52,7 +51,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until interrupted."""
     complete_from_link(args, args.plant)
     model = model_named(args.model)
     if args.line == "socket" and args.path.exists():

@@ -1,8 +1,9 @@
-"""Campaign that injects every fault of the table by name and seed, and checks what happens.
+"""Inject every fault of the fault table, with a seed, and check the robot's reaction.
 
-Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix), anew after each case:
-a campaign that is ended early leaves what it found, marked as incomplete. Exit 0 every fault ended
-as the table says, 1 one did not, 3 inconclusive: the host preempted the loop.
+Writes to OUT: faults.json, faults.xml (JUnit) and report.html (the matrix). They are updated after
+each case, so that a campaign that you end early leaves its results, marked as incomplete. Exit 0:
+every fault had the expected outcome. Exit 1: at least one did not. Exit 3, inconclusive: the host
+preempted the loop.
 """
 
 from __future__ import annotations
@@ -29,7 +30,6 @@ LINES = ("virtual", "socket", "process")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
     )
@@ -49,7 +49,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the campaign, judge, write."""
     from hil.emulator.twin_fmu import build_twin
     from hil.faults.campaign import cases_of, run_campaign
     from hil.faults.cases.case_robot import CaseRobot
@@ -106,7 +105,7 @@ def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -
 
 
 def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:
-    """Return the result as text: the cases that did not pass, then the counts."""
+    """Return the cases that did not pass, then the counts, as text."""
     lines = [
         f"{one.verdict}: {one.case.name}: {'; '.join(one.safety_violations + one.deviations)}"
         for one in judged

@@ -1,7 +1,7 @@
-"""HTML page about a gap that was closed: plant, FMU and robot before and after.
+"""Write an HTML page that compares plant, FMU and robot before and after a gap was closed.
 
 DIR holds the results of `make gap-demo`: the diagnosis (found/), runs of both twin FMUs in FMPy on
-trials that nothing was fitted to (fmpy_*), and runs of the robot's loop with both bundles (sil_*).
+held-out trials (fmpy_*), and runs of the robot's loop with both bundles (sil_*).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ EXAMPLE = (
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make gap-demo` filled")
     add("--plant", type=Path, metavar="PLANT", required=True, help="plant before the diagnosis")
@@ -31,7 +30,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page."""
     hidden = parse_strengths(args.hide)
     from hil.report import write_gap_report  # loads CasADi
 

@@ -1,9 +1,9 @@
-"""HTML page about plans of the tip that were run on the rig: paths, errors, payloads.
+"""Write an HTML page about tip plans that were run on the rig: paths, errors, payloads.
 
-DIR holds what `make tip-demo` left: the plans inverse_Ndof.json and rigid_Ndof.json, and the
-results of 'dropstitch sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG, Ndof_unknown_KG and, of
-a robot that was told too small a payload, Ndof_misled_KG.
---json prints the RMS errors, and the largest ratio of the plan's to that of rigid kinematics.
+DIR holds the results of `make tip-demo`: the plans inverse_Ndof.json and rigid_Ndof.json, and the
+results of 'dropstitch sil --rig --plan' in Ndof_rigid_KG, Ndof_known_KG, Ndof_unknown_KG and
+Ndof_misled_KG (a robot that was configured with too small a payload).
+--json prints the RMS errors, and the largest ratio of the plan's error to that of rigid kinematics.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ EXAMPLE = "dropstitch report plans build/plans --plant build/plant.json"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
     add(
@@ -31,7 +30,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page."""
     from hil.report.plans.planned_runs import plan_figures, read_planned_runs
     from hil.report.plans.plans_page import write_plans_page  # loads matplotlib
     from models.plant.plant import read_plant  # loads CasADi

@@ -1,6 +1,6 @@
-"""HTML page about all results in a build directory, in one self-contained file.
+"""Write all results in a build directory as one self-contained HTML page.
 
-A section without inputs is replaced by one line that names the command to run.
+A section without inputs becomes one line that names the command to run.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ EXAMPLE = "dropstitch report build build --out build/report.html"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     add = parser.add_argument
     add("build", type=Path, nargs="?", default=Path("build"), metavar="DIR",
         help="what 'make demo' built (build)")  # fmt: skip
@@ -23,7 +22,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page."""
     from hil.report import write_report  # loads matplotlib
 
     out = args.out or args.build / "report.html"

@@ -1,13 +1,13 @@
-"""Run in software of the robot's loop against emulated servos, with a verdict on its timing.
+"""Run the robot's loop in software against emulated servos, and judge its timing.
 
 Writes to OUT: timing.json and timing.xml (the verdict), *.hgrm (percentiles in HdrHistogram's
-format), timeline.json (for ui.perfetto.dev), ticks.mcap (the robot's own log), trial/sil.csv
-(the run as a trial, with the true tip), summary.svg. Exit 0 pass, 1 deadlines missed by the loop's
-own time, or stopped by the safety supervisor, 3 inconclusive: the host preempted the loop, or a
-signal ended the run early.
+format), timeline.json (for ui.perfetto.dev), ticks.mcap (the robot's log), trial/sil.csv (the run
+as a trial, with the true tip), summary.svg. Exit 0: pass. Exit 1: the loop itself missed deadlines,
+or the safety supervisor stopped it. Exit 3, inconclusive: the host preempted the loop, or a signal
+ended the run early.
 
-With --rig the rig, not a twin, stands behind the servos on the virtual line: the robot's prediction
-is then compared with a link that no plant describes exactly.
+With --rig, the rig is simulated behind the servos instead of a twin, on the virtual line. This
+tests the robot's prediction on a link that no plant describes exactly.
 """
 
 from __future__ import annotations
@@ -49,11 +49,10 @@ EXAMPLE = (
 )
 
 PATIENCE_S: Final = 2.0
-"""Longest wait in simulated time for the program that sends goals [assumed]."""
+"""Longest wait for the goal of the other program, in each tick of simulated time [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
     )
@@ -116,7 +115,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run, judge, write."""
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     _check(args, plan)
     link = complete_from_link(
@@ -175,7 +173,7 @@ def _check(args: argparse.Namespace, plan: TipPlan | None) -> None:
 
 
 def _is_link(rig: str | None) -> bool:
-    """Whether --rig names the file of a link."""
+    """Return whether --rig names the file of a link."""
     path = Path(rig or "")
     return path.is_file() and describes_link(read_toml(path, "name a rig or a link"))
 
@@ -188,7 +186,6 @@ def _rig_source(args: argparse.Namespace) -> RigSource | None:
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:
-    """Return the result as text."""
     environment = timing.environment
     lines = [
         f"{timing.verdict}: {timing.reason}",

@@ -1,6 +1,6 @@
-"""Emulated bus: servos that share one line, with the plant behind them.
+"""Emulated bus: servos that share one line and move a simulated plant.
 
-The caller passes the time with every call and the plant is advanced to it, so the same bus runs in
+The caller passes the time with every call, and the plant advances to it. So the same bus runs in
 real time behind a port and on a virtual clock.
 """
 
@@ -24,21 +24,21 @@ __all__ = ["EmulatedBus", "Reply"]
 Array = NDArray[np.float64]
 _SHORTEST_VELOCITY_STEP_S = 5e-4
 _LEVEL_OF_INSTRUCTION: dict[int, int] = {Instruction.PING: 0, Instruction.READ: 1}
-"""Status return level that an instruction needs to be answered; 2 where it is not listed."""
+"""Lowest status return level at which an instruction is answered; 2 if it is not listed."""
 _SYNCHRONOUS = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ, Instruction.SYNC_WRITE)
 
 
 class Reply(NamedTuple):
-    """A status packet before transmission."""
+    """Status packet before transmission."""
 
     servo: EmulatedServo
     frame: bytes
 
 
 class EmulatedBus:
-    """Servos on one bus, which carry out instructions.
+    """Servos on one bus, which execute instructions.
 
-    `on_sample`: called with the time whenever a servo's present position is read.
+    `on_sample` is called with the time whenever a servo's present position is read.
     """
 
     def __init__(
@@ -56,11 +56,11 @@ class EmulatedBus:
 
     @property
     def driven(self) -> bool:
-        """Whether the torque of any servo is on."""
+        """Whether any servo has its torque on."""
         return any(servo.torque_on for servo in self.servos)
 
     def advance(self, now_ns: int) -> None:
-        """Advance plant and watchdogs to a time."""
+        """Advance plant and watchdogs to a time; watchdogs trip at their own times in between."""
         while True:
             due = [(t, s) for s in self.servos if (t := s.watchdog_due_ns) is not None]
             trips = [(t, s) for t, s in due if t <= now_ns]
@@ -74,7 +74,7 @@ class EmulatedBus:
                     servo.trip_watchdog()
 
     def resume(self, now_ns: int) -> None:
-        """Continue from `now_ns` as if no time had passed: time stands still without a program."""
+        """Continue from `now_ns`: the plant stood still while no program was connected."""
         self._now_ns = max(self._now_ns, now_ns)
         for servo in self.servos:
             servo.feed_watchdog(now_ns)
@@ -97,14 +97,11 @@ class EmulatedBus:
             servo.observe(*state)
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
-        """Carry out an instruction.
-
-        Returns status packets in the order of transmission.
-        """
+        """Execute an instruction; return its status packets in the order of transmission."""
         self.advance(now_ns)
         if packet.instruction == Instruction.STATUS:
             return []
-        if packet.instruction != Instruction.SYNC_WRITE:  # it reads no present register
+        if packet.instruction != Instruction.SYNC_WRITE:  # which reads no present register
             self._observe()
         if packet.intact:
             for servo in self.servos:
@@ -139,7 +136,7 @@ class EmulatedBus:
                     servo.write(address, parameters[start + 1 : start + 1 + length])
             return []
         asked = [by_id.get(servo_id) for servo_id in parameters[4:]]
-        # Each servo waits for the one before it (docs/sources.md, "Control tables").
+        # Each servo waits for the reply of the one before it (docs/sources.md, "Control tables").
         answering = [s for s in itertools.takewhile(lambda servo: servo is not None, asked) if s]
         if packet.instruction == Instruction.FAST_SYNC_READ:
             return self._together(answering, len(asked), address, length, now_ns)
@@ -148,16 +145,16 @@ class EmulatedBus:
     def _together(
         self, servos: Sequence[EmulatedServo], asked: int, address: int, length: int, now_ns: int
     ) -> list[Reply]:
-        """One packet of all servos, sent without gaps after the first servo's return delay."""
+        """Reply of all servos in one packet, sent without gaps after the first return delay."""
         blocks = []
         for servo in itertools.takewhile(lambda s: s.model.table.fast_sync_read, servos):
             error, data = self._read(servo, address, length, now_ns)
-            # Assumed: a refusal keeps its place in the packet, filled with zeros.
+            # Assumed: a servo that refuses the read fills its block with zeros.
             blocks.append((servo.id, error | servo.alert, data or bytes(length)))
         return [Reply(servos[0], packets.fast_status_packet(asked, blocks))] if blocks else []
 
     def _single(self, servo: EmulatedServo, packet: Packet, now_ns: int) -> tuple[int, bytes]:
-        """Error number and data of one servo's answer."""
+        """Error number and data of one servo's reply."""
         if not packet.intact:
             return StatusError.CRC, b""
         parameters = packet.parameters

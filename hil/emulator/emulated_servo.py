@@ -1,16 +1,16 @@
 """Emulated DYNAMIXEL servo: its registers, their access rights and their effect.
 
-The servo has no physics. It turns its registers into the goal of the plant (`goal_rad`), and the
-plant's state (`observe`) into registers with the model's resolution. The plant contains the closed
-servo loop.
+The servo has no dynamics of its own: the plant contains the closed servo loop. The servo converts
+its registers into the goal of the plant (`goal_rad`), and the plant's state (`observe`) into
+registers with the model's resolution.
 
 Semantics follow the e-Manual's control tables and its Protocol 2.0 (docs/sources.md, "Control
-tables"). Assumed where the manual does not say:
+tables"). Where the manual is silent, this is assumed:
 
-- Torque off: the gear holds (502:1, friction above the link's torque), so the goal stays where the
-  angle is and the current reads 0.
+- With the torque off the gear holds the angle (502:1, friction above the link's torque) and the
+  current reads 0.
 - Only the position modes exist (3 position, 4 extended); another mode is a data range error.
-- Profiles are registers without effect: the loop sends a goal every 17 ms.
+- Profile registers have no effect: the loop sends a goal every 17 ms.
 - A reboot takes no time.
 """
 
@@ -34,7 +34,7 @@ EXTENDED_POSITION_MODE: Final = 4
 BAUD_OF_CODE: Final = {
     0: 9600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000,
 }  # fmt: skip
-"""Values of the baud rate register (assumed; the legacy PRO has 2400 in place of 9600)."""
+"""Baud rate for each value of its register (assumed; the legacy PRO has 2400 instead of 9600)."""
 
 _GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
 _FIRMWARE_VERSION = 46
@@ -50,14 +50,11 @@ _RANGES: Final = {
     Register.STATUS_RETURN_LEVEL: (0, 2),
     Register.BUS_WATCHDOG: (0, 127),
 }
-"""Values that a register accepts; any that fits its bytes where it is not listed."""
+"""Values that a register accepts; a register that is not listed accepts any that fits its bytes."""
 
 
 class EmulatedServo(RegisterMemory):
-    """Servo on the bus.
-
-    `return_delay_s`: pause between instruction and status packet (factory setting 500 µs).
-    """
+    """Servo on the bus; `return_delay_s` is its pause before a status packet (factory: 500 µs)."""
 
     def __init__(
         self, model: Model, servo_id: int = 1, baud: int = 1_000_000, return_delay_s: float = 500e-6
@@ -99,7 +96,7 @@ class EmulatedServo(RegisterMemory):
     # --- registers as the servo's own firmware sees them ---------------------------------------
 
     def put(self, register: Register, raw: int) -> None:
-        """See `RegisterMemory.put`; the servo obeys the new value."""
+        """Set a register regardless of access rights, and apply its effect."""
         super().put(register, raw)
         if register is Register.GOAL_POSITION:
             self._follow_goal()
@@ -107,7 +104,7 @@ class EmulatedServo(RegisterMemory):
             self._refresh()
 
     def _refresh(self) -> None:
-        """Update the attributes that line and physics read in every tick."""
+        """Update the attributes that line and plant read in every tick."""
         self.id = self.get(Register.ID)
         self.baud = BAUD_OF_CODE[self.get(Register.BAUD_RATE)]
         self.return_delay_ns = self.get(Register.RETURN_DELAY) * round(RETURN_DELAY_STEP_S * 1e9)
@@ -145,7 +142,7 @@ class EmulatedServo(RegisterMemory):
     # --- protection ----------------------------------------------------------------------------
 
     def fail(self, bits: int) -> None:
-        """Raise hardware errors; those in the shutdown mask switch the torque off."""
+        """Set hardware error bits; those in the shutdown mask switch the torque off."""
         self.put(Register.HARDWARE_ERROR, self.get(Register.HARDWARE_ERROR) | bits)
         if self._shut_down:
             self._release()
@@ -156,7 +153,7 @@ class EmulatedServo(RegisterMemory):
 
     @property
     def watchdog_due_ns(self) -> int | None:
-        """Time at which the bus watchdog trips unless it is fed; None where it is not armed."""
+        """Time at which the bus watchdog trips unless it is fed; None if it is not armed."""
         return self._fed_ns + self._watchdog_ns if self._watchdog_ns else None
 
     def trip_watchdog(self) -> None:
@@ -165,7 +162,7 @@ class EmulatedServo(RegisterMemory):
         self.put(Register.BUS_WATCHDOG, -1)
 
     def feed_watchdog(self, now_ns: int) -> None:
-        """Restart the watchdog: an instruction for any servo was on the bus."""
+        """Restart the watchdog, after an instruction for any servo on the bus."""
         self._fed_ns = now_ns
 
     def _release(self) -> None:
@@ -173,7 +170,7 @@ class EmulatedServo(RegisterMemory):
         self.put(Register.TORQUE_ENABLE, 0)
 
     def _boot(self) -> None:
-        """Set the RAM area to its initial values."""
+        """Reset the RAM area to its initial values."""
         self._release()
         if self._table.indirect.address >= self._table.ram_start:
             self._reset_indirect()
@@ -184,13 +181,16 @@ class EmulatedServo(RegisterMemory):
         self.observe(self._angle_rad, 0.0, 0.0)
 
     def reboot(self) -> None:
-        """Restart: clears hardware errors and RAM, keeps EEPROM."""
+        """Clear hardware errors and RAM; keep the EEPROM."""
         self._boot()
 
     # --- registers as the bus sees them --------------------------------------------------------
 
     def write(self, address: int, data: bytes) -> int:
-        """Write whole registers in order; nothing changes where one is refused."""
+        """Write complete registers in order; if one is refused, none changes.
+
+        Returns the error number of the status packet.
+        """
         fields = []
         indirect = self._table.indirect
         if indirect.address <= address < indirect.address + 2 * indirect.entries:
@@ -245,7 +245,7 @@ class EmulatedServo(RegisterMemory):
 
     def _apply(self, register: Register, raw: int) -> None:
         if register is Register.TORQUE_ENABLE:
-            if raw and not self.torque_on:  # the goal starts where the servo stands
+            if raw and not self.torque_on:  # the goal starts at the present position
                 self.put(Register.GOAL_POSITION, self.get(Register.PRESENT_POSITION))
             elif not raw:
                 self._release()

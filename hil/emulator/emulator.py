@@ -1,7 +1,7 @@
 """Emulator: line, servos and plant from one specification.
 
-On the virtual line they run in the loop's process; in real time they run in a process of their own
-(`Emulator`), and only bytes pass between them and the loop.
+On the virtual line they run in the loop's process. In real time they run in a separate process
+(`Emulator`), which exchanges only bytes with the loop.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ __all__ = [
 ]
 
 PRIORITY: Final = 60
-"""Above the loop's: on a single processor a reply must not wait for the waiting loop."""
+"""Real-time priority above the loop's: on a single processor the loop must not delay a reply."""
 MAX_PAYLOAD_KG: Final = 20.0
 """Ten times the largest payload of the study."""
 MAX_LATENCY_S: Final = 0.255
-"""The latency timer is one byte of milliseconds."""
+"""The latency timer of an FTDI adapter is one byte of milliseconds."""
 _SPAWN = multiprocessing.get_context("spawn")
 
 
@@ -58,15 +58,15 @@ _SPAWN = multiprocessing.get_context("spawn")
 class EmulatorSpecification:
     """Specification of line, servos and plant."""
 
-    source: Path | RigSource  # Twin to step, one joint per servo, or the rig
+    source: Path | RigSource  # Twin FMU with one joint per servo, or the rig
     model_number: int = 54024
-    ids: tuple[int, ...] = (1,)  # Their addresses, in joint order
+    ids: tuple[int, ...] = (1,)  # Servo ids, in joint order
     baud: int = 1_000_000
-    return_delay_s: float = 500e-6  # Of the servos and of the USB adapter
-    latency_s: float = 1e-3
+    return_delay_s: float = 500e-6  # Pause of the servos before a status packet
+    latency_s: float = 1e-3  # Latency timer of the USB adapter
     payload_kg: float = 0.0
-    faults: dict[str, float] = field(default_factory=dict)
-    seed: int = 0
+    faults: dict[str, float] = field(default_factory=dict)  # Rate of each kind of line fault
+    seed: int = 0  # Seed of the line faults
 
     def __post_init__(self) -> None:
         if self.baud not in BAUD_OF_CODE.values():
@@ -89,33 +89,33 @@ class EmulatorSpecification:
 
 
 class Truth(NamedTuple):
-    """True state of the plant, one row per measurement that the servos sent."""
+    """True tip of the plant, one row per measurement that the servos sent."""
 
-    time_ns: NDArray[np.int64]  # (n,), when the servo sampled
-    tip_m: NDArray[np.float64]  # (n, 3), true end effector then
+    time_ns: NDArray[np.int64]  # (n,), sampling time
+    tip_m: NDArray[np.float64]  # (n, 3), true tip at that time
 
 
 class TruthLog:
-    """Record of the true tip at every reading of a present position."""
+    """Record of the true tip at every read of a present position."""
 
     def __init__(self, physics: Physics) -> None:
         self._physics = physics
         self._time_ns, self._tip_m = array("q"), array("d")
 
     def note(self, time_ns: int) -> None:
-        """Record the tip at a time, once for all answers to the same instruction."""
+        """Record the tip, once for all replies to the same instruction."""
         if self._time_ns and self._time_ns[-1] == time_ns:
             return
         self._time_ns.append(time_ns)
         self._tip_m.extend(self._physics.tip_m.tolist())
 
     def truth(self) -> Truth:
-        """Everything recorded so far."""
+        """Return the record so far."""
         return Truth(np.array(self._time_ns, np.int64), np.array(self._tip_m).reshape(-1, 3))
 
 
 def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) -> Physics:
-    """Open the twin in a .fmu file, or a rig, in its initial state."""
+    """Open a twin FMU or a rig in its initial state."""
     if isinstance(source, Path):
         return FmuPhysics(source, dof, payload_kg)
     from hil.emulator.rig_physics import RigPhysics  # imported here because it loads MuJoCo
@@ -124,9 +124,9 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
 
 
 def build_line(specification: EmulatorSpecification) -> tuple[Line, TruthLog]:
-    """Build line, servos and plant; the plant is in its initial state at time zero.
+    """Build line, servos and plant; return the line and the record of the true tip.
 
-    Returns the line, and the record of the true tip.
+    The plant is in its initial state at time zero.
     """
     spec = specification
     physics = open_physics(spec.source, len(spec.ids), spec.payload_kg)
@@ -140,7 +140,7 @@ def build_line(specification: EmulatorSpecification) -> tuple[Line, TruthLog]:
 
 
 class EmulatorOutcome(NamedTuple):
-    """Record of an emulator: true tip, punctuality, injected faults by kind."""
+    """Record of an emulator: true tip, release times of replies, injected faults by kind."""
 
     truth: Truth
     releases: Releases
@@ -181,7 +181,7 @@ def _run(
 
 
 class Emulator:
-    """Emulated servos in a process of their own."""
+    """Emulated servos in a separate process."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class Emulator:
         directory: Path,
         cpu: int,
     ) -> None:
-        # An unusable FMU is reported by this process, which has a terminal.
+        # An unusable FMU is reported here, because the other process has no terminal.
         if isinstance(specification.source, Path):
             dof, payload_kg = len(specification.ids), specification.payload_kg
             FmuPhysics(specification.source, dof, payload_kg).fmu.close()
@@ -217,7 +217,7 @@ class Emulator:
         return outcome
 
     def close(self) -> None:
-        """End the process if it still runs."""
+        """End the process if it is still running."""
         self._pipe.close()
         self._process.join()
 
@@ -230,7 +230,7 @@ def serve_forever(
 ) -> None:
     """Serve emulated servos in this process until it is interrupted.
 
-    `announce`: called with the name of the port as soon as it is open.
+    `announce` is called with the name of the port as soon as it is open.
     """
     never, held = os.pipe()
     endpoint = pty_endpoint() if kind == "pty" else socket_endpoint(path, never)

@@ -1,4 +1,4 @@
-"""Twin behind the emulated servos: an FMU, stepped through ctypes."""
+"""Twin FMU as the plant behind the emulated servos, stepped through ctypes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class FmuPhysics:
-    """Twin as `hil.emulator.physics.Physics`."""
+    """Twin FMU with the interface `hil.emulator.physics.Physics`."""
 
     def __init__(self, path: Path, dof: int, payload_kg: float = 0.0) -> None:
         self.fmu = FmuInstance(path)
@@ -46,15 +46,14 @@ class FmuPhysics:
 
     @property
     def tip_m(self) -> Array:
-        """End effector in the world frame, shape (3,)."""
+        """Tip in the world frame, shape (3,)."""
         self._tip.receive()
         return self._tip.values
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """See `hil.emulator.physics.Physics.advance`."""
         self._tick.inputs[:] = goal_rad
         self._tick.run(step_s)
 
     def parameter(self, name: str) -> float:
-        """Value of a plant parameter."""
+        """Return a plant parameter."""
         return float(self.fmu.get([f"parameters.{name}"])[0])

@@ -1,11 +1,10 @@
 """Emulated line between a program and the emulated servos, and its three ports.
 
-`Line` gives the time at which each byte leaves the USB adapter; it is a function of its inputs and
-reads no clock. `VirtualTransport` plays it on a simulated clock: deterministic, faster than real
-time. `serve_line` plays it in real time behind a file descriptor, which `pty_endpoint` and
-`socket_endpoint` provide: the first for any Dynamixel program, the second for timing claims (a
-pseudo-terminal passes through a kernel worker that SCHED_FIFO readers starve, docs/sources.md,
-"Dynamixel SDK").
+`Line` computes the time at which each byte leaves the USB adapter, from its inputs alone; it reads
+no clock. `VirtualTransport` runs it on a simulated clock: deterministic, faster than real time.
+`serve_line` runs it in real time on a file descriptor: that of `pty_endpoint` for any Dynamixel
+program, that of `socket_endpoint` for timing claims, because a pseudo-terminal passes through a
+kernel worker that SCHED_FIFO readers starve (docs/sources.md, "Dynamixel SDK").
 
 ::
 
@@ -36,16 +35,16 @@ if sys.platform != "win32":  # --help works there
 __all__ = ["Arrival", "Line", "VirtualTransport", "pty_endpoint", "serve_line", "socket_endpoint"]
 
 BITS_PER_BYTE: Final = 10
-"""Eight data bits between start and stop bit."""
+"""Start bit, eight data bits, stop bit."""
 USB_PACKET_BYTES: Final = 62
-"""Bytes that an FTDI adapter passes on without waiting for its latency timer (AN232B-04)."""
+"""Bytes after which an FTDI adapter sends without waiting for its latency timer (AN232B-04)."""
 _IDLE_S: Final = 0.05
 _READ_SIZE: Final = 4096
 _NO_FAULTS: Final = FaultPlan()
 
 
 class Arrival(NamedTuple):
-    """Bytes that reach the adapter one after the other from `start_ns` on."""
+    """Bytes that reach the adapter one after the other, from `start_ns` on."""
 
     start_ns: int
     data: bytes
@@ -53,17 +52,16 @@ class Arrival(NamedTuple):
 
     @property
     def end_ns(self) -> int:
-        """When the last one is there."""
+        """Time at which the last byte has arrived."""
         return self.start_ns + len(self.data) * self.byte_ns
 
 
 class Line:
     """Half-duplex line with a USB adapter at the host's end.
 
-    `bus`: servos at the other end; the first one's baud rate is the host's.
-    `latency_s`: period of the adapter's latency timer; 0 hands every byte over at once.
-    `faults`: faults of the packets, from the moment that a servo's torque is on: a line on which no
-    robot starts shows nothing about the loop.
+    The host sends at the baud rate of the first servo. `latency_s` is the period of the adapter's
+    latency timer; 0 passes every byte on at once. Faults are injected only while a servo's torque
+    is on: they are meant for the running loop, not for its start.
     """
 
     def __init__(self, bus: EmulatedBus, latency_s: float = 1e-3, faults: FaultPlan | None = None):
@@ -75,9 +73,9 @@ class Line:
         self._parser = PacketParser()
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
-        """Transmit bytes of the host and the answers to them.
+        """Transmit bytes of the host and the replies to them.
 
-        Returns time in ns at which the host may read, and the bytes.
+        Returns the replies' bytes, each with the time in ns at which the host can read them.
         """
         heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.bus.servos[0].baud)
         self._free_ns = heard_ns
@@ -95,7 +93,7 @@ class Line:
         return self._adapter(sorted(arrivals))
 
     def _adapter(self, arrivals: list[Arrival]) -> list[tuple[int, bytes]]:
-        """Hold bytes back until 62 are together or the latency timer, running freely, ticks."""
+        """Hold bytes back until there are 62 or the free-running latency timer expires."""
         if self._latency_ns == 0:
             return [(a.end_ns, a.data) for a in arrivals]
         releases: list[tuple[int, bytes]] = []
@@ -127,7 +125,7 @@ def _byte_ns(baud: int) -> int:
 class VirtualTransport:
     """Transport in memory on a simulated clock (see `firmware_py.bus.transport.Transport`).
 
-    `clock`: shared with the loop; waiting for a reply moves it.
+    The loop shares the clock; waiting for a reply advances it.
     """
 
     def __init__(self, line: Line, clock: SimClock) -> None:
@@ -136,14 +134,14 @@ class VirtualTransport:
         self._count = 0
 
     def write(self, data: bytes) -> int:
-        """Pass the bytes to the line; its answers become readable at their time."""
+        """Pass the bytes to the line; its replies become readable at their times."""
         for time_ns, answer in self._line.receive(self._clock.now_ns(), data):
             self._count += 1
             heapq.heappush(self._pending, (time_ns, self._count, answer))
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return the bytes that are readable by the deadline; the clock advances to them."""
+        """Return the first bytes readable before the deadline; the clock advances to their time."""
         if not self._pending or self._pending[0][0] > deadline_ns:
             self._clock.sleep_until(deadline_ns)
             return b""
@@ -159,16 +157,16 @@ class VirtualTransport:
             heapq.heappop(self._pending)
 
     def close(self) -> None:
-        """Drop everything."""
+        """Drop all pending bytes."""
         self._pending.clear()
 
 
 @contextlib.contextmanager
 def pty_endpoint() -> Iterator[tuple[str, Callable[[], int | None]]]:
-    """A pseudo-terminal: its name, and a function that gives the descriptor to serve.
+    """Open a pseudo-terminal; yield its name and a function that returns the descriptor to serve.
 
-    The slave descriptor is held open: programs close and reopen the port when they set the baud
-    rate, and without a holder the line would hang up.
+    Programs close and reopen the port when they set the baud rate. The slave descriptor stays open
+    here, so that the line does not hang up meanwhile.
     """
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -181,9 +179,9 @@ def pty_endpoint() -> Iterator[tuple[str, Callable[[], int | None]]]:
 
 @contextlib.contextmanager
 def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[], int | None]]]:
-    """A UNIX stream socket: its name, and a function that waits for a program to connect.
+    """Open a UNIX stream socket; yield its name and a function that waits for a program.
 
-    The function returns None when `stop_fd` becomes readable instead.
+    The function returns the connection's descriptor, or None if `stop_fd` becomes readable first.
     """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     listener.bind(str(path))
@@ -208,11 +206,10 @@ def socket_endpoint(path: Path, stop_fd: int) -> Iterator[tuple[str, Callable[[]
 def serve_line(
     line: Line, fd: int, stop_fd: int, on_release: Callable[[int, int], None] | None = None
 ) -> bool:
-    """Play the line in real time on a descriptor; the plant's time continues from now.
+    """Run the line in real time on a descriptor; the plant's time continues from now.
 
-    `on_release`: called with the time at which bytes were due and the time at which they were
-    written.
-    Returns true where the host hung up, False where `stop_fd` ended it.
+    `on_release` is called with the times at which bytes were due and were written. Returns True if
+    the host hung up, False if `stop_fd` became readable.
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0
@@ -242,4 +239,4 @@ def serve_line(
                 count += 1
                 heapq.heappush(pending, (due_ns, count, answer))
         elif not pending:
-            line.bus.advance(time.monotonic_ns())  # a long pause must not pile up work
+            line.bus.advance(time.monotonic_ns())  # so that no backlog builds up in a long pause

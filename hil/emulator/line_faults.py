@@ -1,8 +1,8 @@
-"""Faults of the line at given rates: status packets lost, late or damaged, instructions lost.
+"""Random faults of the line: status packets lost, late or damaged, instructions lost.
 
-Rates are fractions of the packets that the servos send; of those that the host sends, "unheard".
-A packet has at most one fault, so that the rates add up. The seed says which have one. The campaign
-over all faults of the robot is in `hil.faults`.
+A rate is the fraction of the servos' packets that have the fault; for "unheard", of the host's
+packets. A packet has at most one fault, so the rates add up. The seed selects the faulty packets.
+The campaign over all faults of the robot is in `hil.faults`.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from hil.emulator.packets import Packet
 __all__ = ["FAULT_KINDS", "FaultPlan", "parse_rates"]
 
 UNHEARD: Final = "unheard"
-"""Kind of fault of an instruction: no servo receives it."""
+"""Fault of an instruction: no servo receives it."""
 FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
 LATE_NS: Final = 12_000_000
-"""Delay of a late packet: after the deadline of its exchange, before the next but one."""
+"""Delay of a late packet: it misses the deadline of its exchange, but arrives before the second
+exchange after that."""
 
 
 class FaultPlan:
-    """Faults of the line, the same for the same seed and the same packets.
+    """Faults of the line, reproducible for equal seed and packets.
 
-    `rates`: fraction of packets per kind; kinds left out do not occur.
+    `rates` gives the fraction of packets for each kind of fault; other kinds do not occur.
     """
 
     def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
@@ -37,7 +38,7 @@ class FaultPlan:
         self._random = random.Random(seed)
 
     def apply(self, frame: bytes) -> list[tuple[int, bytes]]:
-        """Return what arrives in place of `frame`: (extra delay in ns, bytes); empty if lost."""
+        """Return what arrives instead of `frame`: (extra delay in ns, bytes), or nothing."""
         kind = self._draw()
         if kind is None:
             return [(0, frame)]
@@ -58,7 +59,7 @@ class FaultPlan:
         return [(0, bytes(damaged))]
 
     def loses(self, packet: Packet) -> bool:
-        """Return whether no servo receives an instruction."""
+        """Return whether the instruction is lost before it reaches any servo."""
         if self._unheard <= 0.0 or self._random.random() >= self._unheard:
             return False
         self.injected[UNHEARD] += 1
@@ -76,7 +77,7 @@ class FaultPlan:
 
 
 def parse_rates(words: Iterable[str]) -> dict[str, float]:
-    """Parse rates of faults."""
+    """Parse arguments like `lost=0.01` into rates by kind of fault."""
     rates: dict[str, float] = {}
     for word in words:
         kind, _, text = word.partition("=")

@@ -1,16 +1,17 @@
-"""Packets of DYNAMIXEL Protocol 2.0, implemented from its description, without the SDK.
+"""Packets of DYNAMIXEL Protocol 2.0, implemented from its specification, without the SDK.
 
 ::
 
     FF FF FD 00 | id | length (2, little-endian) | instruction | parameters ... | CRC-16 (2)
 
-`length` counts the bytes after it. The CRC covers all stuffed bytes before it. Inside a body
-(instruction and parameters) the sequence FF FF FD is followed by one more FD, so that a header
+`length` counts the bytes after it. The CRC covers all bytes before it, after stuffing: inside a
+body (instruction and parameters) the sequence FF FF FD is followed by one more FD, so that a header
 never occurs there. A status packet is instruction 0x55 with the error byte as first parameter.
 Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0".
 
-The tests compare it with the SDK. The SDK 4.1.0 sends a goal of -131073 unstuffed, and unstuffs
-FF FF FD FD .. FF FD FD once too often (docs/sources.md, "Dynamixel SDK"); this codec does neither.
+The tests compare this codec with the SDK. SDK 4.1.0 has two errors that this codec avoids: it sends
+a goal of -131073 unstuffed, and unstuffs FF FF FD FD .. FF FD FD once too often (docs/sources.md,
+"Dynamixel SDK").
 """
 
 from __future__ import annotations
@@ -38,18 +39,16 @@ __all__ = [
 
 HEADER: Final = b"\xff\xff\xfd\x00"
 MARK: Final = HEADER[:3]
-"""Bytes that must be followed by an FD inside a body."""
+"""Bytes that an FD must follow inside a body."""
 BROADCAST: Final = 0xFE
 ALERT: Final = 0x80
-"""Bit of the error byte: the servo's hardware error status is not zero."""
+"""Bit of the error byte that is set while the servo's hardware error status is not zero."""
 MAX_LENGTH: Final = 1024
 """Longest plausible `length` field; a longer one is noise."""
 _OVERHEAD = 7  # header, id, length
 
 
 class Instruction(IntEnum):
-    """Instruction of a packet."""
-
     PING = 0x01
     READ = 0x02
     WRITE = 0x03
@@ -78,10 +77,10 @@ class StatusError(IntEnum):
 class Packet(NamedTuple):
     """Packet as received, unstuffed."""
 
-    id: int  # Servo that it is for, or (status) from
+    id: int  # Servo that the packet is for; for a status packet, its sender
     instruction: int
-    parameters: bytes  # In a status packet the first one is the error byte
-    intact: bool = True  # False where the frame was whole but its CRC or stuffing was wrong
+    parameters: bytes  # Of a status packet, the first is the error byte
+    intact: bool = True  # False if the frame was complete but its CRC or stuffing was wrong
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -106,7 +105,7 @@ def crc16(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    r"""Insert an FD after every FF FF FD."""
+    """Insert an FD after every FF FF FD."""
     return body.replace(MARK, MARK + b"\xfd")
 
 
@@ -149,19 +148,18 @@ def write_packet(servo_id: int, address: int, data: bytes) -> bytes:
 def sync_read_packet(ids: Iterable[int], address: int, length: int, *, fast: bool = False) -> bytes:
     """Frame a read of the same registers of several servos.
 
-    `fast`: whether all servos answer in one packet, or each in its own.
+    With `fast`, all servos reply in one packet instead of one packet each.
     """
     instruction = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
     return encode_packet(BROADCAST, instruction, _words(address, length) + bytes(ids))
 
 
 def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> bytes:
-    """Frame the common answer to a fast sync read.
+    """Frame the common reply to a fast sync read.
 
-    The first servo sends the header, and its length field speaks for all; every servo then sends
-    error, id, data and the CRC over everything in front of it. Nothing is stuffed.
-
-    `blocks`: of those that answer: fewer than `count` where one is silent and so those behind it.
+    The first servo sends the header, with the length of the whole reply; every servo then sends
+    error, id, data and the CRC over everything before it. Nothing is stuffed. If a servo is silent,
+    those after it are silent too, and there are fewer `blocks` than the `count` servos addressed.
     """
     packet = b""
     for servo_id, error, data in blocks:
@@ -174,18 +172,18 @@ def fast_status_packet(count: int, blocks: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def sync_write_packet(address: int, data: Mapping[int, bytes]) -> bytes:
-    """Frame a write of the same registers of several servos; none answers."""
+    """Frame a write of the same registers of several servos; no servo replies."""
     length = len(next(iter(data.values())))
     blocks = b"".join(bytes((servo_id,)) + block for servo_id, block in data.items())
     return encode_packet(BROADCAST, Instruction.SYNC_WRITE, _words(address, length) + blocks)
 
 
 class PacketParser:
-    """PacketParser of a byte stream that resynchronises after noise.
+    """Parser of a byte stream that resynchronises after noise.
 
     A header inside the body of an unfinished packet shows that the packet was truncated: the
-    parser drops it at once. After a wrong CRC it searches on after the false header, so that a
-    whole packet is never lost to a broken one before it.
+    parser drops it at once. After a wrong CRC it continues the search just after the header, so
+    that a damaged packet never hides an intact one behind it.
     """
 
     def __init__(self) -> None:
@@ -200,7 +198,7 @@ class PacketParser:
         while True:
             start = buffer.find(HEADER)
             if start < 0:
-                self._drop(max(len(buffer) - 3, 0))  # a header may have begun
+                self._drop(max(len(buffer) - 3, 0))  # the last bytes may begin a header
                 return packets
             self._drop(start)
             if len(buffer) < _OVERHEAD:

@@ -1,4 +1,4 @@
-"""Interface of the physics behind the emulated servos, and the rig as its source."""
+"""Interface of the plant behind the emulated servos, and the description of a rig as plant."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ Array = NDArray[np.float64]
 
 
 class Physics(Protocol):
-    """Plant behind the servos, their own closed loops included."""
+    """Plant behind the servos, including their closed loops."""
 
     dof: int  # Number of joints, one servo each
-    angle_rad: Array  # (dof,), state at the end of the last step
-    current_a: Array
+    angle_rad: Array  # (dof,), at the end of the last step
+    current_a: Array  # (dof,), at the end of the last step
 
     @property
     def tip_m(self) -> Array:
-        """End effector at the end of the last step."""
+        """Tip in the world frame at the end of the last step, shape (3,)."""
         ...
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """Advance by a step with constant goals."""
+        """Advance by one step with constant goals."""
         ...
 
 
 @dataclass(frozen=True)
 class RigSource:
-    """Rig behind the servos."""
+    """Rig to simulate behind the servos."""
 
-    # Effects added to its default ones, in the unit that `models.shared.catalogue` lists
+    # Strength of each effect added to the rig, in the unit that `models.shared.catalogue` lists
     hidden: Mapping[str, float] = field(default_factory=dict)
-    seed: int = 0  # Of the variation between trials and of the current's noise
+    seed: int = 0  # Seed of the variation between trials and of the current's noise
     # Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`)
     rig: str = "default"
-    pressure_pa: float | None = None  # Declared pressure; that of the link by default
+    pressure_pa: float | None = None  # Declared pressure; by default that of the link

@@ -19,17 +19,17 @@ class RegisterMemory:
         self._spans: dict[tuple[int, int], list[int]] = {}
 
     def get(self, register: Register) -> int:
-        """Raw value of a register; 0 for one that the model lacks."""
+        """Return the raw value of a register; 0 if the model lacks it."""
         cell = self._table.cells.get(register)
         return cell.decode(self._memory, cell.address) if cell else 0
 
     def put(self, register: Register, raw: int) -> None:
-        """Set a register regardless of access rights; no effect where the model lacks it."""
+        """Set a register regardless of access rights; no effect if the model lacks it."""
         if register in self._table:
             self._store(self._table[register], raw)
 
     def _reset_indirect(self) -> None:
-        """Restore the indirect addresses to the factory setting: each points at itself."""
+        """Restore the factory setting, in which each indirect entry points at itself."""
         indirect = self._table.indirect
         for k in range(indirect.entries):
             self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
@@ -39,10 +39,7 @@ class RegisterMemory:
         self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Read registers.
-
-        Returns error number and, where it is 0, the bytes.
-        """
+        """Read registers; return the error number and, if it is 0, the bytes."""
         if length == 0:
             return StatusError.DATA_LENGTH, b""
         if address + length > MEMORY_BYTES:
@@ -53,7 +50,7 @@ class RegisterMemory:
         return StatusError.NONE, bytes([memory[a] for a in self._span(address, length)])
 
     def covers(self, address: int, length: int, register: Register) -> bool:
-        """Whether a span, read through the indirect addresses, contains a register's first byte."""
+        """Return whether a read, through indirect addresses, covers a register's first byte."""
         wanted = self._table[register].address
         if not self._is_redirected(address, length):
             return address <= wanted < address + length
@@ -68,9 +65,7 @@ class RegisterMemory:
         self._spans.clear()
 
     def _span(self, address: int, length: int) -> list[int]:
-        """Addresses that a span refers to; kept, since a program reads the same one in every
-        tick.
-        """
+        """Addresses that a read refers to; cached, because a program repeats it in every tick."""
         span = self._spans.get((address, length))
         if span is None:
             span = [self._referred(address + k) for k in range(length)]
@@ -78,7 +73,7 @@ class RegisterMemory:
         return span
 
     def _referred(self, address: int) -> int:
-        """Address that one refers to: itself, or the content of its indirect entry."""
+        """Address after indirection: the content of its indirect entry, or the address itself."""
         entry = self._table.indirect.entry_of(address)
         if entry is None:
             return address

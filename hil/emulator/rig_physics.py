@@ -1,7 +1,7 @@
-"""Rig behind the emulated servos: the MuJoCo robot on which the plant was identified.
+"""Rig as the plant behind the emulated servos: the MuJoCo robot on which plants are identified.
 
-Hidden effects included, so that the robot's own prediction is compared with a link that it does not
-know, through loop and line.
+It includes effects that no plant models, so a run tests the robot's prediction, through loop and
+line, on a link that the robot does not know.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ Array = NDArray[np.float64]
 
 
 class RigPhysics:
-    """Rig as `hil.emulator.physics.Physics`.
+    """Rig with the interface `hil.emulator.physics.Physics`.
 
-    It settles at zero and then runs in its own steps: angle, current and tip belong to one moment,
-    the start of the last whole step, which is at most two steps ago. The tip is the true one; what
-    is hidden in the motion capture does not change it.
+    It settles at zero and then runs in its own fixed steps. Angle, current and tip belong to the
+    same time, the start of the last completed step, at most two steps ago. The tip is the true one,
+    without the errors of the motion capture.
     """
 
     def __init__(self, rig: RigSource, dof: int, payload_kg: float = 0.0) -> None:
-        # Trial 0 is one that no `simulate` runs: its variation is new to every plant.
+        # No simulated study contains trial 0, so no plant was identified on its variation.
         parameters = rig_named(rig.rig).hide(rig.hidden)
         link = parameters.link or STUDY_LINK
         case = TrialCase(
@@ -55,11 +55,10 @@ class RigPhysics:
 
     @property
     def tip_m(self) -> Array:
-        """End effector in the world frame, shape (3,)."""
+        """Tip in the world frame, shape (3,)."""
         return np.asarray(self._rig.markers_m[self._parameters.layout.tip_row].mean(axis=0))
 
     def advance(self, goal_rad: Sequence[float], step_s: float) -> None:
-        """See `hil.emulator.physics.Physics.advance`."""
         self._rig.send(np.asarray(goal_rad))
         self._until_s += step_s
         self._run()
@@ -69,13 +68,13 @@ class RigPhysics:
         while rig.time_s + rig.step_s <= due_s:
             self.angle_rad[:] = [s.encoder_rad for s in rig.servos]
             self._true_current_a[:] = [s.sampled_current_a for s in rig.servos]
-            rig.step()  # leaves the markers of its start behind
+            rig.step()  # afterwards the markers are those at the start of the step
         self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
         check_link_state(rig, "--rig", self._parameters)
 
 
 def rig_conditions(rig: RigSource) -> dict[str, Any]:
-    """Conditions of a trial that the rig's link gives: size, pressure, markers, gravity."""
+    """Return the trial conditions given by the rig's link: size, pressure, markers, gravity."""
     p = rig_named(rig.rig)
     pressure = {} if rig.pressure_pa is None else {"pressure_pa": rig.pressure_pa}
     if p.link is not None:

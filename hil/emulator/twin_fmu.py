@@ -1,7 +1,7 @@
-"""Twin FMU of a plant file, for use behind the emulated servos.
+"""Build the twin FMU of a plant file, for use behind the emulated servos.
 
-Separate from `hil.emulator.physics` so that the emulator's process does not load a compiler and a
-computer algebra system.
+This is separate from `hil.emulator.physics` so that the emulator's process loads neither a compiler
+nor a computer algebra system.
 """
 
 from __future__ import annotations
@@ -15,9 +15,7 @@ from models.plant.plant import read_plant
 
 
 def build_twin(plant: Path, dof: int, directory: Path) -> Path:
-    """Build the twin of a plant file for this machine, without a predictor; return the .fmu
-    file.
-    """
+    """Build the twin FMU for this machine, without a predictor; return the .fmu file."""
     platforms = platform_names(platform_here())
     model = read_plant(plant).step_model(dof, "twin")
     return build_fmu(model, directory / f"twin_{dof}dof.fmu", platforms=platforms)

@@ -1,1 +1,1 @@
-"""Faults of line, servo, host and process: injected by name and seed, checked against a table."""
+"""Injection of faults into line, servo, host and processes, checked against a fault table."""

@@ -1,4 +1,4 @@
-"""Campaign of faults: every row of the table on every line, servo and seed that it names."""
+"""Fault campaign: every row of the fault table, on each of its lines, servo models and seeds."""
 
 from __future__ import annotations
 
@@ -25,17 +25,16 @@ RUNNERS: Final[dict[str, Callable[[CaseRobot, FaultRow, int, int], CaseObservati
     "socket": run_real_time,
     "process": run_process,
 }
-"""Function that runs a case, by its line."""
+"""Function that runs a case on each kind of line."""
 
 
 def cases_of(
     dof: int, lines: Iterable[str], seeds: Sequence[int], rows: Iterable[FaultRow] = ROWS
 ) -> list[FaultCase]:
-    """Return the cases in the order of the table, the virtual line first.
+    """Return the cases in the order of the table, those on the virtual line first.
 
-    In real time a row runs once, on its first model; the virtual line varies the bits.
-
-    `seeds`: seeds, of which only the first is used in real time.
+    The virtual line runs a row with every servo model and seed. In real time a row runs once, with
+    its first model and the first seed.
     """
     cases = []
     for line in RUNNERS:
@@ -55,14 +54,14 @@ def run_campaign(
     cases: Sequence[FaultCase],
     keep: Callable[[Sequence[CaseVerdict]], None] = lambda judged: None,
 ) -> list[CaseVerdict]:
-    """Run and judge every case."""
+    """Run and judge every case; `keep` receives all verdicts so far after each case."""
     progress = Progress("faults", len(cases))
     judged: list[CaseVerdict] = []
     with terminations_raised(), _signals_noted() as raise_noted:
         for case in cases:
             try:
                 seen = RUNNERS[case.line](robot, case.row, case.number, case.seed)
-            finally:  # a signal to the whole group ends the servos as well, and the case with them
+            finally:  # a signal to the process group also ends the servos, and so fails the case
                 raise_noted()
             judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
             keep(judged)
@@ -72,10 +71,10 @@ def run_campaign(
 
 @contextlib.contextmanager
 def _signals_noted() -> Iterator[Callable[[], None]]:
-    """Function that raises for a signal since its last call (main thread only).
+    """Yield a function that raises if a stop signal has arrived since its last call.
 
-    The loop of a case takes a signal for the request to stop, as it does on the robot. It is meant
-    for the campaign.
+    The loop of a case catches the signal and stops, as on the robot; the function lets the same
+    signal end the campaign. Outside the main thread it does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None

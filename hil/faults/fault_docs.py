@@ -1,4 +1,4 @@
-"""Generated parts of docs/safety.md: `python -m hil.faults.fault_docs` writes them."""
+"""Generated parts of docs/safety.md, which `python -m hil.faults.fault_docs` writes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
 
 
 def state_machine() -> str:
-    """Supervisor's states and transitions as a Mermaid diagram and as a table."""
+    """Return the supervisor's states and transitions as a Mermaid diagram and a table."""
     arrows = [
         f"    {t.source.name} --> {t.target.name}: {t.cause.replace('`', '')}" for t in TRANSITIONS
     ]
@@ -29,7 +29,7 @@ def state_machine() -> str:
 
 
 def fault_matrix() -> str:
-    """Fault table in Markdown."""
+    """Return the fault table in Markdown."""
     lines = []
     for title, rows in PARTS.items():
         lines += [f"**{title}**", "", "| fault | how | line | must |", "|---|---|---|---|"]
@@ -44,7 +44,7 @@ def fault_matrix() -> str:
 
 
 def requirement_table() -> str:
-    """Requirements with their verification in Markdown."""
+    """Return the safety requirements and their verification in Markdown."""
     lines = ["| | requirement | tests | mutants of | faults |", "|---|---|---|---|---|"]
     for r in REQUIREMENTS:
         tests = "<br>".join(f"`{test.rpartition('/')[2]}`" for test in r.tests)
@@ -56,7 +56,7 @@ def requirement_table() -> str:
 
 
 def redraw(text: str) -> str:
-    """Return a document with the text between its marks generated anew."""
+    """Return a document with the text between its marks regenerated."""
     parts = {
         "state machine": state_machine(),
         "requirements": requirement_table(),

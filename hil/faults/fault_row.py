@@ -1,4 +1,4 @@
-"""Row of the fault table: a fault, how it is tried, and what must happen."""
+"""Row of the fault table: a fault, how it is injected, and the expected outcome."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRUST_WORDS: Final = {
     "FADING": "corrections begin to fade",
     "LOST": "corrections are gone within 0.2 s",
 }
-"""Words for the lowest trust in the estimated tip."""
+"""Description of the lowest trust in the estimated tip that a run reaches."""
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,17 @@ class Expectation:
     """Outcome that a fault must have."""
 
     # "finished", "tripped", "signalled", "refused" (before the torque is on), "killed", or
-    # "finished or tripped" where the seed decides
+    # "finished or tripped" if it depends on the seed
     ended: str
-    # Ticks in which the fault must show in the record; None where it need not
+    # Number of ticks within which the record must show the fault; None if it need not
     within: int | None = None
-    # Ticks without fresh data, or missed, at most; None where the robot stops anyway
+    # Largest number of missed ticks and ticks without fresh data; None if the robot stops anyway
     lost: int | None = None
-    reason: str = ""  # Words that the reason must hold; "|" parts alternatives
-    replugs: int = 0  # Times that the robot must go on after its port was gone
-    unlogged: bool = False  # Whether the log must lack ticks, and nothing but the log
+    reason: str = ""  # Text that the reason must contain; "|" separates alternatives
+    replugs: int = 0  # Number of times that the robot must continue after its port came back
+    unlogged: bool = False  # Whether ticks must be missing in the log, and only there
     on_time: bool = False  # Whether no slot may be missed
-    # Lowest trust in the estimated tip that must be seen (`TrustState`); empty for any
+    # Lowest trust in the estimated tip that the run must reach (`TrustState`); empty for any
     trust: str = ""
 
     def __str__(self) -> str:
@@ -57,35 +57,35 @@ class Expectation:
 
 @dataclass(frozen=True)
 class Setup:
-    """Differences between a case and the usual robot; the defaults are the usual robot."""
+    """Differences between a case and the usual robot, which the defaults describe."""
 
     latency_s: float = 1e-3  # Latency timer of the USB adapter
     return_delay_s: float = 500e-6
-    wrong_baud: bool = False  # Whether the host sends at a baud rate that the servos do not use
+    wrong_baud: bool = False  # Whether the host sends at another baud rate than the servos
     # Goal in pulses that the motion reaches and leaves again, instead of the study's motion
     through_pulse: int | None = None
-    lean_rad: float | None = None  # Angle at which the arm stands before the start
-    hardware_error: int = 0  # Hardware error bits that the first servo has before the start
+    lean_rad: float | None = None  # Angle of the arm before the start
+    hardware_error: int = 0  # Hardware error bits of the first servo before the start
     rebooted: bool = False  # Whether the first servo was rebooted after that error
     refuses_indirect: bool = False  # Whether the servos refuse indirect addresses
-    wrong_model: bool = False  # Whether every servo is of another model than the configuration says
-    # Register of the first servo that somebody has changed, and its value
+    wrong_model: bool = False  # Whether all servos are of another model than the configuration's
+    # Register of the first servo that was changed before the start, and its value
     setting: tuple[Register, int] | None = None
-    # Whether servo 2 is of another model, and whether the configuration says so
+    # Whether servo 2 is of another model, and whether the configuration declares it
     second_model: Literal["as the first", "declared", "undeclared"] = "as the first"
-    replug_s: float = 0.0  # `bus.replug_s` of the configuration; 0 stays stopped
+    replug_s: float = 0.0  # `bus.replug_s` of the configuration; 0: the robot stays stopped
     signal: int | None = None  # Signal sent to the robot's process
     freeze_s: float = 0.0  # How long the robot's process is stopped (SIGSTOP)
     recorder_signal: int | None = None  # Signal sent to the recorder's process
-    disk_full: bool = False  # Whether the recorder can write no further byte
+    disk_full: bool = False  # Whether the recorder's disk is full
     bundle_swapped: bool = False  # Whether every file of the bundle is overwritten on disk
     # Damage of the bundle before the start, a key of
     # `hil.faults.cases.damaged_bundle.BUNDLE_DAMAGES`; empty for none
     bundle_damage: str = ""
-    unplug_s: float | None = None  # How long the port is gone
+    unplug_s: float | None = None  # How long the port is missing
     port_renamed: bool = False  # Whether the port comes back under another name
-    # Whether a plan with feedback of the tip runs in place of the motion, and what follows when the
-    # estimate is not trusted
+    # Reaction to a lost trust in the estimate, for a plan with feedback of the tip; "none" runs the
+    # motion without feedback
     feedback: Literal["none", "continue", "stop"] = "none"
     outside: bool = False  # Whether another program sends the goals
 
@@ -95,14 +95,14 @@ USUAL = Setup()
 
 @dataclass(frozen=True)
 class FaultRow:
-    """One fault and how it is tried."""
+    """One fault, how it is injected, and the outcome that it must have."""
 
-    fault: str  # Name of the fault; how often or how long
-    how: str
+    fault: str
+    how: str  # How often or how long
     must: Expectation
-    injections: tuple[Injection, ...] = ()  # The plan; empty where the set-up is the fault
-    # "virtual", and "socket" where there is a timing side; "process" with real processes
+    injections: tuple[Injection, ...] = ()  # Empty if the set-up is the fault
+    # "virtual"; "socket" if timing matters; "process" for faults of processes
     lines: tuple[str, ...] = ("virtual",)
-    setup: Setup = USUAL  # What differs from the usual robot
-    models: tuple[int, ...] = (54025, 54024)  # Model numbers to try
-    joints: int = 1  # How many it needs at least
+    setup: Setup = USUAL  # Differences from the usual robot
+    models: tuple[int, ...] = (54025, 54024)  # Model numbers of the servos to test
+    joints: int = 1  # Least number of joints

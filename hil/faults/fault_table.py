@@ -1,9 +1,12 @@
-"""Table of faults: how each is tried, and what must happen.
+"""Fault table: each fault, how it is injected, and the outcome that it must have.
 
-Some conditions hold in every case (`hil.faults.fault_verdict`): no servo that has a watchdog is
-driven for longer than the watchdog's time without an instruction; no goal jumps; no data is taken
-as fresh that the servo did not send in the same tick; at the end no servo is driven; where the
-robot was refused, its torque was never on.
+Some conditions hold in every case (`hil.faults.fault_verdict`):
+
+- No servo with a watchdog is driven without an instruction for longer than the watchdog's timeout.
+- No goal jumps.
+- No data counts as fresh unless the servo sent it in the same tick.
+- At the end no servo is driven.
+- The torque of a robot that was refused was never on.
 """
 
 from __future__ import annotations
@@ -35,17 +38,17 @@ from hil.faults.injection import FOREVER, Injection
 HOUR_S: Final = 3600.0
 HARMLESS: Final = Expectation("finished", lost=0)
 RECOVERED: Final = Expectation("finished", within=1, lost=0)
-"""By the second read of the tick."""
+"""The retry in the same tick gets the data."""
 BOTH_READS: Final = 2
-"""Exchanges of a tick in which the first read fails."""
+"""Exchanges of a tick whose first read fails: the read and its retry."""
 BOTH: Final = ("virtual", "socket")
 LEGACY: Final = 54024
 ALL_MODELS: Final = (54025, LEGACY)
 WATCHED: Final = (54025,)
 """Models with a bus watchdog; the legacy PRO (54024) has none."""
 UNNOTICED_TICKS: Final = 90
-"""Ticks until a servo that refuses indirect addresses is known to be off: it is detected by its
-following error alone, which is small near a turning point."""
+"""Ticks within which the loop detects that a servo without indirect addresses is off. Only the
+following error shows it, which is small near a turning point of the motion."""
 _STALE: Final = "no fresh data for 3 ticks"
 _STALLED: Final = "slots missed in a row|its watchdog stopped it"
 
@@ -77,9 +80,9 @@ def _refused(reason: str) -> Expectation:
 def _unheard(
     fault: str, kind: str, value: float = 0.0, lines: tuple[str, ...] = ("virtual",)
 ) -> list[FaultRow]:
-    """Fault that loses the answer: tolerated below three ticks in a row, else a controlled stop.
+    """Fault that loses the reply: up to two ticks in a row are tolerated, three bring a stop.
 
-    The second read of a tick replaces the first; it takes two faults to lose a tick.
+    A failed read is retried once in the same tick, so only two faults lose a tick.
     """
     once = Injection(kind, 1, value)
     one, two, three = (Injection(kind, ticks * BOTH_READS, value) for ticks in (1, 2, 3))
@@ -102,7 +105,7 @@ def _tolerated(
 
 
 def _persistent(fault: str, kind: str, value: float, reason: str) -> list[FaultRow]:
-    """Wild value: tolerated once, a stop at the third sample in a row."""
+    """Outlier: tolerated once, a controlled stop at the third sample in a row."""
     return [
         FaultRow(fault, "once", HARMLESS, (Injection(kind, 1, value),)),
         FaultRow(fault, "three in a row", _tripped(reason, 3), (Injection(kind, 3, value),)),
@@ -112,7 +115,7 @@ def _persistent(fault: str, kind: str, value: float, reason: str) -> list[FaultR
 def _changed(
     how: str, register: Register, raw: int, reason: str, models: tuple[int, ...] = ALL_MODELS
 ) -> FaultRow:
-    """Servo with a setting that the plant does not assume."""
+    """Servo with a setting other than the plant assumes."""
     setup = Setup(setting=(register, raw))
     return FaultRow("changed servo setting", how, _refused(reason), setup=setup, models=models)
 
@@ -124,13 +127,13 @@ def _process(
 
 
 def _unfit_bundle(damage: str, reason: str) -> FaultRow:
-    """Bundle that is refused before anything of it runs; `damage` is its key and its name."""
+    """Bundle that is refused before any of its code runs; `damage` is a key of `BUNDLE_DAMAGES`."""
     return _process("unfit bundle", damage, _refused(reason), Setup(bundle_damage=damage))
 
 
 _KILLED: Final = Expectation("killed")
 _UNLOGGED: Final = Expectation("finished", lost=0, unlogged=True)
-_BACK: Final = Expectation(  # a fault was seen: no success, but it goes on to its end
+_BACK: Final = Expectation(  # the motion continues to its end, but a fault denies the success
     "tripped", within=1, reason="then the port was back; then the motion is over", replugs=1
 )
 
@@ -282,7 +285,8 @@ def _while_stopping(
 ) -> FaultRow:
     """Faults that begin five ticks after the request of a controlled stop.
 
-    The emulated line is sound where no servo is driven: with one servo it confirms the second try.
+    The emulated line has no faults while no servo is driven. So with one servo, the retry of torque
+    off is always confirmed.
     """
     later = (replace(injection, after=5) for injection in injections)
     must = _tripped(f"a request; then {reason}", 1)
@@ -347,5 +351,5 @@ PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
     "Together": TOGETHER,
     "Processes": PROCESS,
 }
-"""Rows by the heading that they have in docs/safety.md."""
+"""Rows of the table by their heading in docs/safety.md."""
 ROWS: Final = tuple(row for rows in PARTS.values() for row in rows)

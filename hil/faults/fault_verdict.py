@@ -1,9 +1,9 @@
-"""Verdict on a case of the campaign: its observation against its row of the table.
+"""Verdict on a case of the campaign: its observation compared with its row of the table.
 
-A case passes where no complaint is left. In real time the host may preempt the loop, or hold up the
-process of the servos. Where the kernel's counters show that the first lost slots or data by
-it, or that the servos were held up before a reply or sent it late, and the case is safe, a
-complaint about its course proves nothing and the case is inconclusive.
+A case passes if there is no complaint. A violation of safety always fails it. In real time the host
+may preempt the loop or the servos' process. If the kernel's counters show that the loop lost slots
+or data by preemption, or that a reply was delayed, a complaint about the course of the run proves
+nothing, and the case is inconclusive.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from hil.faults.observation import TOLD_NOTHING, CaseObservation
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
 RESOLUTION_RAD: Final = 2e-3
-"""Resolution of a goal, which is rounded to pulses (1.5 mrad with an X servo)."""
+"""Largest jump of a goal that rounding to pulses explains (1.5 mrad for an X servo)."""
 HELD_RAD: Final = 0.2
-"""Way that a servo without a watchdog may go to its last goal: the limit of its following error."""
+"""Largest movement to its last goal of a servo without a watchdog: the following-error limit."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class FaultCase:
     row: FaultRow
     line: str  # "virtual", "socket" or "process"
     number: int  # Model number of the servos
-    seed: int  # Of the time and of the bits
+    seed: int  # Seed of the fault's time and bits
 
     @property
     def name(self) -> str:
@@ -52,13 +52,11 @@ class CaseVerdict:
 
     case: FaultCase
     observation: CaseObservation
-    # Complaints about safety, and about the course, which must be as the row says
-    safety_violations: list[str]
-    deviations: list[str]
+    safety_violations: list[str]  # Violated conditions that hold in every case
+    deviations: list[str]  # Differences from the outcome that the row expects
 
     @property
     def verdict(self) -> Verdict:
-        """Result of the case."""
         if self.safety_violations:
             return Verdict.FAIL
         if not self.deviations:
@@ -72,15 +70,12 @@ class CaseVerdict:
 
 
 def judge_case(case: FaultCase, seen: CaseObservation, period_s: float) -> CaseVerdict:
-    """Compare an observation with its row of the table.
-
-    `period_s`: control period, which sets the time of the servos' watchdog.
-    """
+    """Compare an observation with its row; `period_s` sets the timeout of the servos' watchdog."""
     return CaseVerdict(case, seen, _safety_violations(seen, period_s), _deviations(case.row, seen))
 
 
 def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
-    """Complaints about what must hold in every case."""
+    """Violations of the conditions that hold in every case."""
     complaints = []
     limit_ns = round(watchdog_steps(period_s) * WATCHDOG_STEP_S * 1e9)
     if seen.watched and seen.unheard_ns > limit_ns:
@@ -100,14 +95,14 @@ def _safety_violations(seen: CaseObservation, period_s: float) -> list[str]:
         complaints.append(f"corrections faded for {seen.fade_ticks} ticks")
     if seen.goal_jump_rad > RESOLUTION_RAD:
         complaints.append(f"a goal jumped by {seen.goal_jump_rad:.4f} rad beyond the rate limit")
-    # Replies have no number: one that the host hands over a tick late answers the next read.
+    # Replies carry no number: one that the host delivers a tick late answers the next read.
     if seen.stale_as_fresh > seen.late_replies:
         complaints.append(f"{seen.stale_as_fresh} ticks took old data for fresh")
     return complaints
 
 
 def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
-    """Differences between the course and the row."""
+    """Differences between the course of the run and the row's expectation."""
     must, complaints = row.must, []
     if row.injections and not seen.injected:
         complaints.append("the fault never befell it")
@@ -133,7 +128,7 @@ def _deviations(row: FaultRow, seen: CaseObservation) -> list[str]:
 def faults_junit(judged: Sequence[CaseVerdict], not_run: int = 0) -> bytes:
     """Return the verdicts as JUnit XML, one test case each.
 
-    `not_run`: cases that were planned and not run; where there are any, one test case is skipped.
+    If planned cases were `not_run`, one more test case is reported as skipped.
     """
     words = f"incomplete: {not_run} cases were not run"
     missing = [JUnitCase("all cases run", Verdict.INCONCLUSIVE, words, "must: every case is run")]

@@ -1,4 +1,4 @@
-"""Faults document (`faults.json`): every case of a campaign with its verdict."""
+"""Faults document (`faults.json`): every case of a fault campaign with its verdict."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ __all__ = ["CaseResult", "FaultsDocument", "faults_document", "read_faults", "wr
 
 
 class CaseResult(CaseObservation, frozen=True, kw_only=True):
-    """A case, its verdict and what was observed."""
+    """A case, its observation and its verdict."""
 
-    fault: str  # Row of the fault table
-    how: str
-    line: str  # "virtual", "socket" or "process"
-    model: str
-    seed: int  # Of the time and of the bits
-    must: str
+    fault: str  # Fault of the row in the fault table
+    how: str  # How often or how long the fault is injected
+    line: str  # Kind of line: "virtual", "socket" or "process"
+    model: str  # Servo model
+    seed: int  # Seed of the fault's time and bits
+    must: str  # Expected outcome
     verdict: Verdict
-    complaints: tuple[str, ...]  # Where the observation differs from what must happen, safety first
+    complaints: tuple[str, ...]  # Safety violations, then other differences from `must`
 
 
 class FaultsDocument(Document, frozen=True, kw_only=True):
@@ -38,29 +38,26 @@ class FaultsDocument(Document, frozen=True, kw_only=True):
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "dropstitch faults"
 
-    # The worst of the cases; inconclusive where cases were not run and none failed
+    # Worst verdict of the cases; inconclusive if cases were not run and none failed
     verdict: Verdict
-    counts: dict[Verdict, int]
-    dof: int  # Joints of the robot
-    period_s: float
-    watchdog_s: float  # Time after which the servos' bus watchdog stops them
-    faults: int  # Number of faults, and of ways to try them
-    rows: int
-    models: tuple[str, ...]  # Servo models that were tried
-    seeds: tuple[int, ...]  # Seeds that were tried
+    counts: dict[Verdict, int]  # Number of cases by verdict
+    dof: int  # Number of joints
+    period_s: float  # Control period
+    watchdog_s: float  # Timeout of the servos' bus watchdog
+    faults: int  # Number of faults
+    rows: int  # Number of rows of the fault table: faults, and ways to inject them
+    models: tuple[str, ...]  # Servo models of the cases
+    seeds: tuple[int, ...]  # Seeds of the cases
     environment: HostEnvironment
     cases: tuple[CaseResult, ...]
-    # Cases that were planned and not run: the campaign was ended before. 0 where it is complete.
+    # Planned cases that were not run because the campaign was ended early; 0 if it is complete
     not_run: int = 0
 
 
 def faults_document(
     manifest: Manifest, judged: Sequence[CaseVerdict], not_run: int = 0
 ) -> FaultsDocument:
-    """Return the contents of `faults.json`.
-
-    Where cases were not run and none failed, the verdict is inconclusive.
-    """
+    """Return the contents of `faults.json` after `judged` cases, with `not_run` still to come."""
     counts = {verdict: sum(one.verdict is verdict for one in judged) for verdict in Verdict}
     otherwise = Verdict.INCONCLUSIVE if not_run else Verdict.PASS
     worst = next((v for v in (Verdict.FAIL, Verdict.INCONCLUSIVE) if counts[v]), otherwise)

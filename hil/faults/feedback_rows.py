@@ -1,4 +1,4 @@
-"""Rows of the fault table about feedback of the estimated tip: every path out of trust."""
+"""Rows of the fault table about feedback of the estimated tip: every way in which trust is lost."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.injection import Injection
 
 _TWO_TICKS: Final = 4
-"""Exchanges in two ticks whose first reads fail."""
+"""Exchanges in two ticks whose first reads fail, with their retries."""
 _FEEDBACK: Final = Setup(feedback="continue")
 _OR_STOP: Final = Setup(feedback="stop")
 _NO_TRUST: Final = "the estimated tip is no longer trusted"
 
 
 def _doubted(fault: str, kind: str, value: float, reason: str) -> list[FaultRow]:
-    """Doubt about the estimated tip: ignored in one tick, then corrections fade, or a stop."""
+    """Fault of the estimated tip: one tick is ignored; if it lasts, corrections fade, or a stop."""
     once, many = Injection(kind, 1, value), Injection(kind, 30, value)
     gone = Expectation("finished", lost=0, trust="LOST")
     stopped = Expectation("tripped", within=2, reason=f"{_NO_TRUST}: {reason}", trust="LOST")

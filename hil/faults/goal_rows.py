@@ -1,4 +1,4 @@
-"""Rows of the fault table about another program that sends the goals."""
+"""Rows of the fault table about goals that another program sends."""
 
 from __future__ import annotations
 

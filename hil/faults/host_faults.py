@@ -1,7 +1,7 @@
-"""Faults of the host: the robot's own parts, disturbed at a scheduled tick.
+"""Faults of the host: parts of the robot's software, disturbed at a scheduled tick.
 
-Ticks are counted by the estimator, which the loop calls once in each. Delays use the clock that is
-passed in, so the same fault runs in simulated or in real time.
+The estimator counts the ticks, because the loop calls it once in each. Delays use the clock that is
+passed in, so the same fault works in simulated and in real time.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from hil.faults.injection import FAULT_KINDS, FaultSchedule, Injection, OnHost
 Array = NDArray[np.float64]
 _GARBAGE_CYCLES: Final = 300
 _FLOOD: Final = b"\xff\xff\xfd\x00\x01\xf0\x03\x55"
-"""Header of a long status packet: the costliest bytes to search."""
+"""Header of a long status packet, the bytes that take a parser longest."""
 
 
 class HostFaults:
-    """Schedule of the host's faults."""
+    """Schedule of the host's faults; `take` spends a time in s on the clock of the run."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class HostFaults:
         self._back_ns: float | None = None
 
     def value(self, kind: str) -> float | None:
-        """Value of the injection of a kind in this tick; None where there is none."""
+        """Return the value of a fault that is active in this tick; None if it is not."""
         for injection in self._injections[kind]:
             if self._script.active(injection, self.tick):
                 if self.began_ns is None:
@@ -56,18 +56,18 @@ class HostFaults:
         return None
 
     def unplugged(self) -> bool:
-        """Whether the port is removed now."""
+        """Return whether the port is missing now."""
         if self._back_ns is None and (away_s := self.value("port")) is not None:
             self._back_ns = self._now_ns() + away_s * 1e9
         return self._back_ns is not None and self._now_ns() < self._back_ns
 
 
 def _request_nothing(reason: str) -> None:
-    """Do nothing: there is no loop yet."""
+    """Do nothing, as long as there is no loop."""
 
 
 class FaultyEstimator:
-    """Estimator that stalls, leaves garbage, or returns a wrong value; it counts the ticks."""
+    """Estimator that stalls, leaves garbage, or returns a wrong value. It counts the ticks."""
 
     waits_for_fresh: ClassVar[bool] = False  # it must be called in every tick
 
@@ -75,11 +75,9 @@ class FaultyEstimator:
         self._inner, self._host = inner, host
 
     def reset(self) -> None:
-        """See `DeformationEstimator.reset`."""
         self._inner.reset()
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """See `DeformationEstimator.update`."""
         host = self._host
         host.tick += 1
         if (stall_s := host.value("stall")) is not None:
@@ -94,7 +92,7 @@ class FaultyEstimator:
 
 
 def _litter() -> None:
-    """Leave reference cycles, which only the garbage collector could free."""
+    """Create reference cycles, which only the garbage collector can free."""
     for _ in range(_GARBAGE_CYCLES):
         cycle: list[object] = []
         cycle.append(cycle)
@@ -115,7 +113,6 @@ class FaultyPredictor:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """See `Predictor.predict`."""
         if (slow_s := self._host.value("slow predictor")) is not None:
             self._host.take(slow_s)
         prediction = self._inner.predict(angle_rad, current_a, di, signals, age_s)
@@ -127,12 +124,11 @@ class FaultyPredictor:
 
 
 class FaultyFeedback(TipFeedback):
-    """Feedback of the tip that sees a wrong innovation."""
+    """Feedback of the tip with a wrong innovation."""
 
     host: HostFaults | None = None
 
     def innovation_a(self, estimate: Estimate) -> float:
-        """See `TipFeedback.innovation_a`."""
         wrong = self.host.value("innovation") if self.host else None
         return super().innovation_a(estimate) if wrong is None else wrong
 
@@ -147,25 +143,22 @@ class SteppedClock(SimClock):
 
     @property
     def step_ns(self) -> int:
-        """Time by which it is ahead of the true time."""
+        """Time by which the clock is ahead of the true time."""
         step_s = self.host.value("clock") if self.host else None
         return round((step_s or 0.0) * 1e9)
 
     def now_ns(self) -> int:
-        """See `Clock.now_ns`."""
         return self.true.now_ns() + self.step_ns
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """See `Clock.sleep_until`."""
         self.true.sleep_until(deadline_ns - self.step_ns)
 
     def advance(self, duration_ns: int) -> None:
-        """See `SimClock.advance`."""
         self.true.advance(duration_ns)
 
 
 class FaultyTransport:
-    """Transport in true time under a stepped clock, which can be unplugged."""
+    """Transport that keeps true time while the loop's clock is stepped; it can be unplugged."""
 
     def __init__(self, inner: Transport, clock: SteppedClock, host: HostFaults) -> None:
         self._inner, self._clock, self._host = inner, clock, host
@@ -177,7 +170,6 @@ class FaultyTransport:
             raise ConnectionResetError("the adapter is unplugged")
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """See `Transport.read`."""
         self._check()
         if (bytes_per_s := self._host.value("flood")) is not None:
             self._clock.advance(round(size / bytes_per_s * 1e9))
@@ -185,15 +177,12 @@ class FaultyTransport:
         return self._inner.read(size, deadline_ns - self._clock.step_ns)
 
     def write(self, data: bytes) -> int:
-        """See `Transport.write`."""
         self._check()
         return self._inner.write(data)
 
     def discard_input(self) -> None:
-        """See `Transport.discard_input`."""
         self._check()
         self._inner.discard_input()
 
     def close(self) -> None:
-        """See `Transport.close`."""
         self._inner.close()

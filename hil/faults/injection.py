@@ -1,6 +1,6 @@
-"""Injection of faults of line and servo: the plan says which and how often, the seed when.
+"""Injection of faults into line and servos: a plan sets kind and number, the seed sets the time.
 
-An exchange is one synchronous read of the loop, counted from the moment that the torque is on.
+An exchange is one synchronous read of the loop; they are counted from the time of torque on.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hil.faults.servo_log import LoggedServo
 
 FOREVER: Final = 1_000_000
 FIRST_EXCHANGE: Final = (40, 110)
-"""Range from which the seed draws the first exchange with a fault: the arm moves then."""
+"""Range from which the seed draws the first exchange with a fault. The arm moves during it."""
 
 _FOREIGN_ID: Final = 77
 _LENGTH_BYTES, _BODY_START, _CRC_BYTES = (5, 7), 7, 2
 
 Arrivals = list[tuple[int, bytes]]
-"""What arrives in place of a packet: extra delay in ns, bytes."""
+"""What arrives instead of a packet: extra delay in ns, bytes."""
 
 
 def _flip(frame: bytes, chance: random.Random, first: int, end: int) -> bytes:
@@ -62,23 +62,23 @@ def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
 
 
 class OnReply(NamedTuple):
-    """A reply is changed on the line, by a function from (frame, value, chance) to what arrives."""
+    """Fault of a reply on the line; `change` maps (frame, value, chance) to what arrives."""
 
     change: Callable[[bytes, float, random.Random], Arrivals]
 
 
 class OnServo(NamedTuple):
-    """A servo is disturbed: called with True as the fault begins, with False as it ends."""
+    """Fault of a servo; `change` gets True when the fault begins, False when it ends."""
 
     change: Callable[[LoggedServo, float, bool], None]
 
 
 class OnWrites(NamedTuple):
-    """The first writes to each servo are not heard."""
+    """Fault in which the first writes to each servo are lost."""
 
 
 class OnHost(NamedTuple):
-    """A part of the robot does wrong: it asks `hil.faults.host_faults.HostFaults` in each tick."""
+    """Fault of the robot's software, which asks `hil.faults.host_faults.HostFaults` every tick."""
 
     what: str
 
@@ -124,7 +124,7 @@ FAULT_KINDS: Final[dict[str, FaultKind]] = {
     "program flooding": OnHost("it sends many messages"),
     "program gone": OnHost("it is gone"),
 }
-"""Every fault that can be injected, and what applies it."""
+"""Every fault that can be injected, and how."""
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,12 @@ class Injection:
     """One fault of a plan."""
 
     kind: str
-    # Exchanges in a row; of a fault of the host, ticks; of `UNHEARD`, writes to each servo
+    # Number of exchanges in a row; ticks for a host fault, writes to each servo for `UNHEARD`
     times: int = 1
-    # Delay in s, error in rad or A, hardware error bits, MB or bytes/s, by the kind
+    # Delay in s, error in rad or A, hardware error bits, MB or bytes/s, depending on the kind
     value: float = 0.0
     joint: int | None = None  # Joint with the fault, from 0; None for all
-    after: int = 0  # Exchanges between the first of the plan and the first of this one
+    after: int = 0  # Exchanges from the start of the schedule to the start of this fault
 
     def __post_init__(self) -> None:
         if self.kind not in FAULT_KINDS:
@@ -161,16 +161,16 @@ class FaultSchedule(FaultPlan):
         self._now_ns = 0
 
     def first(self, injection: Injection) -> int:
-        """Exchange in which an injection begins."""
+        """Return the exchange in which an injection begins."""
         return self.start + injection.after
 
     def active(self, injection: Injection, exchange: int) -> bool:
-        """Whether an injection is active in an exchange."""
+        """Return whether an injection is active in an exchange."""
         first = self.first(injection)
         return first <= exchange < first + injection.times
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the servo faults of the next exchange."""
+        """Count an exchange, and start and end the servo faults that are due in it."""
         self.exchange += 1
         self._now_ns = now_ns
         for injection, change in self._servos:
@@ -183,7 +183,7 @@ class FaultSchedule(FaultPlan):
                     self._note_begin()
 
     def loses(self, packet: packets.Packet) -> bool:
-        """Return whether no servo receives an instruction; only writes to one servo are lost."""
+        """Return whether an instruction is lost; only writes to a single servo can be."""
         due = [i for i in self._unheard_writes if self.exchange >= self.first(i)]
         if not due or packet.instruction != packets.Instruction.WRITE:
             return False
@@ -194,7 +194,7 @@ class FaultSchedule(FaultPlan):
         return lost
 
     def apply(self, frame: bytes) -> Arrivals:
-        """Return what arrives in place of a status packet."""
+        """Return what arrives instead of a status packet."""
         arrivals: Arrivals = [(0, frame)]
         for injection, change in self._replies:
             if self.active(injection, self.exchange):

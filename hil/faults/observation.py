@@ -1,4 +1,4 @@
-"""Observation of a case: the loop's record and the servos' log put together."""
+"""Observation of a case, combined from the loop's record and the servos' log."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from hil.faults.servo_log import ServoLog
 
 Columns = Mapping[str, NDArray[Any]]
 TOLD_NOTHING: Final = "nothing, the torque stayed off"
-"""What the servos of a robot that was refused were told."""
+"""Commands to the servos of a robot that was refused."""
 _SAME_RAD: Final = 1e-12
 _READS_PER_TICK: Final = 2
 
 
 @dataclass(frozen=True)
 class CaseOutcome:
-    """End of a run, as its process reported it."""
+    """Outcome of a run as the robot reported it."""
 
-    ended: str  # As in `RunSummary`, and "refused" and "killed"
+    ended: str  # As in `RunSummary`, or "refused" or "killed"
     reason: str
     replugs: int = 0
     telemetry_drops: int = 0
-    misses: dict[str, int] = field(default_factory=dict)  # Slots missed by cause
+    misses: dict[str, int] = field(default_factory=dict)  # Missed slots by cause
     unlogged_stale: int = 0  # Ticks without fresh data in a run with an incomplete log
     held_up_ticks: int = 0
 
@@ -39,33 +39,34 @@ class CaseOutcome:
 class CaseObservation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Observation of a case; its fields are those of `faults.json`."""
 
-    ended: str  # How the run ended
-    reason: str
-    injected: bool = True  # Whether the fault occurred at all
-    # Tick after the fault in which the record showed it, 1 for the same one
+    # How the run ended: "finished", "tripped", "signalled", "refused", "killed" or an exit code
+    ended: str
+    reason: str  # Why it ended
+    injected: bool = True  # Whether the fault occurred
+    # Ticks until the record showed the fault, 1 for the same tick; None if it never did
     detected_ticks: int | None = None
-    # Highest state of the supervisor before the run was over
+    # Highest state of the supervisor during the motion
     state: str = SafetyState.STARTING.name
-    told: str = TOLD_NOTHING  # Commands that the servos received from then on, in words
-    # Ticks from the first sign to the last; None where there was none, or no recovery
+    told: str = TOLD_NOTHING  # Description of the commands to the servos after the fault
+    # Ticks from the first sign of the fault to the recovery; None without a sign or a recovery
     recovered_ticks: int | None = None
-    lost_ticks: int = 0  # Slots from the fault on without fresh data, missed ones included
+    lost_ticks: int = 0  # Slots without fresh data after the fault, including missed slots
     unlogged_ticks: int = 0  # Ticks missing in the log
-    replugs: int = 0  # Times that the robot went on after its port was gone
-    misses: dict[str, int] = msgspec.field(default_factory=dict)  # Slots missed by cause
+    replugs: int = 0  # Number of times that the robot continued after its port came back
+    misses: dict[str, int] = msgspec.field(default_factory=dict)  # Missed slots by cause
     unheard_ns: int = 0  # Longest time for which a servo was driven without an instruction
     watched: bool = True  # Whether the servos have a watchdog
-    live: bool = False  # Whether one is still driven at the end
-    drift_rad: float = 0.0  # Largest movement of one after its last instruction
-    # By how much a step of a goal exceeded what the rate limit allows; 0 where none did
+    live: bool = False  # Whether a servo is still driven at the end
+    drift_rad: float = 0.0  # Largest movement of a servo after its last instruction
+    # Largest excess of a step of the goal over the rate limit; 0 if there was none
     goal_jump_rad: float = 0.0
-    stale_as_fresh: int = 0  # Ticks that took data as fresh which the servos had not sent in them
-    late_replies: int = 0  # Replies that the host let the servos' process send late
-    held_up_replies: int = 0  # Replies before which the host had held the servos' process up
-    held_up_ticks: int = 0  # Ticks without fresh data in which the host held up the loop's thread
+    stale_as_fresh: int = 0  # Ticks whose data counted as fresh but was not sent in them
+    late_replies: int = 0  # Replies that the servos' process sent late because of the host
+    held_up_replies: int = 0  # Replies before which the host preempted the servos' process
+    held_up_ticks: int = 0  # Ticks without fresh data in which the host preempted the loop
     # Lowest trust in the estimated tip, see `firmware_py.safety.estimate_trust`
     trust: str = TrustState.NONE.name
-    # Ticks from the first loss of trust until the corrections were gone
+    # Ticks from the first loss of trust until the corrections were gone; None if they never were
     fade_ticks: int | None = None
 
 
@@ -82,8 +83,8 @@ def observe_case(
 ) -> CaseObservation:
     """Combine the loop's record and the servos' log.
 
-    `slots`: slots of the motion; the stop at its end follows them.
-    `stepped_in_tick`: tick, from 1, in which the record's clock left the servos'.
+    `slots` is the length of the motion, without the stop at its end. `stepped_in_tick` is the tick,
+    from 1, in which a clock fault separated the record's clock from the servos' clock.
     """
     facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
     if len(columns.get("tick", ())):
@@ -106,7 +107,7 @@ def observe_case(
 
 
 def _first(columns: Columns, began_ns: int | None) -> int | None:
-    """Index of the tick that a time falls into, or that follows it."""
+    """Index of the tick at a time, or of the next one."""
     if began_ns is None:
         return None
     ends_ns = columns["deadline_ns"] + columns["lateness_ns"] + columns["busy_ns"]
@@ -114,7 +115,7 @@ def _first(columns: Columns, began_ns: int | None) -> int | None:
 
 
 def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
-    """Detection, recovery and losses, from the tick that the fault befell to the motion's end."""
+    """Detection, recovery and lost ticks, from the tick of the fault to the end of the motion."""
     ticks, states = columns["tick"].astype(int), columns["state"].astype(int)
     stale = columns["bus_status"] > BusStatus.ALERT
     missed = columns["missed"].astype(int)
@@ -136,7 +137,7 @@ def _course(columns: Columns, first: int | None, slots: int) -> dict[str, Any]:
 
 
 def _trust(columns: Columns) -> dict[str, Any]:
-    """Lowest trust in the estimated tip, and the time in which corrections faded."""
+    """Lowest trust in the estimated tip, and the number of ticks in which corrections faded."""
     trust, ticks = columns["trust"].astype(int), columns["tick"].astype(int)
     fading, lost = np.flatnonzero(trust == TrustState.FADING), trust == TrustState.LOST
     fade = None
@@ -147,7 +148,7 @@ def _trust(columns: Columns) -> dict[str, Any]:
 
 
 def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:
-    """Fresh ticks with an angle that is not what its servo reported within them."""
+    """Number of fresh ticks with an angle that its servo did not report in that tick."""
     fresh = columns["bus_status"] <= BusStatus.ALERT
     starts = columns["deadline_ns"] + columns["lateness_ns"]
     ends = starts + columns["busy_ns"]
@@ -164,7 +165,10 @@ def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:
 
 
 def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> float:
-    """Excess of the largest step of a goal; the first of a stretch counts from the angle then."""
+    """Largest excess of a goal's step over the rate limit.
+
+    The first step after torque on is measured from the angle at that time.
+    """
     excess = 0.0
     for goals_rad, stands_rad in zip(servo_log.goal_rad.T, servo_log.stand_rad.T, strict=True):
         before, before_ns = math.inf, 0
@@ -184,7 +188,7 @@ def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> f
 
 
 def _told(outcome: CaseOutcome, servo_log: ServoLog) -> str:
-    """Commands that the servos received from the fault on, in words."""
+    """Describe the commands that the servos received after the fault."""
     if not len(servo_log.goal_ns) and not servo_log.live:
         return TOLD_NOTHING
     if servo_log.live:

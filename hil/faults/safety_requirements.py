@@ -1,7 +1,7 @@
-"""Requirements of docs/safety.md by identifier, each with its tests, mutants and faults.
+"""Safety requirements of docs/safety.md, each with its tests, mutants and faults.
 
-`python -m hil.faults.fault_docs` writes them into the page as a table; a test holds identifiers,
-names of tests and of faults to what there is.
+`python -m hil.faults.fault_docs` writes them into the page as a table. A test checks that the named
+tests and faults exist.
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ from hil.faults.fault_table import ROWS
 
 
 class SafetyRequirement(NamedTuple):
-    """Sentence that must hold, and its verification."""
+    """Safety requirement and its verification."""
 
     identifier: str  # "SR-" and a number, as in the page
     sentence: str
-    # File under `tests/`, `::` and the test's name; several of a file after commas
-    tests: tuple[str, ...] = ()
-    # Modules of which `make mutate` changes every comparison, constant and operator
+    tests: tuple[str, ...] = ()  # File under `tests/`, `::` and the name of the test
+    # Modules in which `make mutate` changes every comparison, constant and operator
     mutants: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()  # Rows of the fault table by their name; `*` stands for any ending
-    no_fault: str = ""  # Why no row of the fault table can verify it; empty where one does
+    faults: tuple[str, ...] = ()  # Faults in the fault table; `*` matches any text
+    no_fault: str = ""  # Why no fault of the table can verify it; empty if one does
 
 
 _SAFETY: Final = "firmware_py.safety"
@@ -316,7 +315,7 @@ REQUIREMENTS: Final = (
         ("program that sends the goals",),
     ),
 )  # fmt: skip
-"""Every requirement, in the order of the page."""
+"""All requirements, in the order of the page."""
 
 
 def rows_of(requirement: SafetyRequirement) -> Iterator[str]:

@@ -1,8 +1,8 @@
-"""Record that the emulated servos keep of a run, independent of the loop's own record.
+"""Log of the emulated servos during a run, independent of the loop's record.
 
-A `LoggedServo` is an emulated servo that can be disturbed; it records how long it was driven
-without receiving an instruction. A `LoggedBus` records every sample that it sent and every goal
-that it received. The loop's record is checked against both.
+A `LoggedServo` is an emulated servo with faults; it records how long it was driven without an
+instruction. A `LoggedBus` records every sample that it sent and every goal that it received. The
+loop's record is checked against both.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ from hil.emulator.physics import Physics
 Array = NDArray[np.float64]
 _HUSHED_ID: Final = 255
 LATE_NS: Final = 1_000_000
-"""Half of what a read leaves for the host; a reply takes 0.1 ms of computing. [assumed]"""
+"""Delay above which a reply counts as late: half of the time that a read leaves for the host.
+Computing a reply takes 0.1 ms. [assumed]"""
 _READS: Final = (Instruction.SYNC_READ, Instruction.FAST_SYNC_READ)
 
 
 class LoggedServo(EmulatedServo):
-    """Emulated servo that can be disturbed."""
+    """Emulated servo with faults."""
 
     angle_error_rad = 0.0
     current_error_a = 0.0
@@ -44,7 +45,7 @@ class LoggedServo(EmulatedServo):
         self._refresh()
 
     def _refresh(self) -> None:
-        """See `EmulatedServo`; the address is an unused one while the servo is off the bus."""
+        """Refresh as `EmulatedServo` does; a servo off the bus has an unused address."""
         super()._refresh()
         if self._hushed:
             self.id = _HUSHED_ID
@@ -54,7 +55,6 @@ class LoggedServo(EmulatedServo):
         self._release()
 
     def write(self, address: int, data: bytes) -> int:
-        """See `EmulatedServo.write`."""
         start, _, entries = self.model.table.indirect
         if self.refuses_indirect and start <= address < start + 2 * entries:
             return StatusError.ACCESS
@@ -62,12 +62,12 @@ class LoggedServo(EmulatedServo):
 
     @property
     def live(self) -> bool:
-        """Whether it drives towards a goal."""
+        """Whether the servo drives towards a goal."""
         return self.torque_on and not self.watchdog_tripped
 
     @property
     def taken_goal_rad(self) -> float:
-        """Goal that it drives to; NaN where it takes none."""
+        """Goal to which the servo drives; NaN if it accepts none."""
         return self.goal_rad if self.live and not self._hushed else math.nan
 
     @property
@@ -75,7 +75,7 @@ class LoggedServo(EmulatedServo):
         return self.model.angle_rad(self.get(Register.PRESENT_POSITION))
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
-        """See `EmulatedServo.observe`; the errors are its sensors'."""
+        """Observe the plant's state with sensor errors; the true angle is kept for a hold."""
         super().observe(angle_rad, velocity_rad_s, current_a)
         if self.angle_error_rad or self.current_error_a:
             hold = self._angle_rad
@@ -85,60 +85,58 @@ class LoggedServo(EmulatedServo):
             self._angle_rad = hold
 
     def note_silence(self, until_ns: int) -> None:
-        """Account for the time since the last instruction."""
+        """Record the time driven since the last instruction."""
         if self.live:
             self.unheard_ns = max(self.unheard_ns, until_ns - self._fed_ns)
 
     def feed_watchdog(self, now_ns: int) -> None:
-        """See `EmulatedServo.feed_watchdog`; a servo off the bus receives nothing."""
+        """Restart the watchdog, unless the servo is off the bus and receives nothing."""
         if not self._hushed:
             self.note_silence(now_ns)
             super().feed_watchdog(now_ns)
 
     def trip_watchdog(self) -> None:
-        """See `EmulatedServo.trip_watchdog`."""
         if self.watchdog_due_ns is not None:
             self.note_silence(self.watchdog_due_ns)
         super().trip_watchdog()
 
 
 class ServoFaults(Protocol):
-    """Schedule of servo faults; see `hil.faults.injection.FaultSchedule`."""
+    """Schedule of servo faults (see `hil.faults.injection.FaultSchedule`)."""
 
     began_ns: int | None
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Begin and end the faults of the next exchange."""
+        """Start and end the faults that are due in the next exchange."""
         ...
 
 
 @dataclass(frozen=True)
 class ServoLog:
-    """Record of one run, kept by the servos."""
+    """Log of the servos in one run, with n samples and m goals."""
 
-    began_ns: int | None  # When the first fault of line or servo began
-    sample_ns: NDArray[np.int64]  # Angles that they reported to the loop, and when
-    sample_rad: Array
-    # Goals that they received, when, and their angles then: NaN for a servo that did not accept it,
-    # a row of infinities where the torque went off
-    goal_ns: NDArray[np.int64]
+    began_ns: int | None  # Start of the first fault of line or servo
+    sample_ns: NDArray[np.int64]  # (n,), times at which angles were reported to the loop
+    sample_rad: Array  # (n, dof), reported angles
+    goal_ns: NDArray[np.int64]  # (m,), times at which goals were received
+    # (m, dof), received goals; NaN if a servo did not accept its goal, infinite in a row that marks
+    # torque off
     goal_rad: Array
-    stand_rad: Array
-    watched: bool  # Whether they have a bus watchdog
-    unheard_ns: int  # Longest time for which one was driven without an instruction
-    live: bool  # Whether one is still driven at the end; whether one was stopped by its watchdog
-    stopped_by_watchdog: bool
-    drift_rad: float  # Largest movement of one after its last instruction
-    # Replies that left more than `LATE_NS` after they were due, because the host held their process
-    # up; 0 in simulated time
+    stand_rad: Array  # (m, dof), true angles when the goals were received
+    watched: bool  # Whether the servos have a bus watchdog
+    unheard_ns: int  # Longest time for which a servo was driven without an instruction
+    live: bool  # Whether a servo is still driven at the end
+    stopped_by_watchdog: bool  # Whether a watchdog stopped its servo
+    drift_rad: float  # Largest movement of a servo after its last instruction
+    # Replies that were written more than `LATE_NS` after they were due; 0 in simulated time
     late_replies: int
-    # Replies before which the host had held their process up for more than `LATE_NS` since the last
-    # one, maybe before it read the instruction; 0 in simulated time
+    # Replies before which the host preempted the servos' process for more than `LATE_NS`, perhaps
+    # before it read the instruction; 0 in simulated time
     held_up_replies: int = 0
 
 
 class LoggedBus(EmulatedBus):
-    """An emulated bus that records its traffic and applies scheduled faults."""
+    """Emulated bus that records its traffic and applies scheduled faults."""
 
     def __init__(
         self, servos: Sequence[LoggedServo], physics: Physics, faults: ServoFaults
@@ -152,7 +150,6 @@ class LoggedBus(EmulatedBus):
         self._late_replies = self._held_up_replies = self._delay_ns = 0
 
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
-        """See `EmulatedBus.execute`."""
         running = self.driven
         if running and packet.instruction in _READS:
             self._faults.begin_exchange(self._watched, now_ns)
@@ -173,28 +170,24 @@ class LoggedBus(EmulatedBus):
         self._stand_rad.extend(self.physics.angle_rad.tolist())
 
     def resume(self, now_ns: int) -> None:
-        """See `EmulatedBus.resume`; once servos are driven their time does not stand still."""
+        """Continue from `now_ns`; the plant stands still in between only if no servo is driven."""
         if self.driven:
             self.advance(now_ns)
         else:
             super().resume(now_ns)
 
     def advance(self, now_ns: int) -> None:
-        """See `EmulatedBus.advance`."""
         super().advance(now_ns)
         self._stopped_by_watchdog |= any(servo.watchdog_tripped for servo in self._watched)
 
     def note_release(self, due_ns: int, written_ns: int, delay_ns: int = 0) -> None:
-        """Account for a reply, in real time.
-
-        `delay_ns`: time for which the host has held the process up since its start.
-        """
+        """Count late replies in real time; `delay_ns` is the process's run-queue delay so far."""
         self._held_up_replies += self.driven and delay_ns - self._delay_ns > LATE_NS
         self._delay_ns = delay_ns
         self._late_replies += written_ns - due_ns > LATE_NS
 
     def log(self, now_ns: int) -> ServoLog:
-        """Let time pass up to `now_ns`, then return the record."""
+        """Advance to `now_ns` and return the log."""
         self.advance(now_ns)
         for servo in self._watched:
             servo.note_silence(now_ns)

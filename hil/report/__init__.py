@@ -1,9 +1,9 @@
-"""HTML pages of a build directory, a fault campaign and a closed gap, without outside files.
+"""Self-contained HTML pages of a build directory, a fault campaign and a closed gap.
 
-`build_inputs` reads a build directory; the modules in `study/` and `loop_figures` draw;
-`report_tables` compares figures with their targets; `fault_tables` shows a fault campaign, in the
-report and on a page of its own; `report_page` puts the sections together. `gap/` does the same for
-the page of a closed gap. Page parts, colours and drawings are those of `models.shared`.
+`build_inputs` reads a build directory, `study/` and `loop_figures` draw figures, `report_tables`
+compares results with their targets, `fault_tables` shows a fault campaign, and `report_page`
+assembles the sections. `gap/` makes the page of a closed gap, `plans/` that of plans run on the
+rig. Page parts, colours and drawings come from `models.shared`.
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
 
 def write_report(build: Path, out: Path) -> int:
-    """Write the report of a build directory; returns its size in bytes."""
+    """Write the report of a build directory; return its size in bytes."""
     return _write(report_page(read_build(build)), out)
 
 
 def write_fault_report(document: FaultsDocument, out: Path) -> int:
-    """Write the page of a fault campaign; returns its size in bytes."""
+    """Write the page of a fault campaign; return its size in bytes."""
     return _write(fault_page(document), out)
 
 
 def write_gap_report(
     directory: Path, plant: Path, hidden: Mapping[str, float], out: Path
 ) -> tuple[dict[str, Any], str]:
-    """Write the page of a gap; returns its figures for machines and for people."""
+    """Write the page of a closed gap; return its figures as a dictionary and as text."""
     inputs = read_gap(directory, plant)
     data = before_after(inputs, hidden)
     _write(before_after_page(inputs, data, hidden), out)

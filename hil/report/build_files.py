@@ -1,7 +1,7 @@
-"""Files of a build directory by what they hold, whatever they are called.
+"""Files of a build directory, recognised by their contents.
 
-The names that `make demo` gives come first; of several files for one place the others are listed
-as left out.
+Files with the names that `make demo` uses take precedence. If several files compete for one place
+in the report, the others are listed as omitted.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ _KEYS: Final = {
 }
 """Keys by which a JSON file is recognised."""
 _NAMED: Final = {"plant": "plant.json", "evaluation": "evaluate*.json", "check": "check_*.json"}
-"""Names that `make demo` gives: a file with one is read as what it is called."""
+"""Names that `make demo` uses; such a file is recognised by its name."""
 
 
 @dataclass(frozen=True)
 class StudyFiles:
     """Studies of a build directory."""
 
-    # By number of joints: the one that the robot's bundle holds
+    # Study of the robot's bundle, by number of joints
     of_robot: dict[int, StudyDocument] = field(default_factory=dict)
-    # Of two joints and one phase each, by that phase in degrees
+    # Studies of two joints with a single phase, by that phase in degrees
     apart: dict[int, StudyDocument] = field(default_factory=dict)
-    left_out: list[str] = field(default_factory=list)  # Directories whose study has no place
+    left_out: list[str] = field(default_factory=list)  # Omitted studies, with the reason
 
 
 @dataclass(frozen=True)
@@ -52,19 +52,19 @@ class BuildFiles:
     """JSON files and directories of a build directory."""
 
     plant: Path | None
-    evaluations: list[Path]  # Outputs of `dropstitch evaluate` and `dropstitch fmu check`
-    checks: list[Path]
-    left_out: list[str]  # Plants beside the one that is taken
+    evaluations: list[Path]  # Outputs of `dropstitch evaluate`
+    checks: list[Path]  # Outputs of `dropstitch fmu check`
+    left_out: list[str]  # Omitted plants, with the reason
 
 
 def directories_with(directory: Path, name: str, usual: Sequence[str] = ()) -> list[Path]:
-    """Directories that hold a file: the one given and those in it, usual names first."""
+    """Return a directory and its subdirectories that contain a file, usual names first."""
     found = [p for p in (directory, *directory.iterdir()) if (p / name).is_file()]
     return sorted(found, key=lambda p: (not p.name.startswith(tuple(usual)), p.name))
 
 
 def is_bundle(directory: Path) -> bool:
-    """Whether a directory holds the robot's bundle; one written for its study alone is none."""
+    """Return whether a directory is a robot's bundle, and not only the output of a study."""
     if directory.name.startswith(("bundle_", "study_")):
         return directory.name.startswith("bundle_")
     return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
@@ -105,7 +105,7 @@ def find_studies(directory: Path) -> StudyFiles:
 
 
 def _kind(path: Path) -> str | None:
-    """What a file with a name of its own holds; None where it is none of these."""
+    """Kind of a file by its keys; None if it is of no known kind."""
     try:
         content: Any = read_json(path, "")
     except InputError:

@@ -12,7 +12,7 @@
     faults/faults.json                        make faults
     commands.log                              make demo
 
-Other names do as well: `hil.report.build_files` looks at what a file holds.
+Other names work as well, because `hil.report.build_files` recognises files by their contents.
 """
 
 from __future__ import annotations
@@ -61,29 +61,29 @@ class CheckRow(msgspec.Struct, frozen=True):
 class FmuCheckOutput(msgspec.Struct, frozen=True):
     """Output of `dropstitch fmu check --json`."""
 
-    fmi: int  # Version of the standard
+    fmi: int  # Major version of FMI
     bytes: int  # Size of the file
     passed: bool
     checks: tuple[CheckRow, ...]
     parity: dict[str, float]  # Largest difference from the interpreted model by output, SI units
     parity_limit: float
-    step_us: dict[str, float]  # Time of a step in µs, by how it was called
+    step_us: dict[str, float]  # Time of a step in µs: "bare", and "with_sets_and_gets"
 
 
 @dataclass(frozen=True)
 class LoopRun:
     """Run of the control loop with its timing verdict."""
 
-    name: str  # Directory that it came from
+    name: str  # Name of its directory
     timing: TimingDocument
-    # The recorded ticks by column, if the run kept them
+    # Recorded ticks by column; None if the run has no log
     ticks: dict[str, NDArray[np.float64]] | None
     true_tip_m: NDArray[np.float64] | None = None  # (n, 3), true tip in each recorded tick
     phase_2_rad: float = 0.0  # Lead of joint 2
 
     @property
     def dof(self) -> int | None:
-        """Number of joints; None if neither ticks nor name show it."""
+        """Number of joints, from the ticks or the name; None if neither has it."""
         if self.ticks is not None:
             return 2 if "angle_2_rad" in self.ticks else 1
         named = re.search(r"([12])dof", self.name)
@@ -96,33 +96,32 @@ class LoopRun:
 
     @property
     def in_real_time(self) -> bool:
-        """Whether durations were measured: on the virtual line computing takes no time."""
+        """Whether durations were measured; on the virtual line computing takes no time."""
         return self.line != "virtual"
 
 
 @dataclass(frozen=True)
 class BuildInputs:
-    """Content of a build directory."""
+    """Contents of a build directory."""
 
-    studies: dict[int, StudyDocument]  # Of the bundles, by dof
-    # Studies of one kind of motion each: "1DOF", "2DOF, phase 0°", …; "2DOF" if the phases have no
-    # studies of their own
+    studies: dict[int, StudyDocument]  # Studies of the bundles, by dof
+    # Studies by kind of motion: "1DOF", "2DOF, phase 0°", …; "2DOF" if there is none for each phase
     motions: dict[str, StudyDocument]
-    manifests: dict[int, Manifest]
+    manifests: dict[int, Manifest]  # Manifests of the bundles, by dof
     plant: Plant | None
-    evaluations: dict[str, Evaluation]  # Of the plant, by the trials that it was compared with
-    checks: dict[str, FmuCheckOutput]
+    evaluations: dict[str, Evaluation]  # Evaluations of the plant, by name of the trials
+    checks: dict[str, FmuCheckOutput]  # Checks by name of the FMU
     loops: list[LoopRun]  # Runs in real time first
     commands: list[str]  # Commands that wrote the directory
     faults: FaultsDocument | None = None
-    # Candidates for the robot's predictor, by dof, where they were compared
+    # Comparison of the candidates for the robot's predictor, by dof
     predictors: dict[int, PredictorsDocument] = field(default_factory=dict)
-    # What was found and has no place in the report, with the reason
+    # Files that the report omits, with the reason
     left_out: list[str] = field(default_factory=list)
 
     @property
     def every_study(self) -> dict[str, StudyDocument]:
-        """Studies of one kind of motion, then those of several."""
+        """Studies of one kind of motion, then those of several phases."""
         mixed = {f"{dof}DOF, all phases": s for dof, s in self.studies.items() if _phases(s) > 1}
         return self.motions | {k: s for k, s in mixed.items() if s not in self.motions.values()}
 
@@ -172,7 +171,7 @@ def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
 
 
 def read_output(path: Path, kind: type[T]) -> T:
-    """Read what a command printed with --json."""
+    """Read the output of a command with --json."""
     remedy = "write it again"
     return convert(read_json(path, remedy), kind, path, "cannot be read", remedy)
 
@@ -191,7 +190,7 @@ def _phases(study: StudyDocument) -> int:
 
 
 def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation]:
-    """Evaluations on the held-out trials of `identify`, and those by `evaluate`."""
+    """Evaluations by `identify` on its held-out trials, and by `evaluate`."""
     held_out = plant.provenance.held_out if plant else None
     found = {"held-out trials": held_out} if held_out else {}
     for path in files.evaluations:
@@ -201,10 +200,7 @@ def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation
 
 
 def read_loop(directory: Path) -> LoopRun:
-    """Read the output directory of `dropstitch sil`.
-
-    `directory`: with timing.json, and ticks.mcap and trial/ if the run kept them.
-    """
+    """Read the output directory of `dropstitch sil`; ticks.mcap and trial/ may be missing."""
     timing = read_timing(directory / "timing.json")
     log, trial = directory / "ticks.mcap", directory / "trial" / "sil.csv"
     if not log.is_file():
@@ -220,7 +216,7 @@ def read_loop(directory: Path) -> LoopRun:
 
 
 def read_commands(path: Path) -> list[str]:
-    """Read the commands of the last run, each once, in order."""
+    """Read the logged commands without duplicates, in the order of their last use."""
     if not path.is_file():
         return []
     lines = [line.strip() for line in read_text(path, "make it again").splitlines()]

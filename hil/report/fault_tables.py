@@ -1,4 +1,4 @@
-"""Tables of a fault campaign: one row per fault and way to inject it, the worst of its cases."""
+"""Tables of a fault campaign: each row summarises the cases of a fault by their worst values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LINES: Final = {
 
 
 def campaign_sentences(document: FaultsDocument) -> list[str]:
-    """Result of a campaign in sentences."""
+    """Return the result of a campaign as sentences."""
     cases, counts = document.cases, document.counts
     watched = [case for case in cases if case.watched]
     unwatched = [case for case in cases if not case.watched]
@@ -73,7 +73,7 @@ def campaign_sentences(document: FaultsDocument) -> list[str]:
 
 
 def campaign_facts(document: FaultsDocument) -> Facts:
-    """Machine and set-up."""
+    """Return the robot, the seeds and the machine of a campaign."""
     rows = [
         ("joints", str(document.dof)),
         ("servos", ", ".join(document.models)),
@@ -87,7 +87,7 @@ def campaign_facts(document: FaultsDocument) -> Facts:
 
 
 def campaign_tables(document: FaultsDocument) -> list[Table]:
-    """One table per line, one row per fault and way to inject it."""
+    """Return one table for each kind of line, with a row per fault and way to inject it."""
     tables = []
     for line, title in _LINES.items():
         cases = [case for case in document.cases if case.line == line]

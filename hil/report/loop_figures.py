@@ -1,4 +1,4 @@
-"""Figures of a run of the loop: durations of its ticks, and the error of the predicted tip."""
+"""Figures of a run of the loop: duration of the ticks, and prediction error of the tip."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ OWN: Final = ORANGE
 
 
 def loop_figures(loop: LoopRun) -> list[Figure]:
-    """Draw timing, if it is real, and prediction; a run without ticks has neither."""
+    """Draw the timing of a run in real time and the prediction error; neither without ticks."""
     if loop.ticks is None:
         return []
     figures = [_timing(loop, loop.ticks)] if loop.in_real_time else []
@@ -107,7 +107,7 @@ def _histogram(whole_ms: Array, own_ms: Array, period_ms: float) -> Panel:
 
 
 def _prediction(ticks: Ticks, true_m: Array, programme: Mapping[str, float]) -> Figure:
-    """Predicted and true tip over the first seconds, and their distance over all."""
+    """Draw predicted and true tip over the first seconds, and their distance over the whole run."""
     time_s = ticks["time_s"]
     predicted_m = np.column_stack([ticks[name] for name in tip_names("predicted_")])
     distance_mm = LENGTH.shown(np.linalg.norm(predicted_m - true_m, axis=1))
@@ -176,7 +176,7 @@ def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple
 
 
 def duration_table(loop: LoopRun) -> Table:
-    """Durations of the stages, of the whole tick and of the wake-up."""
+    """Return the durations of the stages, of the whole tick and of the wake-up."""
     timing = loop.timing
     rows = {
         **{f"stage: {name}": durations for name, durations in timing.stages.items()},

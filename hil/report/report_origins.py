@@ -1,4 +1,4 @@
-"""Origins of what a report shows: notice at its head, table of the inputs, words of the badges."""
+"""Origins of a report's data: notices at its head, table of the inputs, labels of the studies."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ EMULATED = Notice(
     "simulated", "Emulated",
     "The loop is the robot's; line and servos are emulated. No robot was run.",
 )  # fmt: skip
-"""Of pages that show runs of the loop only."""
+"""Notice of pages that show only runs of the loop."""
 
 
 def report_notices(inputs: BuildInputs) -> list[Notice]:
-    """Notices at the head of a report: of its trials, and of its runs of the loop."""
+    """Return the notices at the head of a report, on its trials and on its runs of the loop."""
     of_trials = _trial_origins(inputs)
     origins = merged_origins(o for origins in of_trials.values() for o in origins)
     notices = [origin_notice(origins)] if origins else []
@@ -28,7 +28,7 @@ def report_notices(inputs: BuildInputs) -> list[Notice]:
 
 
 def origin_table(inputs: BuildInputs) -> Table | None:
-    """Origin of the trials of each part; None where there are none."""
+    """Return a table of the origin of each part's data; None if there is none."""
     rows: list[list[Cell]] = [
         [what, KIND_WORDS[kind_of_origins(origins)], ", ".join(o.counted for o in origins)]
         for what, origins in _trial_origins(inputs).items()
@@ -41,13 +41,13 @@ def origin_table(inputs: BuildInputs) -> Table | None:
 
 
 def study_badges(studies: Mapping[str, StudyDocument]) -> dict[str, str]:
-    """Name of each study with the kind of its trials: "1DOF, simulated"."""
+    """Return a label of each study with the kind of its trials, like "1DOF, simulated"."""
     kinds = {name: kind_of_origins(study_origins(study)) for name, study in studies.items()}
     return {name: f"{name}, {KIND_WORDS[kind].lower()}" for name, kind in kinds.items()}
 
 
 def study_origins(study: StudyDocument) -> Origins:
-    """Origins of the trials that a study was trained and tested on."""
+    """Return the origins of the trials on which a study was trained and tested."""
     parts = (study.training, *study.tests.values())
     return merged_origins(o for part in parts for o in part.origins)
 
@@ -63,6 +63,6 @@ def _trial_origins(inputs: BuildInputs) -> dict[str, Origins]:
 
 
 def _behind(loop: LoopRun) -> str:
-    """What moved the emulated servos of a run."""
+    """Text on the plant behind the emulated servos of a run."""
     environment = loop.timing.environment
     return f"emulated servos, the {environment.behind_the_servos} behind them"

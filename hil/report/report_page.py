@@ -1,4 +1,4 @@
-"""Report page: sections of what was found, and the command to run where inputs are missing."""
+"""Report page: a section for each kind of input, or the command that makes a missing input."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", 
 
 
 def report_page(inputs: BuildInputs) -> str:
-    """The whole report as HTML."""
+    """Return the report as HTML."""
     lead = Paragraph(
         "Results for an inflatable drop-stitch link on one or two servos: the published study, "
         "predictors without motion capture, the identified plant and its FMUs, and the control "
@@ -73,7 +73,7 @@ def report_page(inputs: BuildInputs) -> str:
 
 
 def fault_page(document: FaultsDocument) -> str:
-    """The page of a fault campaign as HTML."""
+    """Return the page of a fault campaign as HTML."""
     lead = Paragraph(
         "Faults of bus, servo, host and process, injected by name and seed while the arm moves: "
         "the required reaction beside the one observed.",
@@ -185,7 +185,7 @@ def _environment(environment: SilEnvironment) -> list[tuple[str, str]]:
 
 
 def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
-    """The paper's findings, those of all studies under one claim; equal texts are shown once."""
+    """Cards with the paper's claims and the findings of all studies; equal texts appear once."""
     if not studies:
         return [missing_inputs("dropstitch train")]
     badges = study_badges(studies)

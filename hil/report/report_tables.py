@@ -1,4 +1,4 @@
-"""Tables of the report: results against targets, predictors, plant, FMUs, prediction."""
+"""Tables of the report: results and targets, predictors, plant, FMUs, prediction error."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ _PARTS: Final = {
 
 
 def _at_most(value: float | None, limit: float, text: str) -> TableCell:
-    """The text, judged by whether the value is at most the limit."""
+    """Cell with a text, marked by whether the value is within the limit."""
     return TableCell(NO_VALUE) if value is None else TableCell(text, value <= limit)
 
 
 def _power(value: float, decimals: int) -> str:
-    """A small number as "1e-9", without zeros in the exponent."""
+    """Format a small number like "1e-9", without zeros in the exponent."""
     mantissa, exponent = f"{value:.{decimals}e}".split("e")
     return f"{mantissa}e{int(exponent)}"
 
 
 def results_table(inputs: BuildInputs) -> Table:
-    """Results beside their targets; what was not measured is not judged."""
+    """Return the results with their targets; a missing measurement is not judged."""
     rows: list[list[Cell]] = []
     for title in inputs.evaluations or ("trials",):
         limits = _tip_limits_m(inputs, title)
@@ -96,7 +96,7 @@ def results_table(inputs: BuildInputs) -> Table:
 
 
 def _tip_limits_m(inputs: BuildInputs, title: str) -> Mapping[int, float]:
-    """Targets for trials of the default rig; none for others, on which they were not set."""
+    """Targets for the tip error, which exist only for trials of the default rig."""
     evaluation = inputs.evaluations.get(title)
     if evaluation is None or {(o.source, o.rig) for o in evaluation.origins} != {DEFAULT_RIG}:
         return {}
@@ -120,12 +120,12 @@ def _parity(check: FmuCheckOutput | None) -> float | None:
 
 
 def _real_time_loop(inputs: BuildInputs, dof: int) -> LoopRun | None:
-    """The run in real time of a dof; a simulated one shows no cost."""
+    """Run in real time of a dof; a run on the virtual line measures no cost."""
     return next((loop for loop in inputs.loops if loop.dof == dof and loop.in_real_time), None)
 
 
 def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
-    """Mean distance at the chosen degree over payloads; by phase if there are several."""
+    """Return the mean distance over payloads at the chosen degree, also by phase if they differ."""
     rows = []
     for name, study in studies.items():
         degree = str(study.chosen_degree)
@@ -158,7 +158,7 @@ def predictor_table(studies: Mapping[str, StudyDocument]) -> Table:
 
 
 def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
-    """Accuracy of the three estimators of DI on every test."""
+    """Return the accuracy of the three estimators of DI on every test."""
     rows = []
     for dof, study in studies.items():
         for test, by_source in study.estimators.items():
@@ -184,7 +184,7 @@ def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
 
 
 def evaluation_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """Errors of the identified plant by signal, with rigid kinematics for comparison."""
+    """Return the errors of the identified plant by signal, with rigid kinematics as baseline."""
     parts = {
         f"{title}, {dof}DOF": part
         for title, evaluation in evaluations.items()
@@ -226,7 +226,7 @@ def _beside_rigid(error: TipError) -> str:
 
 
 def parameter_table(plant: Plant) -> Table | None:
-    """Identified parameters with standard errors; None if nothing was fitted."""
+    """Return the identified parameters with standard errors; None if nothing was fitted."""
     rows = []
     for name in plant.provenance.fitted_parameters:
         if (row := plant.parameters.get(name)) is None:
@@ -238,7 +238,7 @@ def parameter_table(plant: Plant) -> Table | None:
 
 
 def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
-    """Checks of every FMU, and the parity of every output."""
+    """Return the checks of every FMU, and the parity of every output."""
     kinds = dict.fromkeys(c.name for check in checks.values() for c in check.checks)
     rows: list[list[Cell]] = []
     for kind in kinds:
@@ -269,7 +269,7 @@ def fmu_tables(checks: Mapping[str, FmuCheckOutput]) -> list[Table]:
 
 
 def verdict_sentence(loop: LoopRun) -> str:
-    """Result of a run in sentences."""
+    """Return the result of a run as text."""
     timing = loop.timing
     if not loop.in_real_time:
         return (
@@ -291,7 +291,7 @@ def verdict_sentence(loop: LoopRun) -> str:
 
 
 def prediction_table(loop: LoopRun) -> Table | None:
-    """Error of the predicted tip by part of the run; None if the true tip is unknown."""
+    """Return the prediction error by part of the run; None if the true tip is unknown."""
     error = loop.timing.prediction_error
     rows = [
         [

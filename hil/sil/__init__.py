@@ -1,6 +1,6 @@
-"""Software in the loop: the robot's own loop, an emulated line, a plant or the rig behind it.
+"""Software in the loop: the robot's control loop against emulated servos and a simulated plant.
 
-`run_sil` runs it, `write_results` judges it and writes what it leaves.
+`run_sil` runs the loop, `write_results` judges the run and writes its results.
 """
 
 from hil.sil.sil_loop import SilResult

@@ -1,4 +1,4 @@
-"""Settling time and residual swing of the tip after each move of a plan."""
+"""Settling time and residual vibration of the tip after each move of a plan."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from hil.timing.timing_document import MoveFigures
 
 Array = NDArray[np.float64]
 CLOSE_M: Final = 0.010
-"""Distance from the place of rest within which a move has settled (the task's ±10 mm)."""
+"""Settling band around the rest position (the task's ±10 mm)."""
 REST_FRACTION: Final = 0.2
-"""Last part of the rest after a move, whose mean is the place of rest [assumed]."""
+"""Final fraction of a move's rows whose mean is the rest position [assumed]."""
 
 
 def move_figures(tip_m: Array, plan: TipPlan) -> tuple[MoveFigures, ...]:
     """Figures of each move in one run of a plan.
 
-    Shapes: `tip_m` (n, dof).
-    `tip_m`: true tip at each row; NaN where it was not measured.
+    `tip_m` is the true tip at each row, shape (n, dof), NaN where it was not measured.
     """
     found = []
     for first, over, after in plan.moves:

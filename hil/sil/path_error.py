@@ -1,4 +1,4 @@
-"""Distance of the true tip from the path of a plan, for each run of the plan."""
+"""Path error: distance of the true tip from the path of a plan, for each run of the plan."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 
 
 def tip_of_runs_m(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> Array:
-    """True tip at each row of a plan, one table per whole run, shape (runs, n, dof).
+    """True tip at each row of a plan for every complete run, shape (runs, n, dof).
 
-    Returns shape (runs, n, dof), naN where there was no fresh measurement.
+    Rows without a fresh measurement are NaN.
     """
     tip = true_tip_m(records, truth)[:, : plan.dof]
     slot = records["tick"].astype(np.int64)
@@ -30,7 +30,7 @@ def tip_of_runs_m(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> Arr
 
 
 def path_errors(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> tuple[PathError, ...]:
-    """Error of each whole run of a plan."""
+    """Path error of each complete run of a plan."""
     desired, found = plan.desired_tip_m(), []
     for table in tip_of_runs_m(records, truth, plan):
         away = np.linalg.norm(table - desired, axis=1)

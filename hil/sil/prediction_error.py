@@ -1,4 +1,4 @@
-"""Error of the robot's prediction: predicted tip against the true tip, tick by tick."""
+"""Prediction error of the robot: predicted tip minus true tip at every tick."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ NO_ERRORS: Final = TipErrors(
 
 
 def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
-    """Tip at the moment that each tick measured, the second time where it read twice.
+    """True tip at the sampling time of each tick's measurement, shape (n, 3).
 
-    Shapes: `records` (n,).
-    Returns shape (n, 3), naN where no servo was asked or the answer is older than the tick: there
-    the robot had no fresh measurement to predict from.
+    After a retry the second reading counts. Rows without a fresh measurement are NaN: no servo was
+    read in the tick, or its reply is stale.
     """
     tip = np.full((len(records), 3), np.nan)
     if len(truth.time_ns) == 0:
@@ -42,17 +41,14 @@ def true_tip_m(records: NDArray[np.void], truth: Truth) -> Array:
 
 
 def predicted_tip_m(records: NDArray[np.void]) -> Array:
-    """The robot's own prediction, shape (n, 3)."""
+    """Tip that the robot predicted, shape (n, 3)."""
     return np.column_stack([records[name] for name in tip_names("predicted_")])
 
 
 def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.str_]:
-    """Part of the programme that each time falls into.
-
-    Shapes: `time_s` (n,).
-    """
+    """Name of the programme's part at each time, shape (n,)."""
     ends_s = np.cumsum(list(programme.values()))
-    # Half a microsecond: a slot's time is its number times the period, rounded.
+    # Half a microsecond covers the rounding of a slot's time, its number times the period.
     part = np.searchsorted(ends_s, np.mod(time_s + 5e-7, ends_s[-1]), side="right")
     return np.array([list(programme)[k] for k in part])
 
@@ -60,11 +56,10 @@ def programme_part(time_s: Array, programme: Mapping[str, float]) -> NDArray[np.
 def prediction_error(
     records: NDArray[np.void], truth: Truth, programme: Mapping[str, float] | None = None
 ) -> PredictionError:
-    """Distance between the robot's prediction and the plant's tip over all fresh ticks.
+    """Distance between predicted and true tip over all ticks with a fresh measurement.
 
-    Shapes: `records` (n,).
-    `programme`: durations of the parts that the run repeats: the error by these parts is added,
-    with the controlled stop as a part of its own.
+    With `programme`, the durations of the parts that the run repeats, the error is also given for
+    each part, and for the controlled stop.
     """
     error_m = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.asarray(np.isfinite(error_m).all(axis=1))

@@ -1,4 +1,4 @@
-"""Run in real time: the loop here, the emulator, the recorder and the probes in processes.
+"""Run in real time: the loop in this process; emulator, recorder and probes in their own.
 
 ::
 
@@ -32,7 +32,7 @@ def run_in_real_time(
     specification: EmulatorSpecification,
     scratch: Path,
 ) -> SilResult:
-    """Run the loop in this process against an emulator in another."""
+    """Run the loop in this process against an emulator in another process."""
     loop_cpu, other_cpus = assign_processors()
     line_cpu = max(other_cpus)
     clock = DeadlineClock()
@@ -42,7 +42,7 @@ def run_in_real_time(
         config = sil_config(options, emulator.name, loop_cpu)
         telemetry = enter(sil_recording(options, config))
         enter(cpu_load(options.load, other_cpus))
-        # On a single processor the emulator is a neighbour of the loop; else there is none.
+        # Only on a machine with a single processor does the emulator share it with the loop.
         neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
         loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
         line_probe = enter(contextlib.closing(Probe(line_cpu)))

@@ -1,4 +1,4 @@
-"""Parts common to runs on every line: the robot's loop, its recorder, the result."""
+"""Parts that runs on every kind of line share: the robot's loop, its recorder, the result."""
 
 from __future__ import annotations
 
@@ -36,31 +36,31 @@ from hil.timing.timing_document import SilEnvironment
 
 LOG_NAME: Final = "ticks.mcap"
 _STOP_TICKS: Final = 200
-"""Room for the ticks of the controlled stop."""
+"""Ticks reserved in the record for the controlled stop."""
 
 
 class SilResult(NamedTuple):
-    """A run and everything that was measured beside it.
+    """Result of a run in software: the loop's summary and everything measured during the run.
 
     Attributes
     ----------
     summary : RunSummary
         The loop's own summary.
     outcome : EmulatorOutcome
-        The emulator's record.
+        The emulator's record: true tip, release times, injected faults.
     loop_cpu, line_cpu : ProbeRecord
-        Probes on the processors of loop and emulator; empty on the virtual line.
+        Wake-up jitter probes on the processors of loop and emulator; empty on the virtual line.
     wall_s : float
-        Time that the run took.
+        Wall-clock time of the run.
     environment : SilEnvironment
-        Machine, scheduler, load, line.
+        Machine, scheduler, load and line.
     plan : Plan
-        How the servos were read.
+        Bus plan by which the servos were read.
     reference : ReferenceJitter or None
-        Wake-up jitter by cyclictest, where it is installed.
-    link : dict of str to Any
-        Conditions of a trial that the link gives: size, pressure, markers, gravity; empty for
-        another plant.
+        Wake-up jitter measured by cyclictest, if it is installed.
+    link : dict of str to Any, optional
+        Trial conditions given by the link: size, pressure, markers, gravity; empty if the plant
+        does not describe a link.
     """
 
     summary: RunSummary
@@ -75,7 +75,7 @@ class SilResult(NamedTuple):
 
     @property
     def records(self) -> NDArray[np.void]:
-        """Every tick, in order."""
+        """Every tick of the run, in order, with the fields of `tick_dtype`."""
         return self.summary.records
 
 
@@ -87,7 +87,7 @@ def build_sil_loop(
     telemetry: Telemetry,
     counters: Counters,
 ) -> ControlLoop:
-    """Return the robot's loop, which keeps every tick of the run."""
+    """Return the robot's loop, with memory for every tick of the run."""
     slots = options.slots
     options.bundle.assume_payload(config.payload_kg)
     goals: GoalSource | None = options.goals
@@ -104,8 +104,8 @@ def build_sil_loop(
 
 @contextlib.contextmanager
 def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
-    """Run the robot's recorder for as long as the block lasts."""
-    # The observer is not told the payload, but whoever imports the log may know it.
+    """Run the robot's recorder during the block."""
+    # The payload is recorded for the import of the log, even if the observer has to estimate it.
     metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
         "payload_kg": repr(options.payload_kg),
         "source": "sil",
@@ -118,7 +118,7 @@ def sil_recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTe
     if note := options.goals_note:
         metadata[GOALS_NOTE] = note
     path = options.out / LOG_NAME
-    path.unlink(missing_ok=True)  # that of the run before, as its other results
+    path.unlink(missing_ok=True)  # the log of an earlier run
     with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
         yield telemetry
 

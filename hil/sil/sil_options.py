@@ -1,4 +1,4 @@
-"""Options of a run in software, and the robot's configuration that follows from them."""
+"""Options of a run in software, and the robot's configuration derived from them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hil.emulator.physics import RigSource
 LineKind = Literal["pty", "socket", "virtual"]
 
 LONGEST_S: Final = 86_400.0
-"""Longest run: every tick is kept in memory, some GB a day."""
+"""Longest run. Every tick stays in memory, a few GB per day."""
 
 
 @dataclass(frozen=True)
@@ -42,39 +42,40 @@ class SilOptions:
     out : Path
         Directory of the log.
     fmu : Path, optional
-        Twin behind the servos; by default it is built from the bundle's plant.
+        Twin FMU to simulate behind the servos; by default it is built from the bundle's plant.
     rig : RigSource, optional
-        Rig to put there instead of a twin, on the virtual line.
+        Rig to simulate instead of a twin, on the virtual line only.
     link : LinkDescription
-        Link that rig or plant describe; the robot's limits follow from it.
+        Link of the rig or the plant; the robot's limits are derived from it.
     line : {"pty", "socket", "virtual"}
-        See `hil.emulator.line`.
+        Kind of line: two in real time, one on a simulated clock (see `hil.emulator.line`).
     seconds : float
-        Duration of the motion, which repeats.
+        Duration of the run; the motion repeats until then.
     baud : int
-        Bits per second.
+        Baud rate of the bus in bits per second.
     latency_s : float
-        Latency timer of the USB adapter.
+        Period of the USB adapter's latency timer.
     payload_kg : float
-        At the twin's tip.
+        Payload at the tip of the twin or the rig.
     payload_known : bool
-        Whether the robot is told the payload; else it estimates it.
+        Whether the robot is configured with the payload; otherwise it estimates it.
     motion : MotionConfig
         Reference motion.
     plan : TipPlan, optional
-        Plan of a path of the tip, in place of the motion.
+        Plan of a tip path to run instead of the motion.
     goals : OutsideGoals, optional
-        Goals of another program, in place of the motion.
+        Goals of another program to follow instead of the motion.
     open_loop : bool
         Whether the plan runs without feedback of the estimated tip.
     load : int
-        Processes that load the emulator's processor.
+        Number of processes that load the emulator's processor.
     faults : mapping of str to float
-        Rates of the line's faults, see `hil.emulator.line_faults`.
+        Rate of each kind of line fault, from 0 to 1 (see `hil.emulator.line_faults`).
     seed : int
-        Of the faults.
+        Seed of the line faults.
     log : bool
-        Whether the robot's recorder writes the run to `out`; on the virtual line only it may not.
+        Whether the robot's recorder writes the run to `out`. Only a run on the virtual line can do
+        without.
     """
 
     bundle: ModelBundle
@@ -110,7 +111,7 @@ class SilOptions:
 
     @property
     def slots(self) -> int:
-        """Slots of the motion."""
+        """Number of control periods in the run."""
         return round(self.seconds / self.period_s)
 
     @property
@@ -120,19 +121,20 @@ class SilOptions:
 
     @property
     def goals_note(self) -> str:
-        """Sentence on goals that were made with another plant than the bundle; "" for none."""
+        """Warning that the goals were computed with another plant than the bundle's, or ""."""
         if self.plan is not None:
             plan = self.plan
             return note_on_plant(f"plan {plan.path}", plan.plant_sha256, plan.link, self.bundle)
         return self.goals.note if self.goals is not None else ""
 
     def check(self) -> None:
-        """Check what no other part checks.
+        """Check duration, load and rig.
 
         Raises
         ------
         InputError
-            If duration or load cannot be, or the rig is combined with a twin or with real time.
+            If the duration or the load is out of range, or the rig is combined with a twin or with
+            a line in real time.
         """
         if not self.period_s <= self.seconds <= LONGEST_S:
             raise InputError(
@@ -148,7 +150,7 @@ class SilOptions:
 
 
 def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotConfig:
-    """Return the configuration that the robot would have."""
+    """Return the configuration with which the robot would run."""
     link = options.link
     limits = Limits()  # the study's
     return RobotConfig(
@@ -165,7 +167,7 @@ def sil_config(options: SilOptions, port: str, cpu: int | None = None) -> RobotC
 
 
 def programme_s(options: SilOptions) -> dict[str, float]:
-    """Return the durations that the run repeats, in order: rest, motion, glide back to zero."""
+    """Return the durations of the parts that the run repeats: rest, motion, glide back to zero."""
     if (plan := options.plan) is not None:
         rest = round(plan.rest_s / plan.period_s)
         rows = {"rest": rest, "motion": plan.end_row - rest, "glide": plan.rows - plan.end_row}

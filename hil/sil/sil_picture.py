@@ -1,4 +1,4 @@
-"""Picture of a run in software: tip and prediction, timing tick by tick, histogram."""
+"""Picture of a run in software: true and predicted tip, duration of each tick, histogram."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from models.shared.svg_drawing import FILE_STYLE
 
 
 def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
-    """Draw the run as SVG."""
     records, truth = result.records, true_tip_m(result.records, result.outcome.truth)
     time_s, predicted = records["time_s"], predicted_tip_m(records)
     busy_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])

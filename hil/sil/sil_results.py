@@ -27,7 +27,7 @@ from models.trials.trial_files import write_trial
 
 
 def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
-    """Judge a run and write everything but the log, which the recorder wrote."""
+    """Judge a run and write all results except the log, which the recorder writes."""
     out = options.out
     timing = timing_document(result, options)
     write_timing(out / "timing.json", timing)
@@ -41,7 +41,7 @@ def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
 
 
 def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
-    """Judge a run; return the contents of `timing.json`."""
+    """Judge a run and return the contents of `timing.json`."""
     summary, programme = result.summary, programme_s(options)
     stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
     verdict = judge_timing(
@@ -77,7 +77,7 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
 
 
 def _interrupted(result: SilResult, options: SilOptions) -> str:
-    """Signal that ended the run early, and the slots of the motion that were run by then."""
+    """Sentence on a signal that ended the run early, with the slots completed by then; or ""."""
     summary = result.summary
     if summary.ended is not Ended.SIGNALLED:
         return ""

@@ -1,7 +1,7 @@
-"""Run in software: the robot's own `ControlLoop`, an emulated line, a plant behind it.
+"""Run in software: the robot's own `ControlLoop` against emulated servos and a simulated plant.
 
-Loop, bus, estimator, predictor, supervisor and recorder are the robot's, unmodified; only the port
-that they open belongs to an emulator. On the virtual line the clock is simulated as well.
+Loop, bus, estimator, predictor, supervisor and recorder are those of the robot, unmodified. Only
+the port that they open belongs to the emulator; on the virtual line the clock is simulated as well.
 """
 
 from __future__ import annotations
@@ -34,10 +34,16 @@ def run_sil(options: SilOptions) -> SilResult:
     options : SilOptions
         Bundle, servo, line, motion and faults.
 
+    Returns
+    -------
+    SilResult
+        The loop's summary and everything measured during the run. The log of a run with
+        `SilOptions.log` is in `SilOptions.out`; `hil.sil.write_results` writes the rest.
+
     Raises
     ------
     InputError
-        If bundle, FMU or options cannot be used.
+        If the bundle, the FMU or the options cannot be used.
     """
     options.check()
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
@@ -75,7 +81,7 @@ def _plant(options: SilOptions) -> Path:
 
 
 def _link_conditions(source: Path | RigSource, options: SilOptions) -> dict[str, Any]:
-    """Conditions of a trial that the link behind the servos gives; empty for another plant."""
+    """Trial conditions given by the simulated link; empty if the plant does not describe one."""
     if isinstance(source, RigSource):
         from hil.emulator.rig_physics import rig_conditions  # loads MuJoCo
 

@@ -1,4 +1,4 @@
-"""Trial made of a run in software: measured angles and currents beside the true tip."""
+"""A run in software as a trial: measured angles and currents together with the true tip."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from models.trials.trial import Trial, TrialMeta
 
 
 def as_trial(result: SilResult, options: SilOptions) -> Trial:
-    """Return the run as a trial: what the servos measured beside the true tip.
+    """Return the run as a trial: the servos' measurements and the true tip.
 
-    The emulator has no markers: their cells stay empty. Slots that were skipped and ticks without
-    fresh data are interpolated, and the notes count them, since a trial has a uniform time step.
+    The emulator has no markers, so their cells stay empty. A trial has a uniform time step, so
+    skipped slots and ticks without fresh data are interpolated; the notes count them.
     """
     records = result.records
     tip = true_tip_m(records, result.outcome.truth)

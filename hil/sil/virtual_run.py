@@ -1,4 +1,4 @@
-"""Run on the virtual line: simulated time, the same ticks for the same options."""
+"""Run on the virtual line: time is simulated, and equal options give equal ticks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
     summary = loop.run()
     wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
     if options.log:
-        with sil_recording(options, config) as telemetry:  # afterwards: it runs in real time
+        # The recorder works in real time, so it gets the ticks after the simulated run.
+        with sil_recording(options, config) as telemetry:
             for record in summary.records:
                 _put(telemetry, record.tobytes())
     outcome = EmulatorOutcome(truth.truth(), Releases(), dict(line.faults.injected))
@@ -45,7 +46,7 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
 
 
 def _put(telemetry: SocketTelemetry, record: bytes) -> None:
-    """Send a record, repeatedly until the recorder has room for it."""
+    """Send a record, and retry until the recorder accepts it."""
     drops = telemetry.drops
     telemetry.put(memoryview(record))
     while telemetry.drops > drops:

@@ -1,7 +1,7 @@
-"""Accounts of the processors during a run: probe wake-ups and replies of the emulator.
+"""Accounts of the processors during a run: wake-ups of probes, and replies of the emulator.
 
-A `ProbeRecord` is what a probe (`hil.timing.probe`) saw of a processor; `Releases` is the record
-that the emulator keeps of its replies.
+A `ProbeRecord` holds the wake-ups of a probe (`hil.timing.probe`) on one processor; `Releases`
+holds the times at which the emulator sent its replies.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Nanoseconds = NDArray[np.int64]
 PROBE_PRIORITY: Final = 80
 PROBE_PERIOD_NS: Final = 1_000_000
 STALL_NS: Final = 500_000
-"""Lateness of a probe from which on the processor is taken to have stood still."""
+"""Lateness of a probe above which its processor counts as stalled."""
 _NONE = np.zeros(0, np.int64)
 
 
@@ -25,15 +25,14 @@ _NONE = np.zeros(0, np.int64)
 class ProbeRecord:
     """Wake-ups of a probe on one processor."""
 
-    # (n,), of the probe: when it woke and how long after its deadline
-    wake_ns: Nanoseconds = field(default_factory=_NONE.copy)
-    lateness_ns: Nanoseconds = field(default_factory=_NONE.copy)
-    # (n,), processor time, since the wake-up before, of those processes of this program (the probe
-    # among them) that may run on this processor beside the one that is observed
+    wake_ns: Nanoseconds = field(default_factory=_NONE.copy)  # (n,), wake-up times
+    lateness_ns: Nanoseconds = field(default_factory=_NONE.copy)  # (n,), after the deadline
+    # (n,), processor time since the previous wake-up of this program's processes (including the
+    # probe) that may run on this processor, without the observed process
     own_ns: Nanoseconds = field(default_factory=_NONE.copy)
     period_ns: int = PROBE_PERIOD_NS
-    # Whether the probe had its priority. Without it, it may have waited behind this program, and
-    # proves nothing.
+    # Whether the probe had its real-time priority. Otherwise it may have waited for this program
+    # itself, and its lateness proves nothing.
     privileged: bool = True
 
     @property
@@ -42,10 +41,10 @@ class ProbeRecord:
         return self.privileged and len(self.wake_ns) > 0
 
     def stall_ns(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Time within a window for which the processor stood still, in one stall or several.
+        """Return the certain and the possible stall time of the processor within a window.
 
-        Returns what is certain: from the probe's deadline to its wake-up; and what is possible:
-        from its wake-up before, since when it saw nothing.
+        A stall is certain from the probe's deadline to its late wake-up. It may have begun up to
+        one period earlier, but not before the previous wake-up.
         """
         if not self.proves:
             return 0, 0
@@ -61,22 +60,21 @@ class ProbeRecord:
         return int(certain), int(possible)
 
     def own_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Processor time of this program that may fall into a window."""
+        """Return the processor time of this program that may fall into a window."""
         first, last = np.searchsorted(self.wake_ns, (start_ns, end_ns))
         return int(self.own_ns[first : last + 1].sum())
 
 
 @dataclass(frozen=True)
 class Releases:
-    """Punctuality of the emulator, one row per packet."""
+    """Times of the emulator's replies, one row per packet."""
 
-    # (n,), when the bytes were due at the host's end and when they were written there
-    due_ns: Nanoseconds = field(default_factory=_NONE.copy)
-    written_ns: Nanoseconds = field(default_factory=_NONE.copy)
-    # (n,), run-queue delay of the emulator since the packet before
+    due_ns: Nanoseconds = field(default_factory=_NONE.copy)  # (n,), due at the host's end
+    written_ns: Nanoseconds = field(default_factory=_NONE.copy)  # (n,), written there
+    # (n,), run-queue delay of the emulator since the previous packet
     run_delay_ns: Nanoseconds = field(default_factory=_NONE.copy)
 
     def run_delay_between_ns(self, start_ns: int, end_ns: int) -> int:
-        """Run-queue delay of the emulator that may fall into a window."""
+        """Return the run-queue delay of the emulator that may fall into a window."""
         first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
         return int(self.run_delay_ns[first : last + 1].sum())

@@ -1,29 +1,32 @@
 """Missed deadlines, each attributed to the host or to the loop.
 
-A tick misses when it ends after its slot. Its excess, lateness + busy - period, is the time by
-which it was too slow. It is compared with the time for which the kernel shows that another party
-had the processor.
+A tick misses its deadline if it ends after its slot. Its excess, lateness + busy - period, is
+compared with the time for which the kernel shows that something outside this program had the
+processor.
 
 Host time
-    Run-queue delay of the loop's thread (`/proc/…/schedstat`), less the time that processes of this
-    program ran on that processor meanwhile. Steal time: while the tick computed, the thread neither
-    slept nor waited in the run queue, and the kernel counted less processor time than had passed.
-    Time in which the processor stood still at any other point of the tick: a probe with a higher
-    priority than the whole program is pinned to it and wakes every millisecond; where the probe
-    itself was late, the hypervisor, an interrupt or a foreign real-time task had the processor.
-    Such a stall is known to within one period of the probe: the possible time excuses a miss, and
-    only the certain time makes a tick count as preempted. The accounts overlap, so the larger one
-    counts: that of the thread, or that of the probe.
-    The same for the processor of the emulator, as far as the loop waited longer for the bus than it
-    usually does. The processes of `--load` are declared host load: time lost to them is host time.
+    - Run-queue delay of the loop's thread (`/proc/…/schedstat`), less the time that processes of
+      this program ran on that processor meanwhile.
+    - Steal time: the thread neither slept nor waited in the run queue, but the kernel counted less
+      processor time than had passed.
+    - Stalls of the processor at any other point of the tick. A probe with a higher priority than
+      the whole program is pinned to the processor and wakes every millisecond. If the probe itself
+      is late, the hypervisor, an interrupt or a foreign real-time task had the processor. A stall
+      is known to within one period of the probe: its possible time excuses a miss, and only its
+      certain time makes a tick count as preempted.
+    - The same for the processor of the emulator, up to the time by which the loop waited for the
+      bus longer than the median.
+
+    The accounts of thread and probe overlap, so only the larger one counts. The processes of
+    `--load` are declared host load: time lost to them is host time.
 
 Own time
     Everything else: computing, waiting for the bus, and every delay by a process of this program
     (emulator, recorder or probe). Lateness that no counter explains is own time as well.
 
-A miss is attributed to the host where its excess is no longer than the possible host time. A stop
-is attributed to the host where every tick that led to it is: a slot missed before it, or data that
-came in time but for the host.
+A miss is attributed to the host if its excess does not exceed the possible host time. A stop is
+attributed to the host if every tick that led to it is: slots were missed before it, or its data
+would have come in time without the host.
 """
 
 from __future__ import annotations
@@ -46,28 +49,27 @@ __all__ = ["Miss", "find_misses", "host_time_ns", "stopped_by_host"]
 Nanoseconds = NDArray[np.int64]
 
 _OF_A_HOST: Final = {Fault.DATA, Fault.SLOTS}
-"""Faults that a host can cause."""
+"""Faults that the host can cause."""
 
 
 class Miss(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A tick that ended after its slot."""
 
     tick: int  # Number of its slot
-    slots: int
-    excess_ns: int  # Time by which it was too slow; host time in it; its wait for the bus
-    host_ns: int
-    bus_wait_ns: int
-    cause: Cause  # Largest part of it
+    slots: int  # Number of slots lost
+    excess_ns: int  # Time by which it ended after its slot
+    host_ns: int  # Possible host time in the tick
+    bus_wait_ns: int  # Wait for the bus in the tick
+    cause: Cause  # The host if it explains the excess, else the larger of bus wait and computing
 
 
 def host_time_ns(
     records: NDArray[np.void], loop_cpu: ProbeRecord, line_cpu: ProbeRecord, releases: Releases
 ) -> tuple[Nanoseconds, Nanoseconds]:
-    """Time of each tick in which the host had a processor that the loop was waiting for.
+    """Return the certain and the possible host time in each tick, shape (n,) each.
 
-    Shapes: `records` (n,).
-    `loop_cpu`, `line_cpu`: probes on the processors of loop and emulator; may be empty.
-    Returns shape (n,), certain and possible time.
+    `loop_cpu` and `line_cpu` are the probes on the processors of loop and emulator; they may be
+    empty.
     """
     host = np.zeros((len(records), 2), np.int64)
     waits = records["bus_wait_ns"]
@@ -75,7 +77,7 @@ def host_time_ns(
     starts = records["deadline_ns"]
     ends = starts + records["lateness_ns"] + records["busy_ns"]
     for k, (start_ns, end_ns) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        # A tick's run-queue delay counts from the end of the tick before.
+        # A tick's run-queue delay counts from the end of the previous tick.
         queued = int(records["preempted_ns"][k]) - loop_cpu.own_between_ns(
             int(ends[k - 1]) if k else start_ns, end_ns
         )
@@ -92,12 +94,12 @@ def host_time_ns(
 
 
 def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int) -> list[Miss]:
-    """Every tick that ended after its slot, with its cause.
+    """Return every tick that ended after its slot, with its cause.
 
     Shapes: `records` (n,), `host_ns` (n,).
     """
     excess = records["lateness_ns"] + records["busy_ns"] - period_ns
-    skipped = np.append(records["missed"][1:], 0)  # by the tick in front of the gap
+    skipped = np.append(records["missed"][1:], 0)  # attributed to the tick before the gap
     misses = []
     for k in np.flatnonzero((excess > 0) | (skipped > 0)).tolist():
         excess_ns, wait_ns = max(int(excess[k]), 1), int(records["bus_wait_ns"][k])
@@ -123,15 +125,14 @@ def find_misses(records: NDArray[np.void], host_ns: Nanoseconds, period_ns: int)
 def stopped_by_host(
     records: NDArray[np.void], host_ns: Nanoseconds, faults: Collection[Fault]
 ) -> bool:
-    """Whether the supervisor saw nothing but missed slots and late data, all by the host.
+    """Return whether the supervisor stopped only for missed slots or late data, all by the host.
 
-    The ticks that count are the first one of the stop with all before it that had no fresh
-    measurement, and those of the stop itself. The host spoiled one where slots were missed just
-    before it, or where the wait for its data, less the host time, is no longer than that of a tick
-    which got them.
+    The ticks that count are those of the stop, and those without a fresh measurement directly
+    before it. The host spoiled a tick if slots were missed just before it, or if the wait for its
+    data, less the host time, is no longer than the longest wait of a tick with data. None of the
+    run's missed slots may be the loop's own.
 
     Shapes: `records` (n,), `host_ns` (n,).
-    `records`: A run none of whose missed slots is the loop's own.
     """
     stopping = np.flatnonzero(records["state"] == SafetyState.STOPPING)
     fresh = records["stale_ticks"] == 0

@@ -17,21 +17,18 @@ __all__ = ["write_hgrm"]
 
 _TICKS_PER_HALF_DISTANCE: Final = 5
 _UNIT_NS: Final = 1_000
-"""Values are written in µs."""
+"""The file has values in µs."""
 
 
 def write_hgrm(path: Path, durations_ns: NDArray[np.int64]) -> None:
-    """Write the percentiles of one series; an empty series gives an empty distribution.
-
-    Shapes: `durations_ns` (n,).
-    """
+    """Write the percentiles of durations, shape (n,); without any, the distribution is empty."""
     values = np.sort(np.maximum(durations_ns, 0))
     lines = [
         f"{'Value':>12s} {'Percentile':>14s} {'TotalCount':>10s} {'1/(1-Percentile)':>14s}",
         "",
     ]
     for fraction in _fractions(len(values)):
-        # The smallest value that at least this fraction of the durations does not exceed.
+        # The smallest value that at least this fraction of the durations do not exceed.
         value = values[max(math.ceil(fraction * len(values)) - 1, 0)]
         count = int(np.searchsorted(values, value, side="right"))
         inverse = f" {1 / (1 - fraction):14.2f}" if fraction < 1.0 else ""
@@ -47,7 +44,7 @@ def write_hgrm(path: Path, durations_ns: NDArray[np.int64]) -> None:
 
 
 def _fractions(count: int) -> Iterator[float]:
-    """Fractions that become denser towards 1: five for every halving of the rest."""
+    """Yield fractions that become denser towards 1: five per halving of the distance to 1."""
     fraction = 0.0
     while count and 1.0 - fraction > 1.0 / count:
         yield fraction

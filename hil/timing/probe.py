@@ -1,8 +1,8 @@
 """Probe on a processor: a process of high priority that records the lateness of its wake-ups.
 
 It is pinned, has a higher priority than the rest of this program, and wakes every millisecond.
-Its lateness is the reference jitter of the machine; where it is milliseconds late, no process of
-this program could have run on that processor. Its inner loop is `c/probe.c`.
+Its lateness is the reference jitter of the machine. If it is milliseconds late, no process of this
+program could have run on that processor. Its inner loop is `c/probe.c`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ _SPAWN = multiprocessing.get_context("spawn")
 class Probe:
     """Probe on one processor, running from its creation until `stop`.
 
-    `neighbours`: processes of this program that may run on the same processor beside the observed
-    one.
+    `neighbours` are processes of this program that may run on the same processor, without the
+    observed one.
     """
 
     def __init__(self, cpu: int, neighbours: Sequence[int] = ()) -> None:
@@ -58,7 +58,7 @@ class Probe:
         return ProbeRecord(wake, lateness, own, privileged=self._privileged)
 
     def close(self) -> None:
-        """End the probe if it still runs."""
+        """End the probe if it is still running."""
         self._pipe.close()
         self._process.join()
 
@@ -80,5 +80,5 @@ def _probe(pipe: Connection, library: Path, cpu: int, neighbours: tuple[int, ...
                 ctypes.c_void_p(rows.ctypes.data), ctypes.c_int64(_ROWS),
             )  # fmt: skip
             chunks.append(rows[:filled])
-    with contextlib.suppress(BrokenPipeError):  # the parent may have gone
+    with contextlib.suppress(BrokenPipeError):  # the parent may have ended
         pipe.send(np.concatenate(chunks))

@@ -17,20 +17,20 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class HostEnvironment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Facts about a machine that a timing depends on."""
+    """Description of the machine on which a timing was measured."""
 
-    kernel: str
-    machine: str
-    processors: int
-    python: str
-    clock_source: str  # As the kernel reports them; "unknown" where it does not
-    governor: str
-    load_average: str
+    kernel: str  # System, release and version
+    machine: str  # Architecture
+    processors: int  # Number of processors
+    python: str  # Version of Python
+    clock_source: str  # Clock source of the kernel; "unknown" if it reports none
+    governor: str  # Frequency governor; "unknown" if the kernel reports none
+    load_average: str  # Load over 1, 5 and 15 minutes; "unknown" if the kernel reports none
 
 
 @contextlib.contextmanager
 def cpu_load(count: int, cpus: set[int]) -> Iterator[None]:
-    """Keep processors busy for as long as the block lasts."""
+    """Keep processors busy with `count` processes during the block."""
     processes = [_SPAWN.Process(target=_spin, args=(cpus,), daemon=True) for _ in range(count)]
     for process in processes:
         process.start()
@@ -52,14 +52,14 @@ def _spin(cpus: set[int]) -> None:
 
 
 def assign_processors() -> tuple[int, set[int]]:
-    """Processor for the loop, and those for everything else (the same where there is only one)."""
+    """Return the processor for the loop, and those for everything else (a single one is both)."""
     available = sorted(os.sched_getaffinity(0))
     return available[-1], set(available[:-1]) or set(available)
 
 
 @contextlib.contextmanager
 def pinned_to(cpus: set[int]) -> Iterator[None]:
-    """Pin this process, and all that it starts, to some processors for the block."""
+    """Pin this process, and the processes that it starts, to some processors during the block."""
     before = os.sched_getaffinity(0)
     os.sched_setaffinity(0, cpus)
     try:
@@ -69,7 +69,7 @@ def pinned_to(cpus: set[int]) -> Iterator[None]:
 
 
 def scheduling_policy() -> str:
-    """Policy and priority of the calling thread, like "SCHED_FIFO 50"."""
+    """Return policy and priority of the calling thread, like "SCHED_FIFO 50"."""
     names = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     return f"{names.get(policy, policy)} {os.sched_getparam(0).sched_priority}"

@@ -1,7 +1,7 @@
-"""Reference jitter: lateness of wake-ups on the loop's processor, measured beside the run.
+"""Reference jitter: lateness of wake-ups on the loop's processor, measured during the run.
 
-cyclictest (rt-tests) is the usual tool for it. Where it is not installed, the probe of
-`hil.timing.probe` takes its place: `clock_nanosleep` in a process of its own.
+The usual tool is cyclictest (rt-tests). If it is not installed, the probe of `hil.timing.probe`
+replaces it: `clock_nanosleep` in a separate process.
 """
 
 from __future__ import annotations
@@ -27,16 +27,15 @@ _PATIENCE_S: Final = 5.0
 class ReferenceJitter(Percentiles, frozen=True, kw_only=True):
     """Lateness of a process that does nothing but wake, on the loop's processor."""
 
-    period_ns: int  # How often it wakes
-    method: str  # How it was measured
-    above_the_loop: bool  # Whether its priority was above the loop's
+    period_ns: int  # Period of the wake-ups
+    method: str  # Tool, priority and processor of the measurement
+    above_the_loop: bool  # Whether the priority was above the loop's
 
 
 class Cyclictest:
-    """Running cyclictest, or none where it is not installed or may not run.
+    """Running cyclictest, or none if it is not installed or not permitted.
 
-    `period_s`: how often it wakes: as often as the loop, so that both meet the same stalls of the
-    host.
+    It wakes with the loop's period, so that both are exposed to the same stalls of the host.
     """
 
     def __init__(self, cpu: int, period_s: float, scratch: Path) -> None:
@@ -56,7 +55,7 @@ class Cyclictest:
             )  # fmt: skip
 
     def stop(self) -> ReferenceJitter | None:
-        """End it and return its result; None where it gave none."""
+        """End cyclictest and return its result; None if there is none."""
         self.close()
         try:
             thread = json.loads(self._result.read_text(encoding="utf-8"))["thread"]["0"]
@@ -72,7 +71,7 @@ class Cyclictest:
         )
 
     def close(self) -> None:
-        """End it if it still runs."""
+        """End cyclictest if it is still running."""
         if self._process is not None and self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             try:
@@ -83,10 +82,9 @@ class Cyclictest:
 
 
 def histogram_percentiles(counts: dict[int, int], cycles: int, max_us: int) -> Percentiles:
-    """Return the percentiles of a histogram in µs.
+    """Return the percentiles of a histogram of wake-ups by lateness in µs.
 
-    `counts`: wake-ups by lateness in µs; those beyond its end are left out.
-    `max_us`: largest lateness, which also stands for those beyond the histogram's end.
+    `counts` lacks the wake-ups beyond the histogram's end; their lateness is taken to be `max_us`.
     """
     found: dict[str, int] = {}
     seen, wanted = 0, dict(FRACTIONS)
@@ -111,7 +109,7 @@ def probe_jitter(probe: ProbeRecord) -> ReferenceJitter:
 
 @contextlib.contextmanager
 def cyclictest(cpu: int, period_s: float, scratch: Path) -> Iterator[Cyclictest]:
-    """Run one for as long as the block lasts."""
+    """Run cyclictest during the block."""
     running = Cyclictest(cpu, period_s, scratch)
     try:
         yield running

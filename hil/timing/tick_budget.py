@@ -1,4 +1,4 @@
-"""Time budget of a tick: every stage against its budget, the parts of the read, the slack.
+"""Time budget of a tick: the time of each stage and its budget, the parts of the read, the slack.
 
 ::
 
@@ -7,10 +7,9 @@
                   | own | transmission | servo | wait |
 
 `transmission` and `servo` follow from the bus plan: bits at the baud rate, return delays. `wait` is
-what the read waited beyond them: latency timer, operating system, an answer that did not come and
-was requested again. `own` is its work on packets. The high-water mark is the longest tick seen. It
-is not a worst-case execution time: nothing excludes a longer one, and the bound on the miss rate
-says how rare it must be.
+the rest of the wait: latency timer, operating system, and the retry after a lost reply. `own` is
+the work on packets. The high-water mark is the longest measured tick. It is not a worst-case
+execution time: a longer tick is possible, and the bound on the miss rate limits how often.
 """
 
 from __future__ import annotations
@@ -33,72 +32,71 @@ BUDGET_NS: Final = {
     "wake": 100_000, "read": 200_000, "estimate": 200_000, "predict": 200_000, "command": 20_000,
     "check": 80_000, "write": 100_000, "log": 200_000,
 }  # fmt: skip
-"""99th percentile that a stage may take, the wait of the read left out. Tails do not add up, so the
-sum may exceed the 1 ms of the whole. Reported, not judged."""
+"""Budget for the 99th percentile of each stage; the read without its wait. Percentiles do not add,
+so the sum may exceed the 1 ms of the whole tick. The budgets are reported, not judged."""
 LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
-"""Targets for the lateness of the loop against the reference beside it."""
+"""Targets for the ratio of the loop's lateness to the reference jitter."""
 
 
 class PlanTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Times of one tick that follow from the bus plan."""
 
-    plan: str
-    transmission_ns: int  # Bits of the read; return delays of the servos; bits of the write
-    servo_ns: int
-    write_ns: int
+    plan: str  # Name of the bus plan
+    transmission_ns: int  # Bits of the read at the baud rate
+    servo_ns: int  # Return delays of the servos
+    write_ns: int  # Bits of the write at the baud rate
 
     @property
     def exchange_ns(self) -> int:
-        """Read and write together."""
+        """Time of read and write together."""
         return self.transmission_ns + self.servo_ns + self.write_ns
 
 
 class StageBudget(Percentiles, frozen=True, kw_only=True):
     """Time of a stage, its budget, and whether its 99th percentile is within it."""
 
-    budget_p99_ns: int
-    within_budget: bool
+    budget_p99_ns: int  # Budget for the 99th percentile
+    within_budget: bool  # Whether the 99th percentile is within its budget
 
 
 class Slack(Percentiles, frozen=True, kw_only=True):
-    """Time of the period that a tick leaves, and the least."""
+    """Time left in the period after a tick."""
 
-    min_ns: int
+    min_ns: int  # Least slack of any tick; negative if one ended after its slot
 
 
 class TickCost(Percentiles, frozen=True, kw_only=True):
-    """Duration of some ticks, and the slots that they lost."""
+    """Duration of some ticks, and the slots lost after them."""
 
-    missed_slots: int
+    missed_slots: int  # Slots lost after these ticks
 
 
 class ExchangeTime(Percentiles, frozen=True, kw_only=True):
-    """Read and write together, against the time that the plan gives them."""
+    """Measured time of read and write together, compared with the bus plan."""
 
-    plan_ns: int
-    ratio_p50: float
-    # The same with the transmission of the goals, which the loop does not wait for
+    plan_ns: int  # Time of read and write by the bus plan
+    ratio_p50: float  # Ratio of the measured median to the plan
+    # The same ratio with the transmission of the goals, for which the loop does not wait
     until_goals_arrived_ratio_p50: float
 
 
 class TickBudget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Time of the ticks of a run, by where it went."""
+    """Breakdown of the ticks' time in a run."""
 
-    budget: dict[str, StageBudget]  # By stage; the read without its wait
+    budget: dict[str, StageBudget]  # Time and budget by stage; the read without its wait
     read: dict[str, Percentiles]  # Parts of the read: own, transmission, servo, wait
-    slack: Slack  # What is left of the period
-    high_water_mark_ns: int  # Longest tick, its lateness included
-    # Ticks in which a second read replaced a lost or damaged answer, and in which it did not
-    read_again: TickCost
-    without_data: TickCost
+    slack: Slack  # Time left in the period
+    high_water_mark_ns: int  # Longest tick, including its lateness
+    read_again: TickCost  # Ticks in which a retry replaced a lost or damaged reply
+    without_data: TickCost  # Ticks without fresh data, in which the retry failed as well
     cpu_fraction: float  # Fraction of the time in which the loop computes
-    exchange: ExchangeTime
+    exchange: ExchangeTime  # Read and write compared with the bus plan
     # Ratio of the loop's lateness to the reference jitter, by percentile
     lateness_against_reference: dict[str, float]
 
 
 def plan_times(plan: Plan) -> PlanTimes:
-    """Times of one tick by a bus plan."""
+    """Return the times of one tick by a bus plan."""
     return PlanTimes(
         plan=plan.name,
         transmission_ns=round((plan.read_s - plan.pause_s) * 1e9),
@@ -110,10 +108,7 @@ def plan_times(plan: Plan) -> PlanTimes:
 def measure_budget(
     records: NDArray[np.void], period_s: float, plan: PlanTimes, reference: Percentiles
 ) -> TickBudget:
-    """Account for the time of every tick.
-
-    Shapes: `records` (n,).
-    """
+    """Break down the time of the ticks in `records`, shape (n,)."""
     period_ns = round(period_s * 1e9)
     own_ns = records["busy_ns"] - records["bus_wait_ns"]
     taken_ns = records["lateness_ns"] + records["busy_ns"]
@@ -174,7 +169,7 @@ def _ratios(lateness: Percentiles, reference: Percentiles) -> dict[str, float]:
 
 
 def describe_budget(budget: TickBudget) -> list[str]:
-    """Return the budget table and the figures beside it as lines of text."""
+    """Return the budget table and the figures below it as lines of text."""
     rows = [f"{'stage, µs':18} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
     for stage, measured in budget.budget.items():
         limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}" + (

@@ -1,8 +1,8 @@
 """Timeline of a run for ui.perfetto.dev, in the Chrome trace format (JSON).
 
 One track shows slots and stages, one the wait for the bus, one the stalls of the processor that the
-probe found. Of a long run it holds the beginning, and the surroundings of the ticks that took
-longest and of those that missed.
+probe measured. For a long run it contains the beginning, and the ticks around the longest ones and
+around missed deadlines.
 """
 
 from __future__ import annotations
@@ -29,10 +29,6 @@ _PROCESS: Final = 1
 def write_timeline(
     path: Path, records: NDArray[np.void], loop_cpu: ProbeRecord, period_ns: int
 ) -> None:
-    """Write the trace of a run.
-
-    Shapes: `records` (n,).
-    """
     shown = select_ticks(records, period_ns)
     origin_ns = int(records["deadline_ns"][0]) if len(records) else 0
     events = [_track(number, name) for number, name in _TRACKS.items()]
@@ -45,9 +41,9 @@ def write_timeline(
 
 
 def select_ticks(records: NDArray[np.void], period_ns: int) -> NDArray[np.bool_]:
-    """Mask of the ticks to show: all of a short run, the longest and missed ones of a long one.
+    """Return a mask of the ticks to show, shape (n,): all of a short run, a part of a long one.
 
-    Shapes: `records` (n,).
+    The part is the beginning, and the ticks around the longest ones and around misses.
     """
     if len(records) <= MOST_TICKS:
         return np.ones(len(records), bool)

@@ -1,4 +1,4 @@
-"""Timing document (`timing.json`): the verdict on a run, its tick budget and prediction error.
+"""Timing document (`timing.json`): verdict on a run, its tick budget and prediction error.
 
 Times are in ns, distances in m.
 """
@@ -23,25 +23,28 @@ __all__ = ["TimingDocument", "read_timing", "write_timing"]
 class SilEnvironment(HostEnvironment, frozen=True, kw_only=True, omit_defaults=True):
     """Machine, line and scheduler of a run in software."""
 
-    line: str  # "pty", "socket" or "virtual"
-    baud: int
-    latency_timer_ns: int  # Of the emulated USB adapter
-    servo: str
-    payload_kg: float
-    behind_the_servos: str
-    scheduler: str  # Policy and priority of the loop
-    faults: dict[str, float] = msgspec.field(default_factory=dict)  # Rates of the line's faults
-    hidden: dict[str, float] = msgspec.field(default_factory=dict)  # Effects hidden in the rig
-    # Sentence on a plan or a map that was made with another plant than the bundle
+    line: str  # Kind of line: "pty", "socket" or "virtual"
+    baud: int  # Bits per second
+    latency_timer_ns: int  # Latency timer of the emulated USB adapter
+    servo: str  # Servo model
+    payload_kg: float  # Payload at the tip
+    behind_the_servos: str  # Simulated plant: "twin" or "rig"
+    scheduler: str  # Scheduling policy and priority of the loop
+    # Rate of each kind of line fault
+    faults: dict[str, float] = msgspec.field(default_factory=dict)
+    # Strength of each effect that was added to the rig
+    hidden: dict[str, float] = msgspec.field(default_factory=dict)
+    # Warning that the plan or the map was computed with another plant than the bundle's; or empty
     goals_note: str = ""
     # Real-time rights that the kernel refused, on a line in real time
     refused: tuple[str, ...] = ()
-    loop_processor: int | None = None  # Processors of loop and emulator, on a line in real time
-    line_processor: int | None = None
-    load_processes: int = 0  # Processes of the declared host load
-    load_is: str | None = None
-    # Simulated time against the wall clock and against processor time, on the virtual line
+    loop_processor: int | None = None  # Processor of the loop, on a line in real time
+    line_processor: int | None = None  # Processor of the emulator, on a line in real time
+    load_processes: int = 0  # Number of processes of the declared host load
+    load_is: str | None = None  # Description of the declared host load
+    # Ratio of simulated time to wall-clock time, on the virtual line
     speed_up: float | None = None
+    # Ratio of simulated time to processor time, on the virtual line
     speed_up_by_processor_time: float | None = None
     records_sha256: str | None = None  # Hash of ticks and true tip, on the virtual line
 
@@ -49,73 +52,75 @@ class SilEnvironment(HostEnvironment, frozen=True, kw_only=True, omit_defaults=T
 class RunFacts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Course of a run."""
 
-    ended: str  # How it ended, see `firmware_py.summary.Ended`, and one sentence
-    reason: str
-    wall_s: float  # Duration by the wall clock
-    bus_faults: dict[str, int]  # Ticks by status of the bus
-    faults_injected: dict[str, int]  # Faults of the line by kind
-    telemetry_drops: int  # Ticks that the recorder did not get
+    ended: str  # How the run ended, see `firmware_py.summary.Ended`
+    reason: str  # Why the run ended
+    wall_s: float  # Wall-clock duration
+    bus_faults: dict[str, int]  # Number of ticks by status of the bus, if not OK
+    faults_injected: dict[str, int]  # Number of injected line faults by kind
+    telemetry_drops: int  # Ticks that did not reach the recorder
     # Durations of the parts that the run repeats: rest, motion, glide
     programme_s: dict[str, float]
     feedback: FeedbackUse  # How often feedback of the tip acted
-    # Sentence where the estimated payload is beyond those of the plan; else empty
+    # Warning that the estimated payload is outside the plan's payloads; or empty
     payload_note: str
 
 
 class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Distance between the predicted and the true tip over some ticks."""
 
-    n: int  # Ticks with fresh data; the other fields are None where there is none
+    n: int  # Number of ticks with fresh data; without any, the other fields are null
     mean_euclidean_distance_m: float | None
     rms_m: float | None
-    p95_m: float | None
+    p95_m: float | None  # 95th percentile
     max_m: float | None
     # Fraction of ticks inside the predictor's 95 % interval, mean over the axes that move
     interval_coverage: float | None
-    interval_coverage_least: float | None  # The same on the worst of these axes
+    interval_coverage_least: float | None  # The same fraction on the worst of these axes
     in_range_fraction: float | None  # Fraction of ticks inside the predictor's training range
 
 
 class PredictionError(TipErrors, frozen=True, kw_only=True):
     """Distance between the predicted and the true tip over a run, and over its parts."""
 
-    # In_range, out_of_range and the parts of the programme, where they have fresh ticks
+    # Errors of each part with fresh ticks: in_range, out_of_range, parts of the programme, stop
     parts: dict[str, TipErrors] = msgspec.field(default_factory=dict)
 
 
 class PathError(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Distance of the tip from its path in one run of a plan, in the planned coordinates."""
 
-    rms_m: float  # Over the whole run, rest and ways included
-    max_m: float
-    path_rms_m: float  # Over the path alone
-    rows: int  # Ticks that count: fresh, and not of a stop
+    rms_m: float  # RMS over the whole run, including rest, approach and return
+    max_m: float  # Maximum over the whole run
+    path_rms_m: float  # RMS over the path alone
+    rows: int  # Number of ticks that count: with fresh data, and before a stop
 
 
 class MoveFigures(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Move of a plan from rest to rest, in the planned coordinates."""
 
-    # Time from its start until the tip stays within 10 mm of where it comes to rest
+    # Time from the start of the move until the tip stays within 10 mm of its rest position
     settling_s: float
-    swing_m: float  # Half of the largest range of a coordinate after the move itself is over
-    offset_m: float  # Distance of the place of rest from the desired one
-    command_s: float  # Duration of the move itself: of the path, for comparisons of the goals
+    # Residual vibration: half of the largest range of a coordinate after the end of the command
+    swing_m: float
+    offset_m: float  # Distance of the rest position from the desired one
+    command_s: float  # Duration of the commanded move, without the rest after it
 
 
 class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
-    """Contents of `timing.json`: the verdict, and what it was reached on."""
+    """Contents of `timing.json`: the verdict and the measurements behind it."""
 
     MADE_BY: ClassVar[str] = "dropstitch sil"
 
     environment: SilEnvironment  # Machine, line and scheduler
-    run: RunFacts
-    # Wake-up jitter of the machine, by cyclictest where it is installed, else by the probe
+    run: RunFacts  # Course of the run
+    # Wake-up jitter of the machine, measured by cyclictest if it is installed, else by the probe
     reference_jitter: ReferenceJitter
-    probe_jitter: ReferenceJitter | None = None  # The probe's, where cyclictest gave the reference
-    bus_plan: PlanTimes
-    account: TickBudget  # Time of the ticks, by where it went
+    # Wake-up jitter measured by the probe, if cyclictest measured the reference
+    probe_jitter: ReferenceJitter | None = None
+    bus_plan: PlanTimes  # Times that follow from the bus plan
+    account: TickBudget  # Breakdown of the ticks' time
     prediction_error: PredictionError  # Error of the robot's prediction
-    # Where a plan was run: error of the tip in each of its runs
+    # Path error in each complete run of a plan
     path_errors: tuple[PathError, ...] = ()
     moves: tuple[MoveFigures, ...] = ()  # Moves from rest to rest in the last run of a plan
 

@@ -1,14 +1,15 @@
 """Timing verdict of a run: pass, fail or inconclusive, from its missed deadlines and their causes.
 
 `hil.timing.deadline_misses` attributes each miss to the host or to the loop. A tick counts as
-preempted by the host from `PREEMPTED_NS` of certain host time on.
+preempted by the host if its certain host time is `PREEMPTED_NS` or more. The verdicts with their
+exit codes:
 
 ==================== ==== =======================================================================
+pass                 0    no miss is the loop's own; misses by the host are listed
 fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
-inconclusive         3    else, a signal ended the run early, or more than 1 % of the ticks were
-                          preempted by the host, or it spoiled every tick for which the supervisor
-                          stopped the robot
-pass                 0    else; misses that are the host's are listed
+inconclusive         3    the host spoiled every tick for which the supervisor stopped the robot;
+                          or, without a failure, a signal ended the run early or the host preempted
+                          more than 1 % of the ticks
 ==================== ==== =======================================================================
 """
 
@@ -34,17 +35,18 @@ from hil.verdict import JUnitCase, Verdict, junit_xml
 __all__ = ["TimingVerdict", "judge_timing", "timing_junit"]
 
 PREEMPTED_NS: Final = 500_000
-"""Host time in a tick from which on the tick counts as preempted: half of the cost budget."""
+"""Certain host time at which a tick counts as preempted: half of the cost budget."""
 PREEMPTED_FRACTION: Final = 0.01
 """Fraction of preempted ticks above which a run is inconclusive."""
 
 
 class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits and targets that a run is held against."""
+    """Limits and targets for a run."""
 
-    period_ns: int
-    # Targets for a tick without its wait for the bus; reported, not judged
+    period_ns: int  # Control period
+    # Target for the median of a tick without its wait for the bus; reported, not judged
     own_cost_p50_ns: int = OWN_COST_P50_NS
+    # Target for the 99th percentile of a tick without its wait for the bus; reported, not judged
     own_cost_p99_ns: int = OWN_COST_P99_NS
     # Fraction of preempted ticks above which the run is inconclusive
     preempted_fraction: float = PREEMPTED_FRACTION
@@ -53,14 +55,14 @@ class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class OwnCost(Percentiles, frozen=True, kw_only=True):
     """Time of a tick without its wait for the bus, and whether it meets its targets."""
 
-    within_budget: bool
+    within_budget: bool  # Whether median and 99th percentile meet their targets
 
 
 class HostTime(Percentiles, frozen=True, kw_only=True):
     """Certain host time of a tick, and how many ticks count as preempted."""
 
-    preempted_ticks: int
-    preempted_fraction: float
+    preempted_ticks: int  # Number of ticks that count as preempted by the host
+    preempted_fraction: float  # Fraction of ticks that count as preempted by the host
 
 
 class TimingVerdict(Document, frozen=True, kw_only=True):
@@ -68,27 +70,27 @@ class TimingVerdict(Document, frozen=True, kw_only=True):
 
     VERSION: ClassVar[int] = 2
 
-    verdict: Verdict  # Result, and one sentence that explains it
-    reason: str
-    stopped: str  # Reason for which the safety supervisor stopped the robot; empty where it did not
-    # Signal that ended the run early, and after how many slots; empty where none did
+    verdict: Verdict
+    reason: str  # One sentence that explains the verdict
+    stopped: str  # Reason for which the safety supervisor stopped the robot; empty if it did not
+    # Signal that ended the run early, and the slots completed by then; empty if none did
     interrupted: str = ""
-    budget: TimingTargets
-    slots: int  # Slots of the run, lost ones included; ticks that ran
-    ticks: int
-    stages: dict[str, Percentiles]  # By stage of the tick
-    # Whole tick; tick without its wait for the bus; that wait; lateness of the wake-up
-    tick: Percentiles
-    own_cost: OwnCost
-    bus_wait: Percentiles
-    lateness: Percentiles
-    host: HostTime
-    misses: int  # Slots lost; those not attributed to the host
-    own_misses: int
-    longest_run_of_misses: int  # Slots lost in a row
-    causes: dict[Cause, int]  # Slots lost by cause
+    budget: TimingTargets  # Limits and targets
+    slots: int  # Number of slots, including lost ones
+    ticks: int  # Number of ticks that ran
+    stages: dict[str, Percentiles]  # Duration of each stage of a tick
+    tick: Percentiles  # Duration of a tick
+    own_cost: OwnCost  # Duration of a tick without its wait for the bus
+    bus_wait: Percentiles  # Wait for the bus in a tick
+    lateness: Percentiles  # Lateness of the wake-up
+    host: HostTime  # Certain host time of a tick
+    misses: int  # Number of lost slots
+    own_misses: int  # Number of lost slots that are not attributed to the host
+    longest_run_of_misses: int  # Largest number of slots lost in a row
+    causes: dict[Cause, int]  # Number of lost slots by cause
     missed: tuple[Miss, ...]  # Every tick that ended after its slot
-    miss_rate_upper_bound_95: float  # Upper bounds on the miss rates with 95 % confidence
+    miss_rate_upper_bound_95: float  # Upper bound on the miss rate with 95 % confidence
+    # Upper bound with 95 % confidence on the rate of misses that are not attributed to the host
     own_miss_rate_upper_bound_95: float
 
 
@@ -102,11 +104,10 @@ def judge_timing(
     faults: Collection[Fault] = (),
     interrupted: str = "",
 ) -> TimingVerdict:
-    """Judge the timing of a run.
+    """Judge the timing of a run from its `records`, shape (n,).
 
-    Shapes: `records` (n,).
-    `stopped`: why the safety supervisor stopped the robot; empty where it did not.
-    `interrupted`: signal that ended the run early, and after how many slots; empty where none did.
+    `stopped` is the reason of the safety supervisor for a stop, `faults` what it detected;
+    `interrupted` names a signal that ended the run early. They are empty otherwise.
     """
     targets = TimingTargets(period_ns=round(period_s * 1e9))
     certain_ns, possible_ns = host_time_ns(
@@ -166,7 +167,7 @@ def _decide(
     excused: bool,
     interrupted: str,
 ) -> tuple[Verdict, str]:
-    """Verdict and its reason, see the module's table."""
+    """Return the verdict and its reason by the module's table."""
     if excused:
         return Verdict.INCONCLUSIVE, (
             f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
@@ -185,7 +186,7 @@ def _decide(
 
 
 def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
-    """Return the verdict as JUnit XML: one case per question."""
+    """Return the verdict as JUnit XML, one test case per question."""
     own = [miss for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
     inconclusive = timing.verdict is Verdict.INCONCLUSIVE
     stopped = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL

@@ -1,1 +1,1 @@
-"""Engines that bring cases to workers: processes of this machine, dask, submitit."""
+"""Engines that run cases in workers: processes of this machine, dask, submitit."""

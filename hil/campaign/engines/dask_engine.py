@@ -1,11 +1,12 @@
 """Engine of a dask cluster.
 
-How distributed 2026.8 treats a dead worker (`Scheduler.remove_worker`): every task that was
-assigned to it, running or not, becomes more suspicious by one and runs elsewhere; one beyond
-`distributed.scheduler.allowed-failures` (3) ends in `KilledWorker`. A harmless case can end so in
-the queue of one that kills. Therefore such a case is run once more at the end, alone, and only then
-given up. Results live on workers until they are gathered; those of a dead one are computed again.
-A `Nanny` starts a dead worker again, but not one that died while it was starting.
+How distributed 2026.8 handles a dead worker (`Scheduler.remove_worker`): the suspicion count of
+every task that was assigned to it, running or not, rises by one, and the task runs elsewhere. A
+task whose count exceeds `distributed.scheduler.allowed-failures` (3) ends in `KilledWorker`. So a
+harmless case can end this way because it was queued behind one that kills its worker. Such a case
+is therefore run once more at the end, alone, and counts as killed only if it fails again. Results
+stay on workers until they are gathered; those of a dead worker are computed again. A `Nanny`
+restarts a dead worker, but not one that died during its start.
 """
 
 from __future__ import annotations
@@ -28,26 +29,26 @@ from hil.campaign.case_worker import run_task
 from hil.campaign.engines.engine import killed_outcome
 
 CONNECT_S: Final = 10.0
-"""Time that a scheduler gets to answer [assumed]."""
+"""Timeout of the scheduler's answer [assumed]."""
 AHEAD: Final = 4
-"""Cases that are sent for each worker, so that none waits for the campaign: a case of 0.5 s and a
-round trip of some ms need two [assumed]."""
+"""Cases sent ahead for each worker, so that no worker idles: a case of 0.5 s and a round trip of
+some ms need two [assumed]."""
 LOOK_S: Final = 5.0
-"""Time between two looks at the cluster while no case ends [assumed]."""
+"""Period of checks of the cluster while no case ends [assumed]."""
 EMPTY_S: Final = 300.0
-"""Time that a cluster may be without workers: a queue may have to bring new ones [assumed]."""
+"""Timeout of a cluster without workers; a queue may still have to start new ones [assumed]."""
 LOST_MOST: Final = 10
-"""Times that a case is sent again where the cluster loses it without a reason [assumed]."""
+"""Largest number of retries of a case that the cluster loses without a reason [assumed]."""
 
 
 class DaskEngine:
-    """Engine of a dask cluster."""
+    """Engine that runs cases on a dask cluster."""
 
     shared = True
 
     def __init__(self, scheduler: str) -> None:
         try:
-            import distributed  # an extra: imported where it is asked for
+            import distributed  # an optional dependency
         except ImportError:
             raise InputError(
                 "--executor dask", "needs an extra that is not installed",
@@ -57,12 +58,11 @@ class DaskEngine:
         self._scheduler = scheduler
 
     def outcomes(self, tasks: Sequence[CaseTask]) -> Iterator[TaskOutcome]:
-        """See `Engine.outcomes`."""
         client = self._connect()
         try:
             yield from _DaskRun(self._dask, client, self._scheduler, tasks).outcomes()
         finally:
-            with contextlib.suppress(Exception):  # a cluster that is gone cannot say good-bye
+            with contextlib.suppress(Exception):  # the cluster may no longer answer
                 client.close(timeout=CONNECT_S)
 
     def _connect(self) -> Any:
@@ -102,7 +102,7 @@ class _DaskRun:
         self._seen_s = time.monotonic()
 
     def outcomes(self) -> Iterator[TaskOutcome]:
-        """Outcomes of all tasks, those of suspects last."""
+        """Yield the outcomes of all tasks, those of suspects last."""
         fresh = iter(range(len(self._tasks)))
         while True:
             while len(self._sent) < self._window():
@@ -120,9 +120,9 @@ class _DaskRun:
                 yield outcome
 
     def _window(self) -> int:
-        """Cases that are sent before one ends; asked for at most once a second."""
+        """Number of cases to keep sent; the workers are counted at most once a second."""
         if time.monotonic() > self._counted_s + 1.0:
-            with contextlib.suppress(Exception):  # asked again later
+            with contextlib.suppress(Exception):  # counted again later
                 self._workers = len(self._client.ncores())
             self._counted_s = time.monotonic()
         return AHEAD * max(self._workers, 1)
@@ -135,7 +135,7 @@ class _DaskRun:
         future.add_done_callback(self._done.put)
 
     def _next(self, *, alone: bool) -> TaskOutcome | None:
-        """Outcome of the next case that ends; None where it runs again."""
+        """Outcome of the next case that ends; None if it will run again."""
         future = self._next_done()
         number = self._sent.pop(future)
         status, key = future.status, self._tasks[number].key
@@ -153,14 +153,14 @@ class _DaskRun:
                 sentence = " ".join(f"{type(error).__name__}: {error}".split())
                 return TaskOutcome(key=key, state="failed", sentence=sentence[:800],
                                    log=f"raised on the worker: {error!r}")  # fmt: skip
-        except Exception as error:  # the worker died while its answer was on the way
+        except Exception as error:  # the worker died while its result was being transferred
             status = f"{type(error).__name__}: {error}"
         finally:
             future.release()
         return self._once_more(number, status)
 
     def _next_done(self) -> Any:
-        """Future of the next case that ends, as long as the cluster has workers."""
+        """Wait for the next case to end; refuse to wait on a cluster without workers."""
         while True:
             with contextlib.suppress(queue.Empty):
                 return self._done.get(timeout=LOOK_S)

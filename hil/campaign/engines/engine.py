@@ -8,28 +8,27 @@ from typing import Final, Protocol
 from hil.campaign.case_task import CaseTask, TaskOutcome
 
 ATTEMPTS: Final = 3
-"""Times that a case is begun before it is given up: a worker may die by another's fault, such as
-memory that runs out, a case that kills each worker has to end [assumed]."""
+"""Attempts at a case whose worker dies. The cause may lie elsewhere, such as memory that another
+program used up, but a case that kills every worker has to end [assumed]."""
 
 
 class Engine(Protocol):
-    """Engine that brings cases to workers."""
+    """Engine that runs cases in workers."""
 
-    # Whether other programs may use the workers' processors, so that time cannot be measured
+    # Whether other programs may use the workers' processors, so that timing cannot be measured
     shared: bool
 
     def outcomes(self, tasks: Sequence[CaseTask]) -> Iterator[TaskOutcome]:
-        """Run tasks; yield one outcome for each, in the order of their ends.
+        """Run tasks; yield one outcome for each, as they end.
 
-        Workers end with the iterator, also where it is closed early.
-
-        `tasks`: to run; may make each task when it is asked for.
+        The workers end with the iterator, even if it is closed early. `tasks` may create each task
+        only on access.
         """
         ...
 
 
 def killed_outcome(key: str, how: str, log: str = "") -> TaskOutcome:
-    """Outcome of a case that was given up because its workers died."""
+    """Return the outcome of a case whose workers died in every attempt."""
     return TaskOutcome(
         key=key, state="killed", log=f"{how}\n{log}".strip(),
         sentence="its worker died each time that it was begun",

@@ -1,7 +1,7 @@
 """Engine of processes on this machine.
 
-One pipe to each worker, one case at a time: when a worker dies, the case that killed it is known,
-and no other case is blamed. `concurrent.futures` gives up all cases with the first dead worker.
+Each worker has its own pipe and one case at a time. So when a worker dies, exactly one case can
+have caused it. `concurrent.futures` would end all cases with the first dead worker.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from models.shared.worker_pool import end_with_parent
 
 _SPAWN: Final = multiprocessing.get_context("spawn")
 _END_S: Final = 5.0
-"""Time that a worker gets to end by itself."""
+"""Timeout for a worker to end by itself."""
 
 
 def serve_tasks(pipe: Connection, log: str) -> None:
-    """Run the tasks that come through a pipe until it closes."""
+    """Run the tasks that arrive through a pipe until it closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C in the terminal ends the campaign
     end_with_parent()  # a closed pipe ends only a worker that waits for a task
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -43,7 +43,7 @@ def serve_tasks(pipe: Connection, log: str) -> None:
 
 @dataclass
 class _Worker:
-    """Process with the number of its task."""
+    """Worker process with the number of its task."""
 
     process: multiprocessing.process.BaseProcess
     pipe: Connection
@@ -54,7 +54,7 @@ class _Worker:
     def give(self, number: int, task: CaseTask) -> None:
         self.task = number
         self.log_start = self.log.stat().st_size if self.log.exists() else 0
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # seen as dead next
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # handled on receiving
             self.pipe.send(task)
 
     def written(self) -> str:
@@ -66,7 +66,7 @@ class _Worker:
 
 
 class ProcessEngine:
-    """Engine of processes."""
+    """Engine that runs cases in processes of this machine."""
 
     shared = False
 
@@ -75,7 +75,6 @@ class ProcessEngine:
         self._workers: list[_Worker] = []
 
     def outcomes(self, tasks: Sequence[CaseTask]) -> Iterator[TaskOutcome]:
-        """See `Engine.outcomes`."""
         self._directory.mkdir(parents=True, exist_ok=True)
         left, attempts = deque(range(len(tasks))), Counter[int]()
         try:
@@ -123,7 +122,7 @@ class ProcessEngine:
         return _Worker(process, own, log)
 
     def _stop(self) -> None:
-        """End the workers: the idle ones by themselves, the others at once."""
+        """End the workers: idle ones by a message, busy ones by a signal."""
         for worker in self._workers:
             if worker.task is not None:
                 worker.process.terminate()

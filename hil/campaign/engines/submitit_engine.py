@@ -1,8 +1,8 @@
-"""Engine of submitit: jobs of a cluster's queue (SLURM), or processes of this machine to try it.
+"""Engine of submitit: jobs in a cluster's queue (SLURM), or local processes to try it out.
 
-A job runs several cases, one after the other, and leaves each outcome in a file at once, so that a
-job that is killed loses the case in flight alone. The directory of the campaign must be on a file
-system that all nodes see.
+A job runs several cases one after the other and writes each outcome to a file at once, so a job
+that is killed loses only the running case. The directory of the campaign must be on a file system
+that all nodes share.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ from hil.campaign.code_version import ROOT
 from hil.campaign.engines.engine import ATTEMPTS, killed_outcome
 
 LOOK_S: Final = 0.5
-"""Time between two looks at the jobs [assumed]."""
+"""Period of checks of the jobs [assumed]."""
 MOST_IN_JOB: Final = 500
-"""Cases of the largest job: at most so many wait behind one that ends badly [assumed]."""
+"""Largest number of cases in a job, which limits how many wait behind one that kills it
+[assumed]."""
 JOBS_PER_WORKER: Final = 4
-"""Jobs that each worker gets in turn, so that all end at about the same time [assumed]."""
+"""Number of jobs for each worker, so that all workers end at about the same time [assumed]."""
 
 
 def run_batch(tasks: list[CaseTask], directory: str) -> int:
-    """Run tasks in a job, leave each outcome in a file; return their number."""
+    """Run tasks in a job, write each outcome to a file, and return the number of tasks."""
     for task in tasks:
         path = Path(directory) / f"{task.key}.json"
         fresh = path.with_suffix(".part")
@@ -42,9 +43,9 @@ def run_batch(tasks: list[CaseTask], directory: str) -> int:
 
 
 class SubmititEngine:
-    """Engine of submitit.
+    """Engine that runs cases in jobs of submitit.
 
-    `cluster`: "slurm", "local" for processes of this machine; None for what submitit finds.
+    `cluster` is "slurm", "local" for processes of this machine, or None for automatic detection.
     """
 
     shared = True
@@ -53,7 +54,7 @@ class SubmititEngine:
         self, workers: int, directory: Path, cluster: str | None, parameters: Mapping[str, str]
     ) -> None:
         try:
-            import submitit  # an extra: imported where it is asked for
+            import submitit  # an optional dependency
         except ImportError:
             raise InputError(
                 "--executor submitit", "needs an extra that is not installed",
@@ -69,14 +70,13 @@ class SubmititEngine:
             self._executor.update_parameters(
                 name="dropstitch", **{n: _number(v) for n, v in parameters.items()}
             )
-        except Exception as error:  # of several types, by cluster
+        except Exception as error:  # the type depends on the cluster
             raise InputError(
                 "--executor submitit", f"cannot be set up ({error})",
                 "give another --cluster or --parameter",
             ) from None  # fmt: skip
 
     def outcomes(self, tasks: Sequence[CaseTask]) -> Iterator[TaskOutcome]:
-        """See `Engine.outcomes`."""
         size = -(-len(tasks) // (JOBS_PER_WORKER * self._count))
         size = min(max(size, 1), MOST_IN_JOB)
         left, attempts = deque(range(len(tasks))), Counter[int]()
@@ -95,14 +95,14 @@ class SubmititEngine:
                     if not ended:
                         continue
                     del running[job]
-                    if numbers:  # the first of them was in flight
+                    if numbers:  # the first of them was running
                         attempts[numbers[0]] += 1
                         if attempts[numbers[0]] >= ATTEMPTS:
                             yield killed_outcome(tasks[numbers.pop(0)].key, *_end_of_job(job))
                         left.extend(numbers)
         finally:
             for job in running:
-                with contextlib.suppress(Exception):  # it may end by itself meanwhile
+                with contextlib.suppress(Exception):  # the job may have ended meanwhile
                     job.cancel()
 
     def _submit(self, tasks: list[CaseTask]) -> Any:
@@ -114,7 +114,7 @@ class SubmititEngine:
             ) from None
 
     def _left(self, key: str) -> TaskOutcome | None:
-        """Outcome that a job has left; its file is removed."""
+        """Take the outcome that a job has written, and remove its file; None if there is none."""
         path = self._spool / f"{key}.json"
         try:
             outcome = msgspec.json.decode(path.read_bytes(), type=TaskOutcome)
@@ -129,7 +129,7 @@ def _number(text: str) -> int | str:
 
 
 def _end_of_job(job: Any) -> tuple[str, str]:
-    """How a job ended, and the end of what it wrote."""
+    """Describe the end of a job, with the last part of its standard error."""
     with contextlib.suppress(Exception):  # its files may be missing
         return f"job {job.job_id}: {job.state}", (job.stderr() or "")[-MOST_LOG:]
     return f"job {job.job_id}", ""

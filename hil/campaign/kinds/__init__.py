@@ -1,1 +1,1 @@
-"""Kinds of cases: runs in software, FMUs, diagnoses, trials of the rig."""
+"""Kinds of cases: runs in software, runs of FMUs, diagnoses, trials of the rig."""

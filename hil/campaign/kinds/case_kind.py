@@ -1,7 +1,7 @@
 """Interface of a kind of cases: a configuration, its files, and the function that runs it.
 
-A kind is a module with an instance of `CaseKind` named `KIND`. The module is imported by the
-campaign and by every worker: what is slow to import belongs into `run`.
+A kind is a module with an instance of `CaseKind` named `KIND`. The campaign and every worker import
+the module, so put slow imports into `run`.
 """
 
 from __future__ import annotations
@@ -25,36 +25,37 @@ KINDS: Final = {
     "gap": "hil.campaign.kinds.gap_kind",
     "rig": "hil.campaign.kinds.rig_kind",
 }
-"""Module of each kind that a campaign names by one word."""
+"""Module of each kind that has a short name."""
 
 
 class CaseConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of every configuration: every field has a default or is required."""
+    """Base of the configurations; a field without a default is required."""
 
 
 @dataclass
 class CaseContext:
-    """Surroundings of a running case."""
+    """Scratch directory and measured durations of a running case."""
 
     scratch: Path  # Directory that is removed after the case
-    # Durations that the case measures; they are kept beside the result, not in it
+    # Durations that the case measures, in s; they are stored with the costs, not in the result
     parts_s: dict[str, float] = field(default_factory=dict)
 
 
 class CaseKind(ABC, Generic[C]):
-    """Kind of cases.
+    """Kind of cases; derive from it to run your own cases in a campaign.
 
     Attributes
     ----------
     name : str
-        Word for it.
+        Name of the kind.
     config : type
-        Struct of its configuration.
+        Configuration of a case, a subclass of `CaseConfig`.
     rooms : tuple of str
-        Rooms whose code computes the result.
+        Folders of the sources that compute the result. Results count only for the version of this
+        code that computed them.
     figures : mapping of str to str
-        Numbers of the result that a page shows, each with its words; a name that ends in an SI
-        unit is shown in the display unit of that.
+        Numbers of the result that the page shows, by dotted name, with their labels. A name that
+        ends in an SI unit is shown in the display unit of that quantity.
     """
 
     name: ClassVar[str]
@@ -63,88 +64,105 @@ class CaseKind(ABC, Generic[C]):
     figures: ClassVar[Mapping[str, str]] = {}
 
     def files(self, config: C) -> dict[str, str]:
-        """Fields of a configuration that name files or directories, with their paths.
+        """Return the fields of a configuration that name files or directories.
 
         Parameters
         ----------
         config : CaseConfig
-            Of a case.
+            Configuration of a case.
+
+        Returns
+        -------
+        dict of str to str
+            Path by name of the field.
         """
         return {}
 
     def check(self, config: C) -> None:
-        """Refuse a configuration that its types do not refuse; called for every case.
+        """Check what the types of a configuration do not; called for every case.
 
         Parameters
         ----------
         config : CaseConfig
-            Of a case.
+            Configuration of a case.
 
         Raises
         ------
         InputError
-            If it cannot be run.
+            If the case cannot be run.
         """
 
     def in_real_time(self, config: C) -> bool:
-        """Whether the case measures time, so that it needs a machine of its own.
+        """Return whether the case measures timing, so that no other program may disturb it.
 
         Parameters
         ----------
         config : CaseConfig
-            Of a case.
+            Configuration of a case.
+
+        Returns
+        -------
+        bool
+            By default False.
         """
         return False
 
     def prepare(self, config: C, directory: Path) -> dict[str, str]:
-        """Make what many cases share; return fields to set, with their paths.
+        """Make files that many cases share, such as a twin.
 
-        Called by the campaign for cases that are to be run, often with equal configurations.
+        The campaign calls this for every case that it will run, so make a file only once.
 
         Parameters
         ----------
         config : CaseConfig
-            Of a case.
+            Configuration of a case.
         directory : Path
-            Of what is shared.
+            Directory for the shared files.
+
+        Returns
+        -------
+        dict of str to str
+            Fields to set in the configuration, with their paths.
         """
         return {}
 
     @abstractmethod
     def run(self, config: C, context: CaseContext) -> dict[str, Any]:
-        """Run a case; return its result, which depends on nothing but the configuration.
+        """Run a case.
 
         Parameters
         ----------
         config : CaseConfig
-            Of the case.
+            Configuration of the case.
         context : CaseContext
-            Directory and durations.
+            Scratch directory, and durations to fill in.
+
+        Returns
+        -------
+        dict of str to Any
+            Result, which must depend only on the configuration; values that JSON can hold.
 
         Raises
         ------
         InputError
-            If the case cannot be run; the campaign keeps the sentence and goes on.
+            If the case cannot be run. The campaign records the message and continues.
         """
 
 
 def kind_module(name: str) -> str:
-    """Module of a kind by its word, or the name of a module itself."""
+    """Return the module of a kind: by its short name, or the name itself."""
     return KINDS.get(name, name)
 
 
 def load_kind(module: str) -> CaseKind[Any]:
-    """Kind of a module.
-
-    `module`: word of a kind, or dotted name of a module with `KIND`.
-    """
+    """Import a kind by its short name, or by the dotted name of a module with `KIND`."""
     name = kind_module(module)
     remedy = f"choose {', '.join(KINDS)}, or a module with KIND"
     if not all(part.isidentifier() for part in name.split(".")) or "." not in name:
         raise InputError(f"kind {name!r}", "is not known", remedy)
     try:
         kind = importlib.import_module(name).KIND
-    except Exception as error:  # whatever a module raises while it is imported
+    except Exception as error:  # a module may raise anything during its import
         raise InputError(f"kind {name!r}", f"cannot be imported ({error})", remedy) from None
     if not isinstance(kind, CaseKind):
         raise InputError(f"kind {name!r}", "has a KIND that is no CaseKind", remedy)

@@ -11,7 +11,7 @@ from models.shared.catalogue import CATALOGUE
 
 
 def check_effects_known(effects: Mapping[str, float]) -> None:
-    """Refuse an effect that the catalogue does not have, or a strength that is not finite."""
+    """Refuse an effect that is not in the catalogue, or a strength that is not finite."""
     for effect, strength in effects.items():
         if effect not in CATALOGUE:
             raise InputError(
@@ -22,7 +22,7 @@ def check_effects_known(effects: Mapping[str, float]) -> None:
 
 
 def check_ranges(config: Any, **ranges: tuple[float, float]) -> None:
-    """Refuse a number outside of its range; None passes."""
+    """Refuse a number outside its range; None is accepted."""
     for name, (low, high) in ranges.items():
         value = getattr(config, name)
         values = value if isinstance(value, tuple) else (value,)

@@ -1,4 +1,4 @@
-"""Kind of cases: an FMU in FMPy along a motion."""
+"""Kind of cases: run of an FMU in FMPy along a motion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class FmuConfig(CaseConfig, frozen=True, kw_only=True):
     phase_2_rad: float = 0.0
     payload_kg: float = 1.0
     step_s: float = PERIOD_S
-    # Parameters to set before the start: `link_mass_kg` for `parameters.link_mass_kg`
+    # Plant parameters to set before the start, such as `link_mass_kg`
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
 
 
@@ -42,18 +42,15 @@ class FmuKind(CaseKind[FmuConfig]):
     }
 
     def files(self, config: FmuConfig) -> dict[str, str]:
-        """See `CaseKind.files`."""
         found = {"fmu": config.fmu}
         if config.motion not in MOTIONS:
             found["motion"] = config.motion
         return found
 
     def check(self, config: FmuConfig) -> None:
-        """See `CaseKind.check`."""
         check_ranges(config, payload_kg=(0.0, 20.0), period_s=(0.1, 1e4), step_s=(1e-5, 1.0))
 
     def run(self, config: FmuConfig, context: CaseContext) -> dict[str, Any]:
-        """See `CaseKind.run`."""
         import numpy as np
 
         from firmware_py.motion_config import MotionConfig

@@ -1,4 +1,4 @@
-"""Kind of cases: effects hidden in a rig, and the diagnosis of its trials with a given plant."""
+"""Kind of cases: a plant's gap to a rig with hidden effects is diagnosed from the rig's trials."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from hil.campaign.kinds.rig_kind import changed_rig
 class GapConfig(CaseConfig, frozen=True, kw_only=True):
     """Configuration of a diagnosis."""
 
-    plant: str  # Plant as it was identified, with its noise floor
-    # Patterns of the plant's own error, of `dropstitch calibrate`; those shipped where it is empty
+    plant: str  # Identified plant with its noise floor
+    # Patterns of the plant's model error, from `dropstitch calibrate`; if empty, those that
+    # are shipped
     patterns: str = ""
     rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
-    # Effects that are hidden in the rig
+    # Strength of each effect hidden in the rig
     effects: dict[str, float] = msgspec.field(default_factory=dict)
     # Factors on parameters of the rig
     factors: dict[str, float] = msgspec.field(default_factory=dict)
     payloads_kg: tuple[float, ...] = (0.0, 1.0, 2.0)
     trials: int = 2
     motion: str = "sinusoid"
-    leave_out: tuple[str, ...] = ()  # Effects that the search does not know
-    seed: int = 0  # Of variation and noise
+    leave_out: tuple[str, ...] = ()  # Effects that are excluded from the search
+    seed: int = 0  # Seed of variation and noise
 
 
 class GapKind(CaseKind[GapConfig]):
@@ -45,14 +46,12 @@ class GapKind(CaseKind[GapConfig]):
     }
 
     def files(self, config: GapConfig) -> dict[str, str]:
-        """See `CaseKind.files`."""
         found = {"plant": config.plant}
         if config.patterns:
             found["patterns"] = config.patterns
         return found | ({"rig": config.rig} if Path(config.rig).is_file() else {})
 
     def check(self, config: GapConfig) -> None:
-        """See `CaseKind.check`."""
         check_effects_known(config.effects)
         check_effects_known(dict.fromkeys(config.leave_out, 0.0))
         check_ranges(config, payloads_kg=(0.0, 10.0), trials=(1, 100), seed=(0, 2**32 - 1))
@@ -62,7 +61,6 @@ class GapKind(CaseKind[GapConfig]):
             raise InputError("payloads_kg", "is empty", "give one payload or more")
 
     def run(self, config: GapConfig, context: CaseContext) -> dict[str, Any]:
-        """See `CaseKind.run`."""
         import time
 
         from firmware_py.motion import Motion

@@ -1,4 +1,4 @@
-"""Kind of cases: one trial of the rig, its figures, and the errors of a plant on it."""
+"""Kind of cases: one trial of the rig, its figures, and a plant's errors on it."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ class RigConfig(CaseConfig, frozen=True, kw_only=True):
     """Configuration of a trial."""
 
     rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
-    # Effects that are added to the rig's
+    # Strength of each effect added to the rig
     effects: dict[str, float] = msgspec.field(default_factory=dict)
+    # Factors on parameters of the rig
     factors: dict[str, float] = msgspec.field(default_factory=dict)
     dof: Literal[1, 2] = 1
     payload_kg: float = 0.0
-    pressure_pa: float | None = None  # Pressure; that of the study or of the link by default
+    pressure_pa: float | None = None  # By default that of the link, or of the study
     motion: str = "sinusoid"  # Kind of motion, or a motion file
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
     trial: int = 1  # Number of the repetition
-    seed: int = 0  # Of variation and noise
-    plant: str | None = None  # Plant whose errors on the trial are wanted
+    seed: int = 0  # Seed of variation and noise
+    plant: str | None = None  # Plant whose errors on the trial are computed
 
 
 class RigKind(CaseKind[RigConfig]):
@@ -49,7 +50,6 @@ class RigKind(CaseKind[RigConfig]):
     }
 
     def files(self, config: RigConfig) -> dict[str, str]:
-        """See `CaseKind.files`."""
         found = {} if config.plant is None else {"plant": config.plant}
         if Path(config.rig).is_file():
             found["rig"] = config.rig
@@ -58,7 +58,6 @@ class RigKind(CaseKind[RigConfig]):
         return found
 
     def check(self, config: RigConfig) -> None:
-        """See `CaseKind.check`."""
         check_effects_known(config.effects)
         check_ranges(
             config, payload_kg=(0.0, 10.0), period_s=(0.1, 1e4), seed=(0, 2**32 - 1),
@@ -66,7 +65,6 @@ class RigKind(CaseKind[RigConfig]):
         )  # fmt: skip
 
     def run(self, config: RigConfig, context: CaseContext) -> dict[str, Any]:
-        """See `CaseKind.run`."""
         import numpy as np
 
         from firmware_py.link.link_description import STUDY_LINK
@@ -116,7 +114,7 @@ KIND = RigKind()
 
 
 def changed_rig(name: str, factors: dict[str, float]) -> Any:
-    """Rig with factors on its parameters."""
+    """Return a rig with factors applied to its parameters."""
     from models.rig.drawn_rig import rig_named
 
     rig = rig_named(name)

@@ -1,4 +1,4 @@
-"""Kind of cases: the robot's loop in software, a twin or a rig behind the emulated servos."""
+"""Kind of cases: run of the robot's loop in software, with a twin or a rig behind the servos."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ class SilConfig(CaseConfig, frozen=True, kw_only=True):
     """Configuration of a run in software."""
 
     bundle: str
-    # Twin behind the servos; by default it is built from the bundle's plant, once
+    # Twin FMU behind the servos; by default it is built once from the bundle's plant
     fmu: str | None = None
-    # Rig to put there instead: a structure, a file that changes it, or a link
+    # Rig to simulate instead of a twin: a structure, a file that changes it, or a link
     rig: str | None = None
-    # Effects that are added to the rig's
+    # Strength of each effect added to the rig
     effects: dict[str, float] = msgspec.field(default_factory=dict)
     pressure_pa: float | None = None
-    # "virtual"; "socket" and "pty" keep real time
+    # "virtual" is a simulated clock; "socket" and "pty" are in real time
     line: Literal["virtual", "socket", "pty"] = "virtual"
-    seconds: float | None = None  # Duration; 10, or that of the plan
-    payload_kg: float | None = None  # At the tip; half of the link's largest by default
-    payload_known: bool = False  # Whether the robot is told it
+    seconds: float | None = None  # Duration; by default 10, or that of the plan's runs
+    payload_kg: float | None = None  # At the tip; by default half of the link's largest
+    payload_known: bool = False  # Whether the robot is configured with the payload
     motion: str = "sinusoid"  # Kind of motion, or a motion file
     amplitude_rad: float = STUDY_AMPLITUDE_RAD
     period_s: float = STUDY_PERIOD_S
     phase_2_rad: float = 0.0
-    plan: str | None = None  # Plan of the tip in place of the motion
-    runs: int = 1  # Times that the plan runs
+    plan: str | None = None  # Tip plan to run instead of the motion
+    runs: int = 1  # Number of runs of the plan
     open_loop: bool = False  # Whether the plan runs without feedback of the tip
-    model: str | None = None  # Servo; that of the link by default
+    model: str | None = None  # Servo model; by default that of the link
     baud: int = 1_000_000
     latency_s: float = 1e-3  # Latency timer of the USB adapter
-    # Fractions of the status packets, by kind of fault
+    # Rate of each kind of line fault
     faults: dict[str, float] = msgspec.field(default_factory=dict)
     seed: int = 0
 
@@ -72,7 +72,6 @@ class SilKind(CaseKind[SilConfig]):
     }
 
     def files(self, config: SilConfig) -> dict[str, str]:
-        """See `CaseKind.files`."""
         found = {"bundle": config.bundle}
         found |= {n: p for n in ("fmu", "plan") if (p := getattr(config, n)) is not None}
         if config.rig is not None and Path(config.rig).is_file():
@@ -82,7 +81,6 @@ class SilKind(CaseKind[SilConfig]):
         return found
 
     def check(self, config: SilConfig) -> None:
-        """See `CaseKind.check`."""
         check_effects_known(config.effects)
         if unknown := sorted(config.faults.keys() - set(FAULT_KINDS)):
             raise InputError(
@@ -100,24 +98,22 @@ class SilKind(CaseKind[SilConfig]):
         check_ranges(config, seconds=(0.017, 86_400.0), payload_kg=(0.0, 20.0), period_s=(0.1, 1e4))
 
     def in_real_time(self, config: SilConfig) -> bool:
-        """See `CaseKind.in_real_time`."""
         return config.line != "virtual"
 
     def prepare(self, config: SilConfig, directory: Path) -> dict[str, str]:
-        """See `CaseKind.prepare`: the twin, built once for all cases of a bundle."""
+        """Build the twin, once for all cases of a bundle."""
         if config.fmu is not None or config.rig is not None:
             return {}
         return {"fmu": str(_twin_of(config.bundle, directory))}
 
     def run(self, config: SilConfig, context: CaseContext) -> dict[str, Any]:
-        """See `CaseKind.run`."""
         from hil.sil import run_sil  # loads CasADi and matplotlib
         from hil.sil.sil_results import timing_document
 
         options = _options(config, context.scratch)
         result = run_sil(options)
         document = timing_document(result, options)
-        if document.interrupted:  # a part of a run is no result
+        if document.interrupted:  # an incomplete run is no result
             raise InputError("run", document.interrupted, "run the campaign again")
         context.parts_s["run"] = result.wall_s
         stale = sum(n for status, n in document.run.bus_faults.items() if status not in FRESH)
@@ -135,7 +131,7 @@ class SilKind(CaseKind[SilConfig]):
             "moves": msgspec.to_builtins(document.moves),
             "records_sha256": document.environment.records_sha256,
         }
-        if self.in_real_time(config):  # measured, so that it differs from run to run
+        if self.in_real_time(config):  # measured values, which differ from run to run
             found |= {
                 "verdict": document.verdict.value, "misses": document.misses,
                 "own_cost_p50_ns": document.own_cost.p50_ns,
@@ -168,7 +164,7 @@ def _twin_of(bundle: str, directory: Path) -> Path:
 
 @functools.lru_cache(maxsize=8)
 def _cached(load: Callable[[Path], Any], path: Path) -> Any:
-    """What a worker reads once: it has checked the file's hash before."""
+    """Load a file once per worker, which has already checked the file's hash."""
     return load(path)
 
 

@@ -1,1 +1,1 @@
-"""Cases of the campaign: robot, and run on each kind of line."""
+"""Cases of the fault campaign: the robot, and a run on each kind of line."""

@@ -1,4 +1,4 @@
-"""Robot of a case: its configuration, its servos, its loop with the host's faults in it."""
+"""Robot of a case: configuration, servos, and the loop with injected host faults."""
 
 from __future__ import annotations
 
@@ -55,21 +55,21 @@ class RunTap(Protocol):
     """Listener between the loop of a case and its bus."""
 
     def wrap(self, bus: DynamixelBus) -> DynamixelBus:
-        """Return the bus that the loop gets."""
+        """Return the bus to pass to the loop instead of `bus`."""
         ...
 
     def end(self, outcome: CaseOutcome, columns: Columns) -> None:
-        """Take the end of the run."""
+        """Receive the outcome and the ticks of the run."""
         ...
 
 
 @dataclass(frozen=True)
 class CaseRobot:
-    """Common part of every case of a campaign."""
+    """Bundle and twin that all cases of a campaign share."""
 
     bundle: ModelBundle
-    fmu: Path  # Twin behind the servos
-    tap: RunTap | None = None  # Receives what passes between loop and bus, and the end of the run
+    fmu: Path  # Twin FMU behind the servos
+    tap: RunTap | None = None  # Listener between loop and bus
 
     @property
     def dof(self) -> int:
@@ -78,7 +78,7 @@ class CaseRobot:
 
 
 class FaultyModels:
-    """Estimator and predictor of a bundle with the host's faults in them."""
+    """Estimator and predictor of a bundle, with injected host faults."""
 
     def __init__(self, bundle: ModelBundle, host: HostFaults) -> None:
         self.estimator = FaultyEstimator(bundle.estimator, host)
@@ -108,10 +108,7 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
 
 
 def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
-    """Return the servos that are on the bus.
-
-    `number`: model of the servos, but for what the row changes.
-    """
+    """Return the servos on the bus: of model `number`, unless the row changes it."""
     setup = row.setup
     numbers = [number] * dof
     if setup.wrong_model:
@@ -135,7 +132,7 @@ def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
 
 
 def lean_arm(physics: Physics, angle_rad: float) -> None:
-    """Move the arm slowly to an angle, and let it come to rest there."""
+    """Move the arm slowly to an angle and let it come to rest."""
     x = np.linspace(0.0, 1.0, 100)
     way_rad = angle_rad * x**3 * (10.0 + x * (6.0 * x - 15.0))
     for goal_rad in (*way_rad.tolist(), *[angle_rad] * 100):
@@ -152,9 +149,9 @@ def run_case_loop(
     opener: Callable[[], Transport],
     counters: Counters | None = None,
 ) -> tuple[CaseOutcome, Columns]:
-    """Run the robot's loop; return its end and its ticks by column.
+    """Run the robot's loop; return its outcome and its ticks by column.
 
-    `goals`: goals of each slot, and the correction that is added.
+    `goals` are the source of the goals and the correction that is added to them.
     """
     try:
         bus = build_bus(config, opener(), clock, opener)
@@ -181,12 +178,10 @@ def run_case_loop(
 def case_source(
     robot: CaseRobot, config: RobotConfig, goals_rad: Array, setup: Setup, host: HostFaults
 ) -> tuple[GoalSource, Correction | None]:
-    """Return a table of goals, or a program that sends them; with feedback a plan of half of them.
+    """Return the goals as a table, a program that sends them, or a plan with feedback.
 
-    The plan wants the tip where a rigid link would have it, so that there is always something to
-    correct, and its filter is a gain of 1/s.
-
-    Shapes: `goals_rad` (n, dof).
+    The plan has half of `goals_rad`, shape (n, dof). Its desired tip is that of a rigid link, so
+    that there is always an error to correct; its filter is a gain of 1/s.
     """
     if setup.outside:
         return program_goals(config, goals_rad, host), None
@@ -214,7 +209,7 @@ def case_source(
 
 
 def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:
-    """Return the study's motion, or a slow motion to a goal of given pulses and back."""
+    """Return the study's motion, or a slow motion to the goal `through_pulse` and back."""
     if setup.through_pulse is None:
         return config.goals_rad(repeated=True)
     angle_rad = MODELS[number].angle_rad(setup.through_pulse)
@@ -225,7 +220,7 @@ def case_goals(config: RobotConfig, setup: Setup, number: int) -> Array:
 
 
 def case_outcome(summary: RunSummary) -> CaseOutcome:
-    """Return the end of a run from its summary."""
+    """Return the outcome of a run from its summary."""
     causes = summary.timing.causes
     return CaseOutcome(
         summary.ended.value, summary.reason, summary.replugs, summary.telemetry_drops,

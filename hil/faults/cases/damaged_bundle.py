@@ -1,4 +1,4 @@
-"""Damages of a bundle, each of which a robot has to refuse before its torque is on."""
+"""Damages of a bundle that a robot must refuse before it switches the torque on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from firmware_py.inference.manifest import MANIFEST, manifest_bytes, write_manif
 from models.commands.sign import sign_bundle
 
 _OFF: Final = 1e-6
-"""Error of a DI that no other processor or library explains: golden ticks agree to 1e-9."""
+"""Error of the golden tip, in m. Another processor or library explains only 1e-9."""
 
 
 def _change_a_byte(path: Path) -> None:
@@ -31,7 +31,7 @@ def _changed_file(bundle: Path) -> tuple[str, ...]:
 
 
 def _unnamed_file(bundle: Path) -> tuple[str, ...]:
-    """Take the predictor out of the manifest, then change it: no hash tells."""
+    """Remove the predictor from the manifest, then change it: no hash reveals the change."""
     manifest = read_manifest(bundle)
     files = {name: sha256 for name, sha256 in manifest.files.items() if name != PREDICTOR}
     manifest = msgspec.structs.replace(manifest, files=files)
@@ -49,7 +49,7 @@ def _file_outside(bundle: Path) -> tuple[str, ...]:
 
 
 def _replace_golden(bundle: Path, change: Callable[[Golden], Golden]) -> tuple[str, ...]:
-    """Write other golden ticks, with a manifest whose hashes fit."""
+    """Replace the golden ticks, with a manifest whose hashes match."""
     manifest = read_manifest(bundle)
     write_golden(bundle / GOLDEN, change(read_golden(bundle / GOLDEN, manifest.dof)))
     write_manifest(bundle, manifest)
@@ -94,4 +94,4 @@ BUNDLE_DAMAGES: Final[dict[str, Callable[[Path], tuple[str, ...]]]] = {
     "foreign signature": _foreign_signature,
     "changed after the signature": _changed_after_signature,
 }
-"""Functions that damage a bundle and return the public keys that `[trust]` names."""
+"""Functions that damage a bundle and return the public keys for `[trust]` in the configuration."""

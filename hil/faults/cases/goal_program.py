@@ -1,4 +1,4 @@
-"""Program that sends goals to the robot of a case, and does wrong when the schedule says so."""
+"""Program that sends goals to the robot of a case, with faults at the scheduled times."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from hil.faults.host_faults import HostFaults
 
 Array = NDArray[np.float64]
 REACH_M: Final = 0.9
-"""Largest coordinate of the map of a case."""
+"""Largest tip coordinate in the goal map of a case."""
 BEYOND_M: Final = 1.5
-"""Place of the tip that no arm of 1 m reaches."""
+"""Tip coordinate out of reach for an arm of 1 m."""
 STEP_RAD: Final = 0.2
-"""Step of a program that is too fast: 12 rad/s."""
+"""Step of the goal in one tick of a program that is too fast: 12 rad/s."""
 FLOOD: Final = 8
-"""Messages in one tick of a program that floods."""
+"""Messages per tick of a program that floods the channel."""
 
 
 class GoalProgram:
-    """Channel to a program in memory that answers each status with the goals of a table.
+    """Channel to a program in memory that answers each status with the next row of `goals_rad`.
 
     Shapes: `goals_rad` (n, dof).
     """
@@ -64,7 +64,7 @@ class GoalProgram:
 
 
 def program_goals(config: RobotConfig, goals_rad: Array, host: HostFaults) -> OutsideGoals:
-    """Return goals that a program sends.
+    """Return a source of goals that a program sends.
 
     Shapes: `goals_rad` (n, dof).
     """
@@ -74,7 +74,7 @@ def program_goals(config: RobotConfig, goals_rad: Array, host: HostFaults) -> Ou
 
 
 def _rigid_map(dof: int, period_s: float) -> GoalMap:
-    """Map of a rigid link of 1 m without a mode: both parts of a goal go out within a period."""
+    """Goal map of a rigid link of 1 m without vibration; both steps of a goal take one period."""
     places = np.linspace(-REACH_M, REACH_M, 7)
     grid = np.stack(np.meshgrid(*[places] * dof, indexing="ij"), axis=-1).reshape(-1, dof)
     own = PayloadMap(

@@ -1,7 +1,7 @@
-"""Case with real processes: `dropstitch run` and its recorder, killed, stopped or unplugged.
+"""Case with real processes: `dropstitch run` and its recorder are killed, stopped or unplugged.
 
-The servos run in a process of their own (`servo_process`) that outlives the robot. Unplugging uses
-a pseudo-terminal, which disappears as a USB adapter does; the rest uses a socket.
+The servos run in a separate process (`servo_process`) that outlives the robot. Cases that unplug
+the port use a pseudo-terminal, which disappears like a USB adapter; the others use a socket.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if sys.platform != "win32":  # is imported there, see `firmware_py.console`
 
 SECONDS: Final = 2.6
 REPLUG_SECONDS: Final = 4.5
-"""The motion's duration; longer where the robot is to go on after a while."""
+"""Duration of the motion when the port comes back, longer than `SECONDS` of the other cases."""
 SETTLE_S: Final = 0.3
 _START_TIMEOUT_S: Final = 30.0
 _END_TIMEOUT_S: Final = 30.0
@@ -50,7 +50,7 @@ _STILL_S: Final = 0.3
 
 
 def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
-    """Run one case; see `hil.faults.cases.virtual_case.run_virtual`."""
+    """Run one case with real processes; see `hil.faults.cases.virtual_case.run_virtual`."""
     setup = row.setup
     loop_cpu, other_cpus = assign_processors()
     with contextlib.ExitStack() as stack:
@@ -129,7 +129,7 @@ def _act(
     scratch: Path,
     port: Path,
 ) -> int:
-    """Carry out the set-up's actions; return the time at which they began, in ns."""
+    """Perform the actions of the set-up; return the time at which they began, in ns."""
     began_ns = time.monotonic_ns()
     for pid in _recorders(process.pid):
         if setup.disk_full:
@@ -155,7 +155,7 @@ def _act(
 
 
 def _recorders(pid: int) -> list[int]:
-    """Children of a process that are recorders."""
+    """Recorder processes that are children of a process."""
     found = []
     for path in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -166,9 +166,9 @@ def _recorders(pid: int) -> list[int]:
 
 
 def _end(process: subprocess.Popen[str], servo_process: ServoProcess) -> tuple[str, str]:
-    """Wait for the robot's end; a recorder that hangs then is ended as well.
+    """Wait for the robot to end; return its standard output and standard error.
 
-    Returns its standard output and standard error.
+    A stopped recorder is killed once the bus is silent, because the robot waits for it.
     """
     seen, since_s = servo_process.exchange, time.monotonic()
     deadline_s = since_s + _END_TIMEOUT_S
@@ -190,7 +190,7 @@ def _stopped(pid: int) -> bool:
 
 
 def _columns(log: Path) -> Columns:
-    """Ticks in the log, which the recorder may still be finishing."""
+    """Ticks in the log, after a short wait for a recorder that is still writing."""
     deadline_s = time.monotonic() + 1.0
     while True:
         try:

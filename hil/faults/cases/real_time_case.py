@@ -1,4 +1,4 @@
-"""Case over the socket in real time: the loop here, the servos in a process of their own."""
+"""Case in real time over a socket: the loop in this process, the servos in another."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from hil.faults.observation import CaseObservation, observe_case
 from hil.timing.processors import assign_processors, pinned_to
 
 SLOTS: Final = 150
-"""2.6 s: the fault begins before the 110th."""
+"""Slots of the motion: 2.6 s. The fault begins before the 110th."""
 
 
 def run_real_time(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
-    """Run one case; see `hil.faults.cases.virtual_case.run_virtual`."""
+    """Run one case in real time; see `hil.faults.cases.virtual_case.run_virtual`."""
     loop_cpu, other_cpus = assign_processors()
     clock = DeadlineClock()
     with contextlib.ExitStack() as stack:

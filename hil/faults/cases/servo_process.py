@@ -1,6 +1,6 @@
-"""Emulated servos with faults in a process of their own, whose port can be unplugged.
+"""Emulated servos with faults in a separate process, whose port can be unplugged.
 
-They outlive the robot, so their record covers the time after the robot's process was killed.
+The process outlives the robot, so its record covers the time after the robot was killed.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ _SPAWN: Final = multiprocessing.get_context("spawn")
 class ServoProcessTask:
     """Specification of the servos of a case."""
 
-    fmu: Path  # Twin behind the servos
+    fmu: Path  # Twin FMU behind the servos
     dof: int
     row: FaultRow
-    number: int  # Model of the servos; time and bits of the fault
-    seed: int
-    kind: str
-    port: Path  # Name of the port: the socket, or a link to the pseudo-terminal
-    cpu: int  # Processor to pin the process to
+    number: int  # Model number of the servos
+    seed: int  # Seed of the fault's time and bits
+    kind: str  # "socket" or "pty"
+    port: Path  # Path of the socket, or of a link to the pseudo-terminal
+    cpu: int  # Processor to which the process is pinned
 
 
 @contextlib.contextmanager
 def _plugged(
     task: ServoProcessTask, port: Path, stop_fd: int
 ) -> Iterator[Callable[[], int | None]]:
-    """Port under a name, for as long as it is plugged in."""
+    """Open the port under a name; leaving the block unplugs it."""
     if task.kind == "socket":
         with socket_endpoint(port, stop_fd) as (_, connect):
             yield connect
@@ -67,7 +67,6 @@ class _CountedScript(FaultSchedule):
     counter: Any
 
     def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """See `FaultSchedule.begin_exchange`."""
         super().begin_exchange(servos, now_ns)
         self.counter.value = self.exchange
 
@@ -119,7 +118,7 @@ class ServoProcess:
 
     @property
     def exchange(self) -> int:
-        """Exchanges of the running robot so far."""
+        """Number of exchanges of the running robot so far."""
         return int(self._counter.value)
 
     def _receive(self) -> Any:
@@ -131,7 +130,7 @@ class ServoProcess:
         return int(self._receive())
 
     def plug(self, port: Path) -> None:
-        """Restore the port under a name."""
+        """Open the port again, under a name."""
         self._pipe.send(port)
 
     def stop(self) -> ServoLog:
@@ -141,6 +140,6 @@ class ServoProcess:
         return servo_log
 
     def close(self) -> None:
-        """End the process if it still runs."""
+        """End the process if it is still running."""
         self._pipe.close()
         self._process.join()

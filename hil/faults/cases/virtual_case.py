@@ -1,4 +1,4 @@
-"""Case on the virtual line: simulated time, so that the same seed gives the same run."""
+"""Case on the virtual line: time is simulated, so equal seeds give equal runs."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from hil.faults.observation import CaseObservation, observe_case
 from hil.faults.servo_log import LoggedBus
 
 SLOTS: Final = 300
-"""Slots of a case's motion: 5.1 s, enough for a stop, a replug and a recovery."""
+"""Slots of the long motion: 5.1 s, enough for a stop, a replug and a recovery."""
 FEWER_SLOTS: Final = 200
-"""Slots where no port comes back: the last fault begins before the 140th, a stop takes 35."""
+"""Slots of the short motion: the last fault begins before the 140th, and a stop takes 35."""
 _SOON_TICKS: Final = 10
-"""A fault that may take longer to show needs the longer motion."""
+"""Longest detection time of a fault that the short motion can test."""
 SETTLE_NS: Final = 500_000_000
 """Time for which the servos are observed after the loop has ended."""
 
@@ -46,16 +46,13 @@ class _DeafLine(Line):
 
 
 def slots_of(row: FaultRow) -> int:
-    """Slots of the motion of a row."""
+    """Return the number of slots that a row's motion takes."""
     long = row.setup.replug_s or row.setup.through_pulse is not None
     return SLOTS if long or (row.must.within or 0) > _SOON_TICKS else FEWER_SLOTS
 
 
 def run_virtual(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
-    """Run one case.
-
-    `number`, `seed`: model of the servos; time and bits of the fault.
-    """
+    """Run one case, with servos of model `number`; the seed sets the fault's time and bits."""
     physics = FmuPhysics(robot.fmu, robot.dof)
     try:
         return _run(robot, row, number, seed, physics)
@@ -76,7 +73,7 @@ def _run(
     if setup.lean_rad is not None:
         lean_arm(physics, setup.lean_rad)
     bus = LoggedBus(servos, physics, script)
-    if setup.lean_rad is not None:  # switched on where they stand
+    if setup.lean_rad is not None:  # the servos are switched on at this angle
         for servo in servos:
             servo.reboot()
     line = (_DeafLine if setup.wrong_baud else Line)(bus, setup.latency_s, script)

@@ -1,1 +1,1 @@
-"""Recorded runs: what the loop measured and answered in the past, asked of the code of today."""
+"""Recorded runs of the loop, replayed to check that today's code gives the same goals."""

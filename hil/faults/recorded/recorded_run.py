@@ -1,4 +1,4 @@
-"""Recorded run of the control loop: measurements by tick, what was answered, and their file."""
+"""Recorded run of the control loop: measurements and goals of each tick, and their file."""
 
 from __future__ import annotations
 
@@ -22,38 +22,36 @@ __all__ = ["RunTape", "TapeFacts", "read_runs", "write_runs"]
 Columns = Mapping[str, NDArray[Any]]
 _FACTS: Final = "facts"
 _MEASURED: Final = ("current_", "di", "predicted_")
-"""Columns of which 32 bits are enough: the loop only compares them with limits."""
+"""Columns stored with 32 bits, which is enough: the loop only compares them with limits."""
 _REMEDY: Final = "record the runs again with 'python -m hil.faults.recorded.run_recorder'"
 
 
 class TapeFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """Facts of a recorded run beside its ticks."""
+    """Configuration, outcome and events of a recorded run; its ticks are stored apart."""
 
-    name: str  # Fault, how and servo, as the campaign names the case
+    name: str  # Name of the case in the campaign
     config: RobotConfig
-    number: int  # Model of the servos
-    through_pulse: int | None  # Goal in pulses of the motion, where it is not the configured one
+    number: int  # Model number of the servos
+    through_pulse: int | None  # Goal in pulses of a motion other than the configured one
     slots: int
     connected_rad: list[list[float]]  # Angles at each connection of the servos
     torque: list[tuple[int, int]]  # Status and alert bits after each switch of the torque
-    requested: str  # Reason with which a stop was requested; empty where none was
+    requested: str  # Reason for a requested stop; empty if none was requested
     ended: str
     reason: str
-    ticks: int  # Rows of its columns
+    ticks: int  # Number of rows
 
 
 @dataclass(frozen=True)
 class RunTape:
-    """One run."""
+    """One recorded run."""
 
     facts: TapeFacts
-    # Ticks by column: those of the log that `COLUMNS` names, `read_status`, `write_status` and
-    # `read_alert`
-    columns: Columns
+    columns: Columns  # Ticks by column, see `column_names`
 
 
 def column_names(dof: int) -> tuple[str, ...]:
-    """Return the columns of a recorded run."""
+    """Return the columns of a run: a part of the log's, and the statuses of reads and writes."""
     joints = [f"{n}_{j}_{u}" for j in range(1, dof + 1)
               for n, u in (("goal", "rad"), ("angle", "rad"), ("current", "a"))]  # fmt: skip
     return (
@@ -64,10 +62,10 @@ def column_names(dof: int) -> tuple[str, ...]:
 
 
 def write_runs(path: Path, runs: Sequence[RunTape]) -> None:
-    """Write recorded runs of one number of joints.
+    """Write recorded runs, all of the same number of joints.
 
-    The ticks of all runs stand behind each other by column: most runs are equal up to their fault,
-    which the compression finds.
+    Each column holds the ticks of all runs in sequence. Most runs are equal up to their fault, so
+    the file compresses well.
     """
     names = column_names(runs[0].facts.config.dof)
     facts = np.frombuffer(msgspec.json.encode([run.facts for run in runs]), np.uint8)

@@ -1,12 +1,12 @@
-"""Recorder of the runs that every change of the code has to answer as before.
+"""Record runs that every later version of the code has to reproduce.
 
 ::
 
     python -m hil.faults.recorded.run_recorder --bundle build/bundle_2dof \
         --fmu build/twin_2dof.fmu --out tests/hil/faults/recorded_runs.xz
 
-It runs every fault of the virtual line once and replays each run: what the replay does not answer
-as the run did is left out and said.
+The command runs every fault of the virtual line once and replays each run. It reports and omits the
+runs that the replay does not reproduce.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _REQUEST = "a request"
 
 
 class RecordingTap(RunTap):
-    """Tap between loop and bus that notes what the log does not hold."""
+    """Tap between loop and bus that records what the log lacks."""
 
     def __init__(self, case: FaultCase, robot: CaseRobot) -> None:
         self._case, self._robot = case, robot
@@ -51,11 +51,11 @@ class RecordingTap(RunTap):
         self.run: RunTape | None = None
 
     def wrap(self, bus: DynamixelBus) -> DynamixelBus:
-        """Note what passes between the loop and its bus."""
+        """Record the calls of the loop to its bus and their results."""
         connect, torque, read, write = bus.connect, bus.torque, bus.read, bus.write
 
         def connected() -> None:
-            self._connecting = True  # it reads as well
+            self._connecting = True  # connecting calls `read` as well
             try:
                 connect()
             finally:
@@ -89,7 +89,7 @@ class RecordingTap(RunTap):
         return bus
 
     def end(self, outcome: CaseOutcome, columns: Columns) -> None:
-        """Keep the run; one that was refused has none."""
+        """Store the run, unless the robot was refused."""
         if not len(columns.get("tick", ())):
             return
         case = self._case
@@ -107,14 +107,13 @@ class RecordingTap(RunTap):
 
 
 def record_case(case: FaultCase, robot: CaseRobot) -> RunTape | None:
-    """Run a case on the virtual line; return its run, or None where it was refused."""
+    """Run a case on the virtual line; return its run, or None if the robot was refused."""
     tap = RecordingTap(case, robot)
     run_virtual(replace(robot, tap=tap), case.row, case.number, case.seed)
     return tap.run
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Record, replay, write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bundle", type=Path, required=True)
     parser.add_argument("--fmu", type=Path, required=True)
@@ -123,7 +122,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = parser.parse_args(argv)
     robot = CaseRobot(ModelBundle.load(args.bundle), args.fmu)
     runs, named = [], set()
-    replayed = [row for row in ROWS if row.setup.feedback == "none"]  # no interval on the tape
+    # Feedback of the tip needs the prediction interval, which is not recorded.
+    replayed = [row for row in ROWS if row.setup.feedback == "none"]
     for case in cases_of(robot.dof, ("virtual",), [args.seed], replayed):
         if (case.row.fault, case.row.how) in named or (run := record_case(case, robot)) is None:
             continue

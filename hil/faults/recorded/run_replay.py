@@ -1,8 +1,8 @@
-"""Replay of a recorded run: the loop of today gets the measurements and times of then.
+"""Replay of a recorded run: today's loop gets the recorded measurements and times.
 
-Bus, clock, estimator and predictor return what they returned; motion, supervisor, blending and the
-loop itself are the code under test. What the servos do in answer to other goals is not simulated: a
-run says whether the same measurements lead to the same goals, states and end.
+Bus, clock, estimator and predictor return the recorded values; motion, supervisor, blending and the
+loop itself are the code under test. The replay shows whether the same measurements lead to the same
+goals, states and end. It does not simulate how the servos would react to other goals.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ __all__ = ["replay_run"]
 
 Array = NDArray[np.float64]
 SAME_RAD = 1e-9
-"""Difference of goals that is rounding: a pulse of the finest servo is 6 µrad."""
+"""Largest difference of goals that counts as rounding; a pulse of the finest servo is 6 µrad."""
 
 
 class _RunsOnError(DropstitchError):
-    """The loop asks for a tick after the recorded end."""
+    """The loop reads a tick after the recorded end."""
 
 
 class _Playback:
@@ -72,7 +72,7 @@ class _Playback:
         return self._clock.now_ns()
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Wake as late as then; while a port is away, at the deadline."""
+        """Wake with the recorded lateness; while the port is missing, at the deadline."""
         if self.supervisor.state is SafetyState.OFF:
             self._clock.sleep_until(deadline_ns)
         elif self.row < self._facts.ticks:
@@ -82,21 +82,21 @@ class _Playback:
     # --- bus
 
     def connect(self) -> None:
-        """Stand where the arm stood at this connection."""
+        """Set the recorded angles of this connection."""
         known = self._facts.connected_rad
         self.angle_rad[:] = known[min(self._connections, len(known) - 1)]
-        if self._connections:  # the port is back: go on in the slot of then
+        if self._connections:  # the port came back: continue in the recorded slot
             start_ns = self._wake_ns - self._last_lateness_ns - self._last_tick * self._period_ns
             self._set_clock(start_ns + self._at("tick") * self._period_ns - 1)
         self._connections += 1
         self.alert = 0
 
     def reopen(self) -> bool:
-        """Return whether the port came back in the run at all."""
+        """Return whether the port came back in the recorded run."""
         return self.row < self._facts.ticks
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Return what was measured in this tick."""
+        """Return the recorded measurement of this tick."""
         if self.row >= self._facts.ticks:
             raise _RunsOnError("the loop goes on after the recorded end")
         if self._facts.requested and self._stopping[self.row]:
@@ -109,14 +109,14 @@ class _Playback:
         return BusStatus(self._at("read_status"))
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Return how the goals were sent in this tick."""
+        """Return the recorded status of the write in this tick."""
         if not self._in_tick:
             return BusStatus.OK
         self._clock.advance(sum(map(self._at, ("command_ns", "check_ns", "write_ns"))))
         return BusStatus(self._at("write_status"))
 
     def torque(self, on: bool) -> BusStatus:
-        """Return what the servos answered then."""
+        """Return the recorded status of this switch of the torque."""
         known = self._facts.torque
         status, self.alert = known[min(self._switches, len(known) - 1)]
         self._switches += 1
@@ -128,10 +128,10 @@ class _Playback:
     # --- estimator and predictor
 
     def reset(self) -> None:
-        """Do nothing: what was estimated is known."""
+        """Do nothing: the estimates are recorded."""
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Return the DI of then."""
+        """Return the recorded DI."""
         self._clock.advance(self._at("estimate_ns"))
         return Estimate(float(self._columns["di"][self.row]), float("nan"))
 
@@ -143,14 +143,14 @@ class _Playback:
         signals: Array = NO_SIGNALS,
         age_s: float = 0.0,
     ) -> Prediction:
-        """Return the tip of then."""
+        """Return the recorded tip."""
         self._clock.advance(self._at("predict_ns"))
         return Prediction(self._tips[self.row].astype(np.float64), np.ones(1), np.zeros(3))
 
     # --- service
 
     def alive(self) -> None:
-        """End the tick when it ended then."""
+        """End the tick at the recorded time."""
         if self._in_tick:
             self._set_clock(self._wake_ns + self._at("busy_ns"))
             self._in_tick = False
@@ -158,9 +158,9 @@ class _Playback:
 
 
 def replay_run(run: RunTape) -> str:
-    """Run the loop of today on the measurements of a recorded run.
+    """Run today's loop on the measurements of a recorded run.
 
-    Returns the first difference of goals, states or end in words; empty where there is none.
+    Returns a description of the first difference in goals, states or end; empty if there is none.
     """
     facts, config, played = run.facts, run.facts.config, _Playback(run)
     goals = case_goals(config, Setup(through_pulse=facts.through_pulse), facts.number)

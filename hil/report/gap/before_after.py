@@ -1,4 +1,4 @@
-"""Figures before and after a gap was closed: effects found, errors of the FMUs and of the robot."""
+"""Figures before and after a gap was closed: identified effects, errors of FMUs and robot."""
 
 from __future__ import annotations
 
@@ -18,54 +18,53 @@ from models.plant.plant import Plant
 from models.shared.catalogue import effect_and_joint
 
 PART: Final = "motion"
-"""Part of the robot's programme that is judged: rest and glide are in no training."""
+"""Part of the robot's programme that is judged; training contains neither rest nor glide."""
 SMALLEST_GAP: Final = 1.1
-"""Ratio of the error before to the error without the effect below which no fraction is given."""
+"""Ratio of the error before to the error without the effect up to which the gap is too small for
+a fraction."""
 
 ByVariant = dict[str, float | None]
-"""By variant of the FMU or bundle: before, retrained, after, without."""
+"""Value by variant of the FMU or bundle: before, retrained, after, without."""
 
 
 class HiddenEffect(msgspec.Struct, frozen=True):
-    """Effect that was hidden, and the result for it."""
+    """Effect that was hidden, and the diagnosis of it."""
 
-    hidden: float
-    found: float | None  # Change of the strength that was found, and its standard error
-    error: float | None
-    said: str
+    hidden: float  # Hidden strength
+    found: float | None  # Estimated change of the strength
+    error: float | None  # Standard error of the estimate
+    said: str  # Result as text
 
 
 class FmuErrors(msgspec.Struct, frozen=True):
     """Errors of the twin FMUs on the sealed trials."""
 
-    tip_rms_m: ByVariant  # Root mean square distance of the tip, in m
-    fraction_removed: float | None  # Of the gap; see `fraction_removed`
+    tip_rms_m: ByVariant  # RMS distance between simulated and measured tip
+    fraction_removed: float | None  # Fraction of the gap that was removed
     worst_difference: float  # Largest difference from the plants in Python, SI units
-    passed: bool  # Whether `dropstitch fmu check` passed
+    passed: bool  # Whether the rebuilt twin passed `dropstitch fmu check`
 
 
 class RobotErrors(msgspec.Struct, frozen=True):
     """Errors of the robot's prediction in motion, and the coverage of its interval."""
 
-    tip_mean_m: ByVariant  # Mean distance between predicted and true tip, in m
-    fraction_removed: float | None
+    tip_mean_m: ByVariant  # Mean distance between predicted and true tip
+    fraction_removed: float | None  # Fraction of the gap that was removed
     # Fraction of ticks inside the 95 % interval, mean over the axes that move
     interval_coverage: ByVariant
 
 
 class BeforeAfter(msgspec.Struct, frozen=True):
-    """Figures of the page; what `dropstitch report gap --json` prints, with the path of the
-    page.
-    """
+    """Figures of the page, which `dropstitch report gap --json` prints together with the path of the page."""
 
-    verdict: str
+    verdict: str  # Verdict of the diagnosis
     hidden: dict[str, HiddenEffect]
     also_named: list[str]  # Effects that were named without being hidden
-    fmu: FmuErrors  # Of the rebuilt twin
-    robot: RobotErrors  # Over all payloads, and at the heaviest
-    robot_heaviest: RobotErrors
-    heaviest_kg: float
-    # Distance of the tip from the path of a plan at that payload; `rigid` is of rigid kinematics
+    fmu: FmuErrors
+    robot: RobotErrors  # Errors over all payloads
+    robot_heaviest: RobotErrors  # Errors at the heaviest payload
+    heaviest_kg: float  # Heaviest payload
+    # RMS path error of a plan at the heaviest payload; `rigid` is a plan by rigid kinematics
     path_rms_m: ByVariant
 
 
@@ -95,7 +94,10 @@ def before_after(inputs: GapInputs, hidden: Mapping[str, float]) -> BeforeAfter:
 
 
 def fraction_removed(error: Mapping[str, float | None]) -> float | None:
-    """Fraction of the gap that was removed; None if the gap was less than a tenth of the rest."""
+    """Return (before − after)/(before − without), the fraction of the gap that was removed.
+
+    None if the gap is no more than a tenth of the error without the effect, or an error is missing.
+    """
     before, after, without = (error.get(v) for v in ("before", "after", "without"))
     if before is None or after is None or without is None or before <= SMALLEST_GAP * without:
         return None
@@ -103,17 +105,17 @@ def fraction_removed(error: Mapping[str, float | None]) -> float | None:
 
 
 def judged_part(loop: LoopRun) -> TipErrors | None:
-    """Prediction error in the part that is judged; None if the run has none."""
+    """Return the prediction error in the part that is judged; None if the run lacks it."""
     return loop.timing.prediction_error.parts.get(PART)
 
 
 def named_in(found: GapDocument) -> dict[str, NamedEffect]:
-    """Row of gap.json for every effect that was named and kept."""
+    """Return the row of gap.json for every effect that was named and kept in the plant."""
     return {e: row for row in found.named if row.kept for e in row.effect.split(" + ")}
 
 
 def describe_before_after(data: BeforeAfter) -> str:
-    """The figures as text for a console."""
+    """Return the figures as text for a console."""
     lines = ["; ".join(row.said for row in data.hidden.values()) or "no effect was hidden"]
     lines += [f"{name} was named too" for name in data.also_named]
     robot, heaviest = data.robot, data.robot_heaviest
@@ -130,7 +132,7 @@ def describe_before_after(data: BeforeAfter) -> str:
 
 
 def same_in_python(worst: float) -> str:
-    """How well FMUs in FMPy agree with plants in Python, given their largest difference."""
+    """Describe how well FMUs in FMPy agree with plants in Python, by their largest difference."""
     if worst == 0.0:
         return "bit for bit equal to the plants in Python"
     return f"within {worst:.0e} (SI units) of the plants in Python"
@@ -159,7 +161,7 @@ def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEff
     words = effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
     if row := named_in(inputs.found).get(effect):
         strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)
-        q = row.parameters[strengths[(joint or 1) - 1]]  # without a joint the same in each
+        q = row.parameters[strengths[(joint or 1) - 1]]  # without a joint, all joints have the same
         found, error = q.value - q.before, q.error
         said = f"{words}: {strength:g} hidden, {found:.3g} ± {error or 0.0:.1g} found"
         return HiddenEffect(strength, found, error, said)
@@ -174,7 +176,7 @@ def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEff
 def _difference(inputs: GapInputs, variant: str) -> float:
     """Largest difference of an FMU in FMPy from its plant in Python, over all trials and signals.
 
-    In SI units; amperes, radians and metres alike are far above it if something is wrong.
+    It mixes amperes, radians and metres: an error would be far larger than rounding in any of them.
     """
     plant: Plant = getattr(inputs, variant)
     worst = 0.0
@@ -187,11 +189,11 @@ def _difference(inputs: GapInputs, variant: str) -> float:
 
 
 def _distance_rms(axis_rms: Sequence[float]) -> float:
-    """Root mean square distance from the root mean squares of its coordinates."""
+    """RMS distance, computed from the RMS values of its coordinates."""
     return float(np.sqrt(len(TIP) * np.mean(np.square(axis_rms))))
 
 
 def _mean(rows: Sequence[TipErrors | None], field: str) -> float | None:
-    """Mean over the runs; None if one of them lacks it."""
+    """Mean of a field over the runs; None if one of them lacks the judged part."""
     values = [getattr(row, field) for row in rows if row is not None]
     return float(np.mean(values)) if values and len(values) == len(rows) else None

@@ -32,7 +32,7 @@ HEADINGS: Final = {
 
 
 def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str, float]) -> str:
-    """The whole page as HTML."""
+    """Return the page as HTML."""
     *own, others = gap_sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
     sections = [
         Section("glance", "Results", [_results(data)]),
@@ -80,7 +80,7 @@ def _results(data: BeforeAfter) -> Table:
 
 
 def _fmu(inputs: GapInputs, data: BeforeAfter) -> Section:
-    """The twin FMUs in FMPy on the sealed trials."""
+    """Section on the twin FMUs in FMPy on the sealed trials."""
     runs = inputs.fmus
     heaviest_kg = max(runs["before"])
     units = runs["before"][heaviest_kg].units
@@ -106,7 +106,7 @@ def _fmu(inputs: GapInputs, data: BeforeAfter) -> Section:
 
 
 def _robot(inputs: GapInputs) -> Section:
-    """Prediction of the robot's tip with each bundle."""
+    """Section on the robot's prediction of the tip with each bundle."""
     loops = inputs.loops
     payloads = sorted(loops["before"])
     rows = [
@@ -131,7 +131,7 @@ def _robot(inputs: GapInputs) -> Section:
 
 
 def _plans(data: BeforeAfter) -> list[Section]:
-    """Tip of the robot on the path of a plan, with the old and with the improved plant."""
+    """Section on the path error of plans with the old and with the improved plant."""
     if not (errors := data.path_rms_m):
         return []
     headings = HEADINGS | {"rigid": "rigid kinematics"}

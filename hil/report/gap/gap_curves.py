@@ -1,4 +1,4 @@
-"""Residual panels before and after a gap was closed: of the FMUs, and of the robot."""
+"""Residuals of the FMUs and of the robot before and after a gap was closed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CURVE_LEGEND: Final = (*BEFORE_AND_AFTER, LegendEntry(MUTED, "RMS without the ef
 
 
 def fmu_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
-    """Draw measured minus simulated in FMPy, on a sealed trial."""
+    """Draw the residuals of the FMUs in FMPy, measured minus simulated, on a sealed trial."""
     trial = next(t for t in inputs.sealed if t.meta.payload_kg == payload_kg)
     measured = measured_signals(trial)
     rows = [inputs.outputs[variant][payload_kg] for variant in ("before", "after")]
@@ -59,7 +59,7 @@ def robot_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
 
 
 def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:
-    """Time and predicted minus true tip, (n, 3); None if the run did not keep them."""
+    """Time, and predicted minus true tip (n, 3), in the first motion; None without a record."""
     programme = loop.timing.run.programme_s
     if loop.ticks is None or loop.true_tip_m is None or not programme:
         return None

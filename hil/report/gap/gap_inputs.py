@@ -2,8 +2,8 @@
 
 ::
 
-    trials/                     dropstitch simulate --hide …      searched for the gap
-    sealed/                     the same on another motion              no value is fitted to
+    trials/                     dropstitch simulate --hide …      for the diagnosis
+    sealed/                     the same on another motion              held out from all fits
     found/gap.json, plant.json  dropstitch gap
     check_twin_1dof.json        dropstitch fmu check … --json            of the rebuilt FMU
     fmpy_VARIANT_PAYLOAD.json   dropstitch fmu simulate … --json         and …/result.csv
@@ -11,9 +11,13 @@
     plan_VARIANT/               dropstitch sil --rig --hide … --plan    (may be absent)
     commands.log                make gap-demo
 
-Variants: `before` and `after` the diagnosis; `without` the effect, with FMU and bundle as before:
-the smallest error possible; of the loop also `retrained`, on the same trials as `after` with the
-plant as before: the effect of new data alone. Of plans also `rigid`: goals of rigid kinematics.
+Variants:
+
+- `before` and `after` the diagnosis.
+- `without` the effect, with FMU and bundle as in `before`: the smallest possible error.
+- `retrained` (loop only), on the same trials as `after` with the plant of `before`: the effect of
+  new data alone.
+- `rigid` (plans only): goals by rigid kinematics.
 """
 
 from __future__ import annotations
@@ -50,25 +54,25 @@ ByPayload = dict[float, Any]
 class FmuRunOutput(msgspec.Struct, frozen=True):
     """Output of `dropstitch fmu simulate --json` on a trial."""
 
-    rms: dict[str, float]  # Root mean square error by signal, SI units
-    units: dict[str, str]  # SI unit of every signal
+    rms: dict[str, float]  # RMS error by signal, SI units
+    units: dict[str, str]  # SI unit of each signal
 
 
 @dataclass(frozen=True)
 class GapInputs:
     """Files of a closed gap."""
 
-    found: GapDocument
-    before: Plant  # As given, and as improved
-    after: Plant
-    trials: TrialSet  # Trials of the diagnosis, and trials that no value was fitted to
-    sealed: TrialSet
-    check: FmuCheckOutput  # Of the rebuilt twin
+    found: GapDocument  # Diagnosis
+    before: Plant  # Plant before the diagnosis
+    after: Plant  # Plant after the diagnosis
+    trials: TrialSet  # Trials of the diagnosis
+    sealed: TrialSet  # Held-out trials, to which no value was fitted
+    check: FmuCheckOutput  # Check of the rebuilt twin
     fmus: dict[str, dict[float, FmuRunOutput]]  # Runs of each variant's FMU, by payload in kg
-    # Rows that those runs wrote, with columns as fields
+    # Rows of result.csv of those runs, with columns as fields
     outputs: dict[str, dict[float, NDArray[np.void]]]
-    loops: dict[str, dict[float, LoopRun]]  # Of each variant, by payload in kg
-    # Distance of the tip from the path of a plan, by variant; empty where no plan was run
+    loops: dict[str, dict[float, LoopRun]]  # Runs of each variant's loop, by payload in kg
+    # RMS path error of a plan, by variant; empty if no plan was run
     path_rms_m: dict[str, float]
     commands: list[str]  # Commands that wrote the files
 
@@ -100,7 +104,7 @@ def read_gap(directory: Path, plant: Path) -> GapInputs:
 
 
 def _variants(directory: Path, pattern: str, read: Callable[[Path], Any]) -> dict[str, ByPayload]:
-    """Files of every variant, by payload; before and after are needed."""
+    """Read the files of every variant, by payload; `before` and `after` are required."""
     result: dict[str, ByPayload] = {}
     for variant in VARIANTS:
         head, tail = pattern.format(variant, "*").split("*")

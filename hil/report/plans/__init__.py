@@ -1,1 +1,1 @@
-"""Page of plans for the tip that were run on the rig: paths, errors, payloads."""
+"""Page of tip plans that were run on the rig: paths, errors, payloads."""

@@ -1,4 +1,4 @@
-"""Section of the page of plans about feedback: margins, Bode and Nyquist diagrams."""
+"""Section on feedback in the page of plans: margins, Bode and Nyquist diagrams."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from models.shared.palette import ALARM, INK, MUTED, ordered_colours
 from models.shared.svg_drawing import Drawing
 
 NYQUIST_HALF_WIDTH: Final = 1.3
-"""Half of the side of the square of the complex plane that the Nyquist diagram shows."""
+"""Half of the side of the square in the complex plane that the Nyquist diagram shows."""
 
 
 def feedback_section(plans: Mapping[int, TipPlan], plant: Plant | None) -> Section | None:
-    """Return the section; None where no plan has feedback.
+    """Return the section; None if no plan has feedback.
 
-    `plant`: on whose linearised twin the loops are drawn; None draws none.
+    The loops are drawn for the linearised twin of `plant`; without a plant there are no diagrams.
     """
     guided = {dof: plan for dof, plan in sorted(plans.items()) if plan.feedback is not None}
     if not guided:
@@ -73,7 +73,7 @@ def _margin_table(plans: Mapping[int, TipPlan]) -> Table:
 
 
 def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
-    """Bode and Nyquist diagrams of every joint, one curve for each payload."""
+    """Draw Bode and Nyquist diagrams of every joint, one curve for each payload."""
     if plan.feedback is None:
         return []
     grid = plan.grid_kg.tolist()
@@ -121,7 +121,7 @@ def _nyquist(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) ->
 
 
 def _marks(ax: Any) -> None:
-    """Unit circle, −1, and the least margins beside it."""
+    """Draw the unit circle, −1, and the smallest allowed margins."""
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     ax.plot(np.cos(turn), np.sin(turn), color=MUTED, lw=0.6)
     ax.plot([-1.0], [0.0], "+", color=ALARM, ms=9)

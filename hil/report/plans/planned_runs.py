@@ -1,4 +1,4 @@
-"""Runs of plans in a directory: tip against path, by joints, payload and what the robot knew."""
+"""Runs of plans in a directory: path error by dof, payload and what the robot knows of it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from models.trials.trial_files import read_trial
 
 Array = NDArray[np.float64]
 Knowledge = Literal["rigid", "known", "unknown", "misled"]
-"""Rigid kinematics; the plan with the payload known, estimated, and told too small."""
+"""Rigid kinematics; or the plan, with the payload known, estimated, or configured too small."""
 KNOWLEDGE: Final[tuple[Knowledge, ...]] = ("rigid", "known", "unknown")
-"""What is compared; the misled robot shows what happens when the estimate is not trusted."""
+"""Runs that are compared. The run "misled" shows what happens when the estimate is not trusted."""
 _ORDER: Final = (*KNOWLEDGE, "misled")
 _NAME: Final = re.compile(rf"([12])dof_({'|'.join(_ORDER)})_([\d.]+)")
 
@@ -33,16 +33,16 @@ class PlannedRun:
     """Last run of a plan in a directory of `dropstitch sil`."""
 
     dof: int
-    knowledge: Knowledge  # {"rigid", "known", "unknown", "misled"}
-    payload_kg: float  # Mass at the tip of the rig; for the misled robot what it was told
+    knowledge: Knowledge
+    payload_kg: float  # Payload of the rig; for "misled", the payload in the configuration
     plan: TipPlan
     tip_m: Array  # (n, dof), true tip at each row of the plan, in its last run
-    rms_m: float  # Distance from the path over that run, as `dropstitch sil` judged it
-    max_m: float
-    goals_rad: Array  # (n, dof)
+    rms_m: float  # RMS path error of that run, from timing.json
+    max_m: float  # Largest path error of that run, from timing.json
+    goals_rad: Array  # (n, dof), goals that were sent
     # (n,), trust in the estimated tip (`firmware_py.safety.estimate_trust.TrustState`)
     trust: NDArray[np.int64]
-    unknown_kg: float = 0.0  # Mass at the tip of which the robot does not know
+    unknown_kg: float = 0.0  # Further mass at the tip that the configuration lacks
 
     @property
     def away_m(self) -> Array:
@@ -51,9 +51,9 @@ class PlannedRun:
 
 
 def read_planned_runs(directory: Path) -> list[PlannedRun]:
-    """Read the runs that `make tip-demo` left, by joints, payload and knowledge.
+    """Read the runs of `make tip-demo`, sorted by dof, payload and knowledge.
 
-    `directory`: with the folders NAME and the plans `inverse_Ndof.json` and `rigid_Ndof.json`.
+    The directory also holds the plans `inverse_Ndof.json` and `rigid_Ndof.json`.
     """
     found = []
     for folder in sorted(directory.glob("*")):
@@ -90,8 +90,9 @@ def _read(directory: Path, folder: Path, dof: str, kind: str, payload: str) -> P
 
 
 def plan_figures(runs: list[PlannedRun]) -> dict[str, Any]:
-    """RMS errors by joints and payload, their largest ratios to rigid kinematics, and the
-    inverse.
+    """Return RMS path errors by dof and payload, with their ratios to those of rigid kinematics.
+
+    `K_ratio` is the largest ratio, `K_times_Ndof` the smallest improvement (the inverse ratio).
     """
     cases: list[dict[str, Any]] = []
     runs = [r for r in runs if r.knowledge in KNOWLEDGE]

@@ -43,10 +43,7 @@ TOLD: Final = {"known": "known", "unknown": "estimated"}
 
 
 def write_plans_page(runs: Sequence[PlannedRun], path: Path, plant: Plant | None = None) -> None:
-    """Write the page.
-
-    `plant`: plant that was inverted, for the diagrams of the feedback.
-    """
+    """Write the page; diagrams of the feedback need the plant with which the plans were made."""
     lead: list[Part] = [
         EMULATED,
         Paragraph(
@@ -114,7 +111,7 @@ def _path(dof: int, payload_kg: float, runs: Sequence[PlannedRun]) -> Panel:
     plan, inside = runs[0].plan, slice(runs[0].plan.start_row, runs[0].plan.end_row)
     time_s, desired = plan.period_s * np.arange(plan.rows), plan.desired_tip_m()
     with Drawing(3.6 if dof == 2 else 2.9) as (drawing, ax):
-        for k, run in enumerate(runs):  # each thinner than the one below it: they coincide
+        for k, run in enumerate(runs):  # each thinner than the one below, because they coincide
             xy = run.tip_m[inside].T if dof == 2 else (time_s, run.tip_m[:, 0])
             ax.plot(*xy, color=COLOURS[run.knowledge], lw=1.2 + 1.1 * (len(runs) - 1 - k))
         wanted = desired[inside].T if dof == 2 else (time_s, desired[:, 0])

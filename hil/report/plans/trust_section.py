@@ -1,4 +1,4 @@
-"""Section of the page of plans about trust in the estimated tip, and runs in which it was lost."""
+"""Section on trust in the estimated tip in the page of plans, with runs in which it was lost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from models.shared.svg_drawing import Drawing
 
 
 def trust_section(runs: Sequence[PlannedRun]) -> Section | None:
-    """Return the section; None where no run has feedback."""
+    """Return the section; None if no run has feedback."""
     guided = [r for r in runs if (r.trust != TrustState.NONE).any()]
     if not guided:
         return None
@@ -65,7 +65,7 @@ def _error(run: PlannedRun) -> Panel:
 
 
 def _correction(run: PlannedRun) -> Panel:
-    """Goals sent beyond those of the plan."""
+    """Draw the corrections: goals sent minus goals of the plan."""
     plan = run.plan
     planned = PlanGoals(plan, run.payload_kg)
     beyond = run.goals_rad - np.array([planned.at(row) for row in range(plan.rows)])

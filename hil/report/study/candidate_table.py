@@ -13,7 +13,7 @@ from models.tip.predictors_document import PredictorsDocument
 
 
 def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
-    """Return errors, coverage and size of every candidate, on rows left out and on every test."""
+    """Return errors, coverage and size of every candidate, on held-out rows and on every test."""
     rows = []
     for dof, document in documents.items():
         for name, entry in document.candidates.items():
@@ -41,7 +41,7 @@ def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
 
 
 def _note(dof: int, document: PredictorsDocument) -> str:
-    """Reason of the choice, and what the whole answer costs by runtime."""
+    """Reason for the choice, and the latency of observer and predictor together by runtime."""
     note = f"{dof}DOF: {document.reason}"
     costs = [
         f"{runtime} {latency_text(latency)} {DELAY.name}"

@@ -1,4 +1,4 @@
-"""Error figures of the study: distance over time and degree, and what DI gains (Figs. 12 to 15)."""
+"""Error figures of the study: distance over time and degree, and the gain by DI (Figs. 12–15)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from models.shared.svg_drawing import Drawing, log_axis
 from models.study.study_document import StudyDocument
 
 Studies = Mapping[str, StudyDocument]
-"""By what they were trained on."""
+"""Studies by their training data."""
 
 TEST: Final = "trial_2"
 VARIANTS: Final = {
@@ -30,7 +30,7 @@ DISTANCE: Final = LENGTH.label("mean distance")
 
 
 def error_figures(studies: Studies) -> list[Figure]:
-    """Draw the error figures, one panel per study; studies without a trial 2 have none."""
+    """Draw the error figures, one panel for each study with a trial 2."""
     tested = {name: study for name, study in studies.items() if TEST in study.tests}
     if not tested:
         return []
@@ -127,11 +127,11 @@ def _gain_by_di(studies: Studies) -> Figure:
 
 
 def _pooled(study: StudyDocument, variant: str) -> np.ndarray:
-    """Mean distance over all payloads by degree, as it is shown."""
+    """Mean distance over all payloads by degree, in the display unit."""
     return LENGTH.shown(list(study.mean_euclidean_distance_m[TEST]["pooled"][variant].values()))
 
 
 def _folds(study: StudyDocument, kind: str) -> np.ndarray:
-    """Distance on what was left out, by degree, as it is shown; empty where it was not."""
+    """Distance on held-out data by degree, in the display unit; empty without cross-validation."""
     values = [getattr(fold, kind) for fold in study.cross_validation["with_di"].values()]
     return LENGTH.shown([v for v in values if v is not None])

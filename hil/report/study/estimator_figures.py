@@ -26,7 +26,7 @@ PREDICTORS: Final = {
 
 
 def test_words(name: str) -> str:
-    """Words for the key of a test: "trial 2", "unseen 20° motion"."""
+    """Return the label of a test's key: "trial 2", "unseen 20° motion"."""
     words = name.replace("_", " ")
     if words.startswith("unseen"):
         return words.replace("deg", "° motion")
@@ -34,7 +34,7 @@ def test_words(name: str) -> str:
 
 
 def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
-    """DI of the heaviest payload over time by every source, on every test."""
+    """Draw the DI of the heaviest payload over time, by source, on every test."""
     panels = []
     for dof, study in studies.items():
         for name, curves in study.series.estimates.items():
@@ -64,7 +64,7 @@ def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
 
 
 def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
-    """Mean distance of every predictor of the tip, by payload, on every test."""
+    """Draw the mean distance of every tip predictor by payload, on every test."""
     panels = []
     everything = [
         v

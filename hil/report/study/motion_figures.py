@@ -14,13 +14,13 @@ from models.shared.svg_drawing import Drawing, nested_widths
 from models.study.study_document import StudyDocument, TipPath
 
 Studies = Mapping[str, StudyDocument]
-"""By kind of motion."""
+"""Studies by kind of motion."""
 
 MARGIN: Final = 1.1
-"""Size of a drawing over what it shows."""
+"""Ratio of a drawing's size to its contents."""
 
 ASPECT: Final = 0.72
-"""Height over width of a path seen from above."""
+"""Ratio of height to width of a path seen from above."""
 
 AZIMUTH: Final = np.radians(-20.0)
 ELEVATION: Final = np.radians(20.0)
@@ -31,7 +31,7 @@ NESTED: Final = (
 
 
 def motion_figures(studies: Studies) -> list[Figure]:
-    """Draw paths, shapes and DI, one kind of motion beside the other."""
+    """Draw paths, shapes and DI, with a panel for each kind of motion."""
     return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
 
 
@@ -43,7 +43,7 @@ def _payload_legend(labels: list[str]) -> list[LegendEntry]:
 
 
 def _payload_words(label: str) -> str:
-    """Words for the key of a run: "0.5 kg", "2 kg, phase 90°"."""
+    """Label of a run's key: "0.5 kg", "2 kg, phase 90°"."""
     payload, _, phase = label.partition(" phase ")
     return f"{payload} kg" + (f", phase {phase.removesuffix('deg')}°" if phase else "")
 
@@ -105,7 +105,7 @@ def _oblique(point_m: Any) -> Any:
 
 
 def _draw_axes(ax: Any, reach_m: float) -> None:
-    """World axes at the origin, and the link at angle zero, in place of a frame."""
+    """Draw the world axes at the origin and the link at angle zero, instead of a frame."""
     for k, name in enumerate("xyz"):
         end = np.zeros((2, 3))
         end[1, k] = 0.35 * reach_m
