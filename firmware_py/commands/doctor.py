@@ -4,8 +4,8 @@ With --bus: shows the transmission time of a tick of the configured robot, for e
 servos might support, fastest first (`firmware_py.bus.bus_plan`). A configuration that cannot meet
 its period is refused with the numbers.
 
-With --check-joints: asks you to turn each joint by hand, torque off, and reports which angle changed. No
-other check detects exchanged ids.
+With --check-joints: asks you to turn each joint by hand, torque off, and reports which angle
+changed. No other check detects exchanged ids.
 """
 
 from __future__ import annotations

@@ -75,7 +75,9 @@ class EmulatorSpecification:
         if len(set(self.ids)) != len(self.ids) or not all(0 <= i <= 252 for i in self.ids):
             raise InputError("--ids", f"{self.ids} is no set of addresses", "give each once, 0–252")
         if self.model_number not in MODELS:
-            raise InputError("--model", f"{self.model_number} is not known", "see hil emulate -h")
+            raise InputError(
+                "--model", f"{self.model_number} is not known", "see dropstitch list servos"
+            )
         if not 0.0 <= self.payload_kg <= MAX_PAYLOAD_KG:
             raise InputError(
                 "--payload-kg", f"is {self.payload_kg:g}", f"give 0 to {MAX_PAYLOAD_KG:g}"

@@ -1,7 +1,7 @@
 """Recorded run of a plan: goals sent, angles and tip measured, row by row of the plan.
 
-A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) holds the tip by motion capture, a log of
-`dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
+A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) holds the tip by motion capture,
+a log of `dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
 recording the last complete one counts, because the robot's estimate of the payload has settled
 there.
 

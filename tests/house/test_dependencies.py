@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 EXTRAS = {
-    "firmware_py": ("record", "live", "trust"),
+    "firmware_py": ("record", "live", "trust", "completion"),
     "dropstitch": ("library",),
     "models": ("workshop", "library"),
     "fmu": ("workshop",),

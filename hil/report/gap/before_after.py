@@ -55,7 +55,7 @@ class RobotErrors(msgspec.Struct, frozen=True):
 
 
 class BeforeAfter(msgspec.Struct, frozen=True):
-    """Figures of the page, which `dropstitch report gap --json` prints together with the path of the page."""
+    """Figures of the page, which `dropstitch report gap --json` prints too."""
 
     verdict: str  # Verdict of the diagnosis
     hidden: dict[str, HiddenEffect]

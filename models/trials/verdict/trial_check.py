@@ -42,8 +42,8 @@ COLLINEAR: Final = 0.98
 """Correlation of two angles above which their effects cannot be separated."""
 
 CLOCK_REMEDY: Final = (
-    "import the recordings again, the angles as a second file with --servo; models gap names an "
-    "offset that stays (sync_offset)"
+    "import the recordings again, the angles as a second file with --servo; dropstitch gap names "
+    "an offset that stays (sync_offset)"
 )
 
 ZERO_REMEDY: Final = (
