@@ -43,7 +43,8 @@ def run_cases(cases: Iterable[HiddenCase], out: Path) -> int:
                 failed += 1
                 trace = out / "failures" / f"{begun[done].stem}.txt"
                 trace.parent.mkdir(exist_ok=True)
-                trace.write_text(f"{missing[begun[done]]}\n{error!r}\n{error.__cause__}\n")
+                text = f"{missing[begun[done]]}\n{error!r}\n{error.__cause__}\n"
+                trace.write_text(text, encoding="utf-8")
             progress.step(missing[begun[done]].kind)
     return failed
 
