@@ -4,8 +4,9 @@
     make figures ONLY="tip loop"    # these parts; prints them and writes nothing
     python -m bench.figures --readme   # the block of README, from docs/figures.json
 
-What a part needs of build/ is made first, as `make demo` makes it. A part that fails, or that Ctrl-C
-skips, says so in its row; the pages are written at the end. Leave the machine alone meanwhile: some parts measure times.
+What a part needs of build/ is made first, as `make demo` makes it. A part that fails, or that
+Ctrl-C skips, says so in its row; the pages are written at the end. Leave the machine alone
+meanwhile: some parts measure times.
 """
 
 from __future__ import annotations
