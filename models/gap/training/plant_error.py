@@ -76,7 +76,7 @@ def null_case(rig: int, link: int, directory: str, joints: int, known: OwnErrorK
         payloads = "between" if known == "other_payloads" else "study"
         trials = study_trials(drawn_link(rig, link), link_seed(rig, link), joints, motion, payloads)
     except InputError:
-        path.write_text("{}")
+        path.write_text("{}", encoding="utf-8")
         return
     floor = required_noise_floor(plant, joints) if known == "curves" else None
     found = diagnose(plant, TrialSet(tuple(trials)), floor=floor)
@@ -88,7 +88,7 @@ def null_case(rig: int, link: int, directory: str, joints: int, known: OwnErrorK
         "change": found.link_change, "motion": motion,
         "verdict": found.verdict,
     }  # fmt: skip
-    path.write_text(json.dumps(row))
+    path.write_text(json.dumps(row), encoding="utf-8")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -149,7 +149,7 @@ def write_null_distribution(
     work = [(k, n, directory, joints, known) for n in links for k in rigs]
     files = [_null_file(directory, k, n, joints, known) for k, n, *_ in work]
     _run(null_case, [w for w, f in zip(work, files, strict=True) if not f.exists()])
-    rows = [r for r in (json.loads(f.read_text()) for f in files) if r]
+    rows = [r for r in (json.loads(f.read_text(encoding="utf-8")) for f in files) if r]
     found = calibrated_null_distribution(
         [r["separations"] for r in rows], [r["left"] for r in rows], [r["change"] for r in rows]
     )

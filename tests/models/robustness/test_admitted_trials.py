@@ -80,7 +80,7 @@ def few_steps(monkeypatch):
 def check(capsys, argv, documents):
     """Run a command; it either ends with documents of finite numbers or with one sentence."""
     code = main([str(a) for a in argv])
-    said = [row for row in capsys.readouterr().err.splitlines() if row.startswith("python")]
+    said = [row for row in capsys.readouterr().err.splitlines() if row.startswith("dropstitch: ")]
     assert code in (0, 1, 2)
     if code == 2:
         assert len(said) == 1 and ONE_SENTENCE.fullmatch(said[0]), said
