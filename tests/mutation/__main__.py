@@ -1,4 +1,9 @@
-"""Draw mutants by subject, run the subject's tests against each, compare with `fractions.json`."""
+"""Draw mutants by subject, run the subject's tests against each, compare with `fractions.json`.
+
+A subject has fallen if the tests miss two or more of the mutants that they killed before, less
+those that they now kill and did not, or if fewer are killed than chance explains (95 %), as after
+a change of the code.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +17,12 @@ from pathlib import Path
 
 from scipy.stats import fisher_exact
 
-from tests.mutation.forked_runs import Ended, Run, ended_runs, import_libraries
+from tests.mutation.forked_runs import Run, ended_runs, import_libraries
 from tests.mutation.mutants import draw
 from tests.mutation.subjects import ROOT, SUBJECTS
 
 STORED = Path(__file__).with_name("fractions.json")
 BASELINE_S = 600.0
-SIGNIFICANCE = 0.05
 
 
 def parsed(argv=None):
@@ -33,112 +37,98 @@ def parsed(argv=None):
     return parser.parse_args(argv)
 
 
-def said(text: str) -> None:
+def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
 def baseline(subjects, workers) -> dict[str, float]:
     """Seconds that each subject's tests take on the code as it is; exit 2 if they fail."""
-    said("tests without a mutant")
+    say("tests without a mutant")
     runs = [Run(s.tests, ROOT, BASELINE_S, subject=s.name) for s in subjects]
-    ended = ended_runs(runs, workers, lambda end: said(f"  {end.run.subject}: {end.taken_s:.0f} s"))
+    ended = ended_runs(runs, workers, lambda end: say(f"  {end.run.subject} {end.taken_s:.0f} s"))
     for end in ended:
         if end.result != "survived":
-            tests = " ".join(end.run.tests)
-            said(f"{end.output}\nthe tests of {end.run.subject} do not pass as they are: {tests}")
+            say(f"{end.output}\n{end.run.subject}: its tests do not pass without a mutant")
             sys.exit(2)
     return {end.run.subject: end.taken_s for end in ended}
 
 
 def place(mutant) -> str:
-    path = mutant.path.relative_to(ROOT)
-    new = " ".join(mutant.new.split()) if mutant.kind != "deletion" else "(deleted)"
-    return f"{path}:{mutant.line}  {' '.join(mutant.old.split())}  →  {new}"
+    new = "(deleted)" if mutant.kind == "deletion" else mutant.new
+    line = f"{mutant.path.relative_to(ROOT)}:{mutant.line}  {mutant.old}  →  {new}"
+    return " ".join(line.split())
 
 
-def keys(results: list[Ended], *kinds: str) -> list[str]:
-    return sorted(end.run.mutant.key for end in results if end.result in kinds)
+def keys(ended, *results: str) -> list[str]:
+    return sorted(end.run.mutant.key for end in ended if end.result in results)
 
 
-def losses(now: dict, before: dict) -> tuple[list[str], str]:
-    """Mutants that were killed and are no longer, and why that is a fall, or ""."""
-    lost = sorted(set(before["killed"]) & set(now["survived"]))
-    won = set(before["survived"]) & set(now["killed"])
-    if len(lost) - len(won) > 1:
-        return lost, f"{len(lost)} mutants that were killed survive"
+def fall(now: dict, before: dict) -> str:
+    """Why a subject's tests notice less than before, or ""."""
+    lost = len(set(before["killed"]) & set(now["survived"]))
+    won = len(set(before["survived"]) & set(now["killed"]))
+    if lost - won > 1:
+        return f"{lost} mutants that were killed survive, {won} that survived are killed"
     table = [[len(part["killed"]), len(part["survived"])] for part in (now, before)]
-    if fisher_exact(table, alternative="less").pvalue < SIGNIFICANCE:
-        return lost, "fewer are killed than chance explains"
-    return lost, ""
+    if fisher_exact(table, alternative="less").pvalue < 0.05:
+        return "fewer are killed than chance explains"
+    return ""
 
 
 def main(argv=None) -> int:
     options = parsed(argv)
     subjects = [s for s in SUBJECTS if s.name in options.only]
-    each = options.count // len(SUBJECTS)
-    stored = json.loads(STORED.read_text()) if STORED.exists() else {"subjects": {}}
-    comparable = (options.seed, options.count) == (stored.get("seed"), stored.get("count"))
-    if options.accept and options.only != [s.name for s in SUBJECTS] and not comparable:
-        said(
-            "--accept of some subjects needs the seed and the count of the others; leave out --only"
-        )
+    drawn = {"seed": options.seed, "count": options.count}
+    stored = json.loads(STORED.read_text()) if STORED.exists() else {}
+    same = drawn.items() <= stored.items()
+    if options.accept and len(subjects) < len(SUBJECTS) and not same:
+        say(f"--only with --accept: {STORED.name} has another seed or count; give its own")
         return 2
     start_s = time.monotonic()
     import_libraries()
-    unmutated_s = baseline(subjects, options.workers)
-    runs = [
-        Run(s.tests, ROOT, 5 * unmutated_s[s.name] + 5, mutant, s.name)
-        for s in subjects for mutant in draw(s.paths(), each, options.seed)
-    ]  # fmt: skip
-    done = 0
+    taken_s = baseline(subjects, options.workers)
+    each = options.count // len(SUBJECTS)
+    runs = [Run(s.tests, ROOT, 5 * taken_s[s.name] + 5, mutant, s.name)
+            for s in subjects for mutant in draw(s.paths(), each, options.seed)]  # fmt: skip
+    done = iter(range(1, len(runs) + 1))
 
     def report(end):
-        nonlocal done
-        done += 1
-        mutant = place(end.run.mutant)
-        said(f"{done}/{len(runs)} {end.run.subject} {end.result} {end.taken_s:.1f} s  {mutant}")
+        of, mutant = f"{next(done)}/{len(runs)}", place(end.run.mutant)
+        say(f"{of} {end.run.subject} {end.result} {end.taken_s:.1f} s  {mutant}")
 
     ended = ended_runs(runs, options.workers, report)
     commit = subprocess.run(
         ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True
     ).stdout.strip()
-    results, falls = {}, []
+    results, lost, falls = {}, [], []
     print("| subject | modules | mutants | killed | of them by time | survived | fraction |")
     print("|---|---|---|---|---|---|---|")
     for subject in subjects:
         of = [end for end in ended if end.run.subject == subject.name]
-        result = {
-            "fraction": round(len(keys(of, "killed", "timeout")) / len(of), 3),
-            "n": len(of),
-            "date": datetime.date.today().isoformat(),
-            "commit": commit,
-            "killed": keys(of, "killed", "timeout"),
-            "survived": keys(of, "survived"),
-        }
-        results[subject.name] = result
-        print(f"| {subject.name} | {len(subject.paths())} | {len(of)} | {len(result['killed'])} | "
-              f"{len(keys(of, 'timeout'))} | {len(result['survived'])} | {result['fraction']:.2f} |")  # fmt: skip
-        if comparable and subject.name in stored["subjects"]:
-            lost, why = losses(result, stored["subjects"][subject.name])
-            falls += [f"{subject.name}: {why}"] if why else []
-            for end in of:
-                if end.run.mutant.key in lost:
-                    said(f"no longer killed: {place(end.run.mutant)}")
+        killed, survived = keys(of, "killed", "timeout"), keys(of, "survived")
+        fraction = len(killed) / len(of)
+        print(f"| {subject.name} | {len(subject.paths())} | {len(of)} | {len(killed)} | "
+              f"{len(keys(of, 'timeout'))} | {len(survived)} | {fraction:.2f} |")  # fmt: skip
+        result = results[subject.name] = {
+            "fraction": round(fraction, 3), "n": len(of), "commit": commit,
+            "date": datetime.date.today().isoformat(), "killed": killed, "survived": survived,
+        }  # fmt: skip
+        before = stored.get("subjects", {}).get(subject.name)
+        if same and before:
+            lost += set(before["killed"]) & set(survived)
+            falls += [f"{subject.name}: {why}" for why in [fall(result, before)] if why]
     print(f"\n{len(ended)} mutants in {time.monotonic() - start_s:.0f} s; these survive:\n")
     for end in ended:
         if end.result == "survived":
-            print(f"{end.run.subject}  {place(end.run.mutant)}")
-    document = {"seed": options.seed, "count": options.count, "subjects": results}
+            new = "  (killed before)" if end.run.mutant.key in lost else ""
+            print(f"{end.run.subject}  {place(end.run.mutant)}{new}")
     if options.out:
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(json.dumps(document, indent=1) + "\n")
+        options.out.write_text(json.dumps({**drawn, "subjects": results}, indent=1) + "\n")
     if options.accept:
-        kept = stored["subjects"] if comparable else {}
-        document["subjects"] = {**kept, **results}
-        STORED.write_text(json.dumps(document, indent=1) + "\n")
+        results = {**(stored["subjects"] if same else {}), **results}
+        STORED.write_text(json.dumps({**drawn, "subjects": results}, indent=1) + "\n")
         return 0
-    for fall in falls:
-        print(f"fallen: {fall}")
+    print("".join(f"\nfallen: {line}" for line in falls))
     return bool(falls)
 
 

@@ -25,19 +25,24 @@ FUNCTIONS = {
     "all": "any", "fmin": "fmax", "fmax": "fmin", "floor": "ceil", "ceil": "floor",
 }  # fmt: skip
 TALK = {"print", "warn", "isinstance", "issubclass"}
-"""Calls that are left alone with all their arguments: messages, and types that are not numbers."""
+"""Calls that are left alone with their arguments: messages, and types."""
 
 LARGE = 1000
 """From here on an integer is a rate or a scale rather than a count, and is doubled."""
 
-DELETED = (ast.Assign, ast.AugAssign, ast.AnnAssign, ast.Expr, ast.Raise)
+SKIPPED = {
+    ast.ClassDef: ("decorator_list", "keywords", "bases"),
+    ast.FunctionDef: ("decorator_list", "returns"),
+    ast.AnnAssign: ("annotation",),
+    ast.arg: ("annotation",),
+    ast.Raise: ("exc", "cause"),
+}
+"""Parts of nodes that are no decisions: types, options of classes, messages of errors."""
 
 
 class Mutant(NamedTuple):
     path: Path
     line: int
-    scope: str
-    """Qualified name of the function or class within its module, "" at module level."""
     kind: str
     old: str
     new: str
@@ -49,138 +54,105 @@ class Mutant(NamedTuple):
     def source(self) -> bytes:
         """The whole file with the mutant in place and every line where it was."""
         whole, (start, end) = self.path.read_bytes(), self.span
-        lines = b"\n" * whole.count(b"\n", start, end)
-        new = self.new.encode()
+        new = self.new.encode() + b"\n" * whole.count(b"\n", start, end)
         if self.kind not in ("deletion", "return"):
-            new = b"(" + new + lines + b")"
-            lines = b""
-        return whole[:start] + new + lines + whole[end:]
-
-
-class _Change(NamedTuple):
-    node: ast.AST
-    kind: str
-    new: str
+            new = b"(" + new + b")"
+        return whole[:start] + new + whole[end:]
 
 
 def _with(node, **fields) -> str:
     changed = copy.copy(node)
-    for name, value in fields.items():
-        setattr(changed, name, value)
+    vars(changed).update(fields)
     return ast.unparse(changed)
 
 
-def _of_expression(node) -> Iterator[_Change]:
-    if isinstance(node, ast.Compare):
-        for k, op in enumerate(node.ops):
-            ops = [*node.ops[:k], COMPARISONS[type(op)](), *node.ops[k + 1 :]]
-            yield _Change(node, "comparison", _with(node, ops=ops))
-    elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in OPERATORS:
-        yield _Change(node, "operator", _with(node, op=OPERATORS[type(node.op)]()))
-    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
-        yield _Change(node, "operator", ast.unparse(node.operand))
-    elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
-        yield _Change(node, "constant", repr(not node.value))
-    elif isinstance(node, ast.Constant) and isinstance(node.value, int):
-        for value in (node.value + 1, node.value - 1) if node.value < LARGE else (2 * node.value,):
-            yield _Change(node, "constant", repr(value))
-    elif isinstance(node, ast.Constant) and isinstance(node.value, float):
-        yield _Change(node, "constant", repr(2 * node.value or 1.0))
-    elif isinstance(node, ast.Call):
-        function = node.func
-        if isinstance(function, ast.Name) and function.id in FUNCTIONS:
-            yield _Change(function, "function", FUNCTIONS[function.id])
-        elif isinstance(function, ast.Attribute) and function.attr in FUNCTIONS:
-            yield _Change(function, "function", _with(function, attr=FUNCTIONS[function.attr]))
-
-
-def _of_condition(test) -> Iterator[_Change]:
-    same = isinstance(test, ast.Compare) and len(test.ops) == 1 and not isinstance(
-        test.ops[0], ast.Lt | ast.LtE | ast.Gt | ast.GtE
-    )  # fmt: skip
-    if not same and not (isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not)):
-        yield _Change(test, "condition", f"not ({ast.unparse(test)})")
-
-
-def _of_statement(node) -> Iterator[_Change]:
-    if isinstance(node, ast.Return) and node.value is not None:
-        if ast.unparse(node.value) != "None":
-            yield _Change(node, "return", "return None")
-    elif isinstance(node, DELETED):
-        text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-        if not text and (not isinstance(node, ast.AnnAssign) or node.value is not None):
-            yield _Change(node, "deletion", "pass")
+def _changes(node, function: bool) -> Iterator[tuple[ast.AST, str, str]]:
+    """What is replaced, kind of the mutant, new text; `function` is whether it is part of one."""
+    match node:
+        case ast.Compare(ops=ops):
+            for k, op in enumerate(ops):
+                other = [*ops[:k], COMPARISONS[type(op)](), *ops[k + 1 :]]
+                yield node, "comparison", _with(node, ops=other)
+        case ast.BinOp(op=ast.BitOr()) if not function:  # it joins types
+            pass
+        case ast.BinOp(op=op) | ast.BoolOp(op=op) if type(op) in OPERATORS:
+            yield node, "operator", _with(node, op=OPERATORS[type(op)]())
+        case ast.UnaryOp(op=ast.USub() | ast.Not(), operand=operand):
+            yield node, "operator", ast.unparse(operand)
+        case ast.Constant(value=bool(value)):
+            yield node, "constant", repr(not value)
+        case ast.Constant(value=int(value)):
+            for other in (value + 1, value - 1) if value < LARGE else (2 * value,):
+                yield node, "constant", repr(other)
+        case ast.Constant(value=float(value)):
+            yield node, "constant", repr(2 * value or 1.0)
+        case ast.Call(func=ast.Name(id=name) as called) if name in FUNCTIONS:
+            yield called, "function", FUNCTIONS[name]
+        case ast.Call(func=ast.Attribute(attr=name) as called) if name in FUNCTIONS:
+            yield called, "function", _with(called, attr=FUNCTIONS[name])
+        case ast.Return(value=ast.expr() as value) if ast.unparse(value) != "None":
+            yield node, "return", "return None"
+        case ast.Expr(value=ast.Constant()) | ast.AnnAssign(value=None):
+            pass  # a docstring, a declaration
+        case ast.Assign() | ast.AugAssign() | ast.AnnAssign() | ast.Expr() | ast.Raise():
+            if function:  # a module without one of its names is no test of a test
+                yield node, "deletion", "pass"
+    tests = [] if isinstance(node, ast.Assert) else [getattr(node, "test", None)]
+    for test in filter(None, [*tests, *getattr(node, "ifs", ())]):
+        match test:
+            case ast.UnaryOp(op=ast.Not()):
+                pass  # negated as an operator
+            case ast.Compare(ops=[ast.Eq() | ast.NotEq() | ast.Is() | ast.IsNot()]):
+                pass  # and these as a comparison
+            case ast.Compare(ops=[ast.In() | ast.NotIn()]):
+                pass
+            case _ if not _left_alone(test):
+                yield test, "condition", f"not ({ast.unparse(test)})"
 
 
 def _left_alone(node) -> bool:
     """Whether it only talks, or names types."""
-    if isinstance(node, ast.JoinedStr):
-        return True
-    if isinstance(node, ast.Call):
-        name = getattr(node.func, "id", getattr(node.func, "attr", ""))
-        return name in TALK
-    if isinstance(node, ast.BinOp):  # joined text
-        sides = (node.left, node.right)
-        return any(isinstance(s, ast.JoinedStr) or
-                   (isinstance(s, ast.Constant) and isinstance(s.value, str)) for s in sides)  # fmt: skip
-    if isinstance(node, ast.If):
-        return any(word in ast.unparse(node.test) for word in ("TYPE_CHECKING", "__name__"))
-    if isinstance(node, ast.AnnAssign):
-        return "TypeAlias" in ast.unparse(node.annotation)
+    match node:
+        case ast.JoinedStr():
+            return True
+        case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name)):
+            return name in TALK
+        case ast.BinOp():  # joined text
+            text = ast.JoinedStr | ast.Constant
+            sides = [side for side in (node.left, node.right) if isinstance(side, text)]
+            return any(isinstance(getattr(side, "value", ""), str) for side in sides)
+        case ast.If():
+            return any(word in ast.unparse(node.test) for word in ("TYPE_CHECKING", "__name__"))
+        case ast.AnnAssign():
+            return "TypeAlias" in ast.unparse(node.annotation)
     return False
 
 
-def _children(node) -> Iterator[ast.AST]:
-    """Children without annotations, decorators, keywords of classes and messages of errors."""
-    skipped = {
-        ast.ClassDef: ("decorator_list", "keywords", "bases"),
-        ast.FunctionDef: ("decorator_list", "returns"),
-        ast.AsyncFunctionDef: ("decorator_list", "returns"),
-        ast.AnnAssign: ("annotation",),
-        ast.arg: ("annotation",),
-        ast.Raise: ("exc", "cause"),
-    }.get(type(node), ())
-    for name, value in ast.iter_fields(node):
-        if name not in skipped:
-            values = value if isinstance(value, list) else [value]
-            yield from (child for child in values if isinstance(child, ast.AST))
-
-
-def _changes(node, scope: tuple[str, ...], function: bool) -> Iterator[tuple[str, _Change]]:
+def _walk(node, scope: str, function: bool) -> Iterator[tuple[str, ast.AST, str, str]]:
     if _left_alone(node):
         return
-    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-        scope, function = (*scope, node.name), not isinstance(node, ast.ClassDef)
-    found = [*_of_expression(node)]
-    if function:
-        found += _of_statement(node)
-    for test in [getattr(node, "test", None), *getattr(node, "ifs", ())]:
-        if test is not None and not isinstance(node, ast.Assert) and not _left_alone(test):
-            found += _of_condition(test)
-    for change in found:
-        bits = isinstance(change.node, ast.BinOp) and isinstance(change.node.op, ast.BitOr)
-        if function or not bits:  # outside functions `|` joins types
-            yield ".".join(scope), change
-    for child in _children(node):
-        yield from _changes(child, scope, function)
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        scope, function = f"{scope}.{node.name}", isinstance(node, ast.FunctionDef)
+    yield from ((scope, *change) for change in _changes(node, function))
+    for name, value in ast.iter_fields(node):
+        if name not in SKIPPED.get(type(node), ()):
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from _walk(child, scope, function)
 
 
 def mutants(path: Path) -> list[Mutant]:
     """Every mutant of a file."""
-    source = path.read_bytes()
-    starts = [0]
-    for line in source.splitlines(keepends=True):
-        starts.append(starts[-1] + len(line))
-    seen, out = Counter(), []
-    for scope, (node, kind, new) in _changes(ast.parse(source), (), False):
-        old = ast.unparse(node)
-        identity = (scope, kind, old, new)
+    source, seen, out = path.read_bytes(), Counter(), []
+    starts = [0, *itertools.accumulate(map(len, source.splitlines(keepends=True)))]
+    for scope, node, kind, new in _walk(ast.parse(source), "", False):
+        identity = (scope.lstrip("."), kind, ast.unparse(node), new)
         seen[identity] += 1
         text = "\0".join([*identity, str(seen[identity])])
+        span = (starts[node.lineno - 1] + node.col_offset,
+                starts[node.end_lineno - 1] + node.end_col_offset)  # fmt: skip
         key = hashlib.sha256(text.encode()).hexdigest()[:12]
-        start = starts[node.lineno - 1] + node.col_offset
-        end = starts[node.end_lineno - 1] + node.end_col_offset
-        out.append(Mutant(path, node.lineno, scope, kind, old, new, (start, end), key))
+        out.append(Mutant(path, node.lineno, kind, identity[2], new, span, key))
     return out
 
 
