@@ -84,6 +84,12 @@ def main(argv=None) -> int:
     if options.accept and len(subjects) < len(SUBJECTS) and not same:
         say(f"--only with --accept: {STORED.name} has another seed or count; give its own")
         return 2
+    for name, pattern in ((s.name, m) for s in subjects for m in s.modules):
+        if not any(ROOT.glob(pattern.lstrip("!"))):
+            say(
+                f"tests/mutation/subjects.py, {name}: no file matches {pattern}; name its new place"
+            )
+            return 2
     start_s = time.monotonic()
     import_libraries()
     taken_s = baseline(subjects, options.workers)

@@ -55,7 +55,7 @@ class Run(NamedTuple):
 class Ended(NamedTuple):
     run: Run
     result: str
-    """"survived" (all tests pass), "killed" or "timeout"."""
+    """Of the mutant: "survived" (all tests pass), "killed" or "timeout"."""
     taken_s: float
     output: str
 
@@ -84,7 +84,7 @@ def _in_child(run: Run, scratch: Path) -> int:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(run.root)
     # Recordings of other machines are not everywhere, so that no fraction depends on them.
-    os.environ |= {"TMPDIR": str(scratch), "DROPSTITCH_DATA": str(scratch / "none")}
+    os.environ.update(TMPDIR=str(scratch), DROPSTITCH_DATA=str(scratch / "none"))
     tempfile.tempdir = None
     if run.mutant is not None:
         (scratch / "mutant.py").write_bytes(run.mutant.source())
