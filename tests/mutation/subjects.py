@@ -31,13 +31,14 @@ SUBJECTS = (
         "supervisor",
         ("firmware_py/safety/*.py", "firmware_py/realtime/stop_signals.py",
          "!firmware_py/safety/estimate_trust.py"),
-        ("tests/firmware_py/safety", "tests/firmware_py/test_stop_signals.py"),
+        ("tests/firmware_py/safety", "tests/firmware_py/test_stop_signals.py",
+         "tests/firmware_py/test_loop.py", "tests/firmware_py/test_loop_ends.py"),
     ),
     Subject(
         "estimator",
         tuple(f"firmware_py/inference/{name}.py"
               for name in ("estimator", "compiled_observer", "fmu_instance", "golden")),
-        ("tests/firmware_py/inference",),
+        ("tests/firmware_py/inference", "tests/fmu/test_tip_bundle.py"),
     ),
     Subject(
         "guard",
