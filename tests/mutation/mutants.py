@@ -90,7 +90,9 @@ def _changes(node, function: bool) -> Iterator[tuple[ast.AST, str, str]]:
             yield called, "function", FUNCTIONS[name]
         case ast.Call(func=ast.Attribute(attr=name) as called) if name in FUNCTIONS:
             yield called, "function", _with(called, attr=FUNCTIONS[name])
-        case ast.Return(value=ast.expr() as value) if ast.unparse(value) != "None":
+        case ast.Return(value=None | ast.Constant(value=None | False | "")):
+            pass  # to most callers the same as None
+        case ast.Return():
             yield node, "return", "return None"
         case ast.Expr(value=ast.Constant()) | ast.AnnAssign(value=None):
             pass  # a docstring, a declaration

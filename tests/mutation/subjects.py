@@ -45,7 +45,8 @@ SUBJECTS = (
         ("firmware_py/inference/predictor.py", "firmware_py/inference/batch_prediction.py",
          "firmware_py/safety/estimate_trust.py", "models/tip/guarded_tip.py",
          "models/tip/innovation_bound.py", "models/tip/tip_interval.py"),
-        ("tests/firmware_py/inference", "tests/models/tip"),
+        ("tests/firmware_py/inference", "tests/firmware_py/goals/test_tip_feedback.py",
+         "tests/models/tip"),
     ),
     Subject(
         "goals",
