@@ -44,7 +44,7 @@ def say(text: str) -> None:
 def baseline(subjects, workers) -> dict[str, float]:
     """Seconds that each subject's tests take on the code as it is; exit 2 if they fail."""
     say("tests without a mutant")
-    runs = [Run(s.tests, ROOT, BASELINE_S, subject=s.name) for s in subjects]
+    runs = [Run(s.pytest_arguments(), ROOT, BASELINE_S, subject=s.name) for s in subjects]
     ended = ended_runs(runs, workers, lambda end: say(f"  {end.run.subject} {end.taken_s:.0f} s"))
     for end in ended:
         if end.result != "survived":
@@ -94,7 +94,7 @@ def main(argv=None) -> int:
     import_libraries()
     taken_s = baseline(subjects, options.workers)
     each = options.count // len(SUBJECTS)
-    runs = [Run(s.tests, ROOT, 5 * taken_s[s.name] + 5, mutant, s.name)
+    runs = [Run(s.pytest_arguments(), ROOT, 5 * taken_s[s.name] + 5, mutant, s.name)
             for s in subjects for mutant in draw(s.paths(), each, options.seed)]  # fmt: skip
     done = iter(range(1, len(runs) + 1))
 

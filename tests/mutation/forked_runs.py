@@ -43,9 +43,9 @@ hypothesis.settings.register_profile(
 
 
 class Run(NamedTuple):
-    """One run of pytest: `tests`, with `mutant` in place or none."""
+    """One run of pytest, with `mutant` in place or none."""
 
-    tests: tuple[str, ...]
+    arguments: tuple[str, ...]
     root: Path
     limit_s: float
     mutant: Mutant | None = None
@@ -96,8 +96,8 @@ def _in_child(run: Run, scratch: Path) -> int:
         sitecustomize.install()
     hypothesis.settings.load_profile("mutation")
     return int(pytest.main([
-        "-x", "-q", "--tb=short", "--no-header", "-m", "not slow", "-p", "no:xdist",
-        "-p", "no:cacheprovider", f"--basetemp={scratch / 'pytest'}", *run.tests,
+        "-x", "-q", "--tb=short", "--no-header", "-p", "no:xdist", "-p",
+        "no:cacheprovider", f"--basetemp={scratch / 'pytest'}", *run.arguments,
     ]))  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """What is mutated, and which tests have to notice.
 
 Code and tests are named by path, so that moving them changes this table alone. Tests that are
-marked slow are left out, so that a mutant costs seconds.
+marked slow are left out except where they are few, so that a mutant costs seconds.
 """
 
 from __future__ import annotations
@@ -19,10 +19,15 @@ class Subject(NamedTuple):
     modules: tuple[str, ...]
     """Patterns of paths below the root; one that begins with "!" takes away."""
     tests: tuple[str, ...]
+    slow: bool = False
+    """Whether tests run that are marked slow."""
 
     def paths(self, root: Path = ROOT) -> list[Path]:
         taken = {p for m in self.modules if m[0] != "!" for p in root.glob(m)}
         return sorted(taken - {p for m in self.modules if m[0] == "!" for p in root.glob(m[1:])})
+
+    def pytest_arguments(self) -> tuple[str, ...]:
+        return self.tests if self.slow else ("-m", "not slow", *self.tests)
 
 
 SUBJECTS = (
@@ -39,6 +44,7 @@ SUBJECTS = (
         tuple(f"firmware_py/inference/{name}.py"
               for name in ("estimator", "compiled_observer", "fmu_instance", "golden")),
         ("tests/firmware_py/inference", "tests/fmu/test_tip_bundle.py"),
+        slow=True,
     ),
     Subject(
         "guard",
@@ -62,6 +68,7 @@ SUBJECTS = (
         "plant",
         ("models/plant/composition/*.py", "models/plant/plant.py"),
         ("tests/models/plant/test_plant.py", "tests/models/plant/composition"),
+        slow=True,
     ),
     Subject(
         "gap",
