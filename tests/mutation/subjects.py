@@ -75,6 +75,11 @@ SUBJECTS = (
         ("models/gap/decision/*.py", "models/gap/search/*.py"),
         ("tests/models/gap/decision", "tests/models/gap/search"),
     ),
-    Subject("fmu", ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
+    Subject(
+        "fmu",
+        ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"),
+        ("tests/fmu",),
+        slow=True,
+    ),
     Subject("timing", ("hil/timing/*.py",), ("tests/hil/timing",)),
 )  # fmt: skip
