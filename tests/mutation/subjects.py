@@ -78,7 +78,7 @@ SUBJECTS = (
     Subject(
         "fmu",
         ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"),
-        ("tests/fmu",),
+        ("tests/fmu", "--ignore=tests/fmu/fuzz"),  # sanitizers need more memory than a mutant gets
         slow=True,
     ),
     Subject("timing", ("hil/timing/*.py",), ("tests/hil/timing",)),
