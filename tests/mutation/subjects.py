@@ -75,11 +75,6 @@ SUBJECTS = (
         ("models/gap/decision/*.py", "models/gap/search/*.py"),
         ("tests/models/gap/decision", "tests/models/gap/search"),
     ),
-    Subject(
-        "fmu",
-        ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"),
-        ("tests/fmu", "--ignore=tests/fmu/fuzz"),  # sanitizers need more memory than a mutant gets
-        slow=True,
-    ),
+    Subject("fmu", ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
     Subject("timing", ("hil/timing/*.py",), ("tests/hil/timing",)),
 )  # fmt: skip
