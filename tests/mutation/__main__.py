@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import json
+import signal
 import subprocess
 import sys
 import time
@@ -91,6 +92,7 @@ def main(argv=None) -> int:
             )
             return 2
     start_s = time.monotonic()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that runs end with it
     import_libraries()
     taken_s = baseline(subjects, options.workers)
     each = options.count // len(SUBJECTS)

@@ -80,6 +80,7 @@ def _in_child(run: Run, scratch: Path) -> int:
     # A mutant may ask for any amount of memory or disk.
     for kind, most in ((resource.RLIMIT_DATA, 4 << 30), (resource.RLIMIT_FSIZE, 1 << 30)):
         resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # `nohup` and `&` have these two ignored
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(run.root)

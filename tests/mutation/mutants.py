@@ -161,14 +161,16 @@ def mutants(path: Path) -> list[Mutant]:
 def draw(paths: list[Path], count: int, seed: int) -> list[Mutant]:
     """`count` mutants of these files, of each kind about as many, first by their key and the seed.
 
-    There are many more constants than comparisons, but comparisons decide.
+    There are many more constants than comparisons, but comparisons decide. Of functions that are
+    alike, such as a method of two classes of the same name, one is drawn from.
     """
 
     def order(mutant):
         return hashlib.sha256(f"{seed} {mutant.key}".encode()).digest(), mutant.path
 
     of_kind: dict[str, list[Mutant]] = {}
-    for mutant in sorted((m for path in paths for m in mutants(path)), key=order):
+    unique = {m.key: m for path in sorted(paths, reverse=True) for m in mutants(path)}
+    for mutant in sorted(unique.values(), key=order):
         of_kind.setdefault(mutant.kind, []).append(mutant)
     in_turn = sorted((k, order(m), m) for kind in of_kind.values() for k, m in enumerate(kind))
     return list(itertools.islice((m for *_, m in in_turn if _compiles(m)), count))
