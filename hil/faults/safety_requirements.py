@@ -1,4 +1,4 @@
-"""Safety requirements of docs/safety.md, each with its tests, mutants and faults.
+"""Safety requirements of docs/safety.md, each with its tests and faults.
 
 `python -m hil.faults.fault_docs` writes them into the page as a table. A test checks that the named
 tests and faults exist.
@@ -19,25 +19,16 @@ class SafetyRequirement(NamedTuple):
     identifier: str  # "SR-" and a number, as in the page
     sentence: str
     tests: tuple[str, ...] = ()  # File under `tests/`, `::` and the name of the test
-    # Modules in which `make mutate` changes every comparison, constant and operator
-    mutants: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()  # Faults in the fault table; `*` matches any text
     no_fault: str = ""  # Why no fault of the table can verify it; empty if one does
 
 
-_SAFETY: Final = "firmware_py.safety"
-_SUPERVISOR: Final = f"{_SAFETY}.supervisor"
-_LIMITS: Final = f"{_SAFETY}.limits"
-_BLEND: Final = f"{_SAFETY}.blend"
-_REASON: Final = f"{_SAFETY}.stop_reason"
-_SIGNALS: Final = "firmware_py.realtime.stop_signals"
 _T: Final = "firmware_py"
 
 REQUIREMENTS: Final = (
     SafetyRequirement(
         "SR-01", "The supervisor makes no transition that is not drawn.",
         (f"{_T}/safety/test_supervisor.py::test_the_machine_makes_no_step_that_is_not_drawn",),
-        (_SUPERVISOR,),
         no_fault="a fault shows a path that is taken; the test tries every path that must not be",
     ),
     SafetyRequirement(
@@ -46,7 +37,6 @@ REQUIREMENTS: Final = (
             f"{_T}/bus/test_dynamixel.py::test_a_servo_that_is_unfit_is_named_with_what_is_wrong",
             f"{_T}/test_robot_commands.py::test_a_set_up_that_cannot_run_gets_one_sentence",
         ),
-        (),
         (
             "wrong model number", "legacy and new PRO on one bus", "latency timer 16",
             "wrong baud", "shutdown, then started again",
@@ -58,7 +48,6 @@ REQUIREMENTS: Final = (
             f"{_T}/bus/test_servo_settings.py::test_gains_other_than_those_of_the_plant_are_refused",
             f"{_T}/bus/test_servo_settings.py::test_a_homing_offset_that_is_not_declared_is_refused",
         ),
-        (),
         ("changed servo setting",),
     ),
     SafetyRequirement(
@@ -68,7 +57,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_blend.py::test_skipped_slots_make_no_jump_in_goal_or_speed",
             "hil/faults/test_campaign.py::test_goals_that_jump_after_a_replug_are_found_out",
         ),
-        (_BLEND,),
         ("host stall of 20 ms", "unplug and replug", "clock stepped by +1 h"),
     ),
     SafetyRequirement(
@@ -77,13 +65,11 @@ REQUIREMENTS: Final = (
             f"{_T}/test_loop.py::test_an_arm_that_leans_goes_to_the_motion_before_it_begins",
             f"{_T}/safety/test_blend.py::test_an_approach_takes_a_quarter_of_what_is_allowed",
         ),
-        (_BLEND,),
         ("arm leans at the start",),
     ),
     SafetyRequirement(
         "SR-06", "Every end that the program can handle switches the torque off.",
         (f"{_T}/test_loop_ends.py::test_whatever_is_raised_leaves_no_servo_driven",),
-        (),
         ("lost reply", "together: 5 % each of six faults of the line"),
     ),
     SafetyRequirement(
@@ -93,7 +79,6 @@ REQUIREMENTS: Final = (
             f"{_T}/test_stop_signals.py::"
             "test_every_signal_that_ends_or_halts_a_process_is_handled_but_kill_stop_and_crashes",
         ),
-        (_SIGNALS,),
         ("SIGTERM in motion", "SIGHUP in motion", "SIGQUIT in motion", "SIGUSR1 in motion",
          "SIGUSR2 in motion", "SIGPIPE in motion", "SIGTSTP in motion"),
     ),
@@ -107,7 +92,6 @@ REQUIREMENTS: Final = (
             f"{_T}/test_robot_commands.py::test_a_trip_is_reported_and_is_a_negative_verdict",
             f"{_T}/commands/test_run_verdict.py::test_a_log_that_lacks_ticks_is_no_success",
         ),
-        (_REASON, _SUPERVISOR),
         ("* while stopping", "torque off unheard, late replies", "unplug and replug"),
     ),
     SafetyRequirement(
@@ -116,7 +100,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_supervisor.py::"
             "test_a_fault_while_the_robot_stops_is_said_and_ends_the_hold_where_holding_is_worse",
         ),
-        (_REASON, _SUPERVISOR),
         ("overload while stopping", "torque lost while stopping", "current of 12 A while stopping",
          "unplug while stopping"),
     ),
@@ -128,7 +111,6 @@ REQUIREMENTS: Final = (
             f"{_T}/test_loop_ends.py::"
             "test_a_port_that_goes_while_the_robot_stops_does_not_start_it_again",
         ),
-        (_SUPERVISOR,),
         ("unplug and replug",),
     ),
     SafetyRequirement(
@@ -138,7 +120,6 @@ REQUIREMENTS: Final = (
             "hil/faults/test_campaign.py::"
             "test_a_loop_that_dies_leaves_a_servo_driven_until_its_watchdog_trips",
         ),
-        (),
         ("SIGKILL in motion",),
     ),
     SafetyRequirement(
@@ -148,7 +129,6 @@ REQUIREMENTS: Final = (
             "test_the_help_of_run_says_what_sigkill_leaves_behind",
             f"{_T}/test_robot_commands.py::test_a_servo_that_somebody_left_driven_is_released",
         ),
-        (),
         ("SIGKILL in motion",),
     ),
     SafetyRequirement(
@@ -158,7 +138,6 @@ REQUIREMENTS: Final = (
             "test_a_servo_without_a_watchdog_keeps_the_speed_limit_itself",
             f"{_T}/test_config.py::test_servos_without_a_watchdog_are_driven_more_slowly",
         ),
-        (),
         ("SIGKILL in motion", "SIGHUP in motion"),
     ),
     SafetyRequirement(
@@ -168,7 +147,6 @@ REQUIREMENTS: Final = (
             "test_a_port_that_comes_back_lets_the_robot_go_on_from_where_it_stands",
             f"{_T}/bus/test_dynamixel.py::test_a_port_that_is_back_is_opened_anew",
         ),
-        (),
         ("unplug", "unplug and replug", "together: unplugged during a bad stretch"),
     ),
     SafetyRequirement(
@@ -178,7 +156,6 @@ REQUIREMENTS: Final = (
             "test_a_lost_answer_is_asked_for_again_where_both_reads_fit",
             "hil/faults/test_campaign.py::test_a_bus_that_does_not_read_again_is_found_out",
         ),
-        (),
         ("lost reply", "reply late by 1 ms", "reply late by 5 ms", "one servo silent"),
     ),
     SafetyRequirement(
@@ -187,7 +164,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_supervisor.py::test_stale_data_degrades_and_then_stops",
             f"{_T}/test_loop.py::test_stale_data_degrades_and_three_in_a_row_stop_the_robot",
         ),
-        (_SUPERVISOR,),
         ("lost reply", "one servo silent", "both servos silent", "lost replies while stopping",
          "together: *"),
     ),
@@ -198,7 +174,6 @@ REQUIREMENTS: Final = (
             "test_a_flood_ends_a_read_at_its_deadline_with_a_bounded_number_of_bytes",
             f"{_T}/bus/test_floods.py::test_a_discard_ends_while_bytes_keep_coming",
         ),
-        (),
         ("babbling line", "flood of bytes", "return delay at its default"),
     ),
     SafetyRequirement(
@@ -209,13 +184,11 @@ REQUIREMENTS: Final = (
             "hil/faults/test_campaign.py::"
             "test_a_bus_that_takes_late_answers_for_fresh_is_found_out",
         ),
-        (),
         ("reply late by a period", "reply late by 20 ms", "duplicated reply"),
     ),
     SafetyRequirement(
         "SR-19", "A servo that does not drive although it should stops the robot.",
         (f"{_T}/bus/test_feedback.py::test_a_servo_that_does_not_drive_says_so_in_the_next_read",),
-        (),
         ("reboot in motion", "torque lost", "watchdog trip"),
     ),
     SafetyRequirement(
@@ -224,7 +197,6 @@ REQUIREMENTS: Final = (
             "hil/emulator/test_packets.py::test_no_packet_with_a_flipped_bit_is_taken_for_intact",
             f"{_T}/bus/test_port.py::test_whatever_is_sent_arrives_and_holds_no_false_header",
         ),
-        (),
         ("bit flip in *", "truncation", "noise before a packet", "reply from another id",
          "goal whose bytes need stuffing"),
     ),
@@ -234,7 +206,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_limits.py::test_current_at_its_limit",
             f"{_T}/safety/test_limits.py::test_a_value_that_is_no_number_stops_the_robot",
         ),
-        (_LIMITS,),
         ("encoder jump of 0.3 rad", "current spike of 12 A", "NaN out of *", "infinity out of *"),
     ),
     SafetyRequirement(
@@ -243,7 +214,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_limits.py::test_goal_rate_at_its_limit",
             f"{_T}/safety/test_limits.py::test_a_goal_that_is_no_number_is_never_admitted",
         ),
-        (_LIMITS, _SUPERVISOR),
         ("goal whose bytes need stuffing",),
     ),
     SafetyRequirement(
@@ -252,7 +222,6 @@ REQUIREMENTS: Final = (
             f"{_T}/safety/test_supervisor.py::test_a_hardware_error_stops_at_once_and_is_named",
             f"{_T}/bus/test_registers.py::test_hardware_errors_are_named_by_bit",
         ),
-        (_SUPERVISOR,),
         ("hardware error",),
     ),
     SafetyRequirement(
@@ -261,7 +230,6 @@ REQUIREMENTS: Final = (
             f"{_T}/test_loop_ends.py::test_a_loop_that_is_always_too_slow_stops",
             f"{_T}/test_loop_ends.py::test_a_clock_that_leaps_stops_the_robot_in_its_own_time",
         ),
-        (_SUPERVISOR,),
         ("predictor taking 30 ms", "host stall of *", "garbage-collector pressure", "clock *"),
     ),
     SafetyRequirement(
@@ -272,7 +240,6 @@ REQUIREMENTS: Final = (
             f"{_T}/log/test_live_view.py::"
             "test_a_viewer_that_dies_or_stands_still_costs_the_log_nothing",
         ),
-        (),
         ("recorder dead", "recorder blocked", "full disk", "bundle swapped on disk"),
     ),
     SafetyRequirement(
@@ -283,7 +250,6 @@ REQUIREMENTS: Final = (
             f"{_T}/inference/test_bundle.py::test_golden_ticks_that_prove_nothing_are_refused",
             f"{_T}/inference/test_bundle.py::test_a_changed_value_in_the_manifest_is_refused",
         ),
-        (),
         ("unfit bundle",),
     ),
     SafetyRequirement(
@@ -299,7 +265,6 @@ REQUIREMENTS: Final = (
             "test_corrections_fade_within_200_ms_and_come_back",
             f"{_T}/goals/test_tip_feedback.py::test_the_robot_stops_where_it_is_told_to",
         ),
-        (),
         (
             "innovation of the current too large", "estimated tip *", "stale data under feedback",
             "host stall of 20 ms under feedback",
@@ -311,7 +276,6 @@ REQUIREMENTS: Final = (
             f"{_T}/goals/outside/test_outside_goals.py::"
             "test_what_is_wrong_with_the_program_ends_in_a_controlled_stop",
         ),
-        (),
         ("program that sends the goals",),
     ),
 )  # fmt: skip

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from hil.faults.fault_table import ROWS
 from hil.faults.safety_requirements import REQUIREMENTS, rows_of
-from tests.firmware_py.safety.mutation import TARGETS
 
 TESTS = Path(__file__).parents[2]
 NAMES = [r.identifier for r in REQUIREMENTS]
@@ -23,11 +22,9 @@ def test_what_verifies_a_requirement_is_there():
             file, _, name = test.partition("::")
             tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
             assert name in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, test
-        assert set(requirement.mutants) <= set(TARGETS)
         for pattern in requirement.faults:
             assert list(rows_of(requirement._replace(faults=(pattern,)))), pattern
 
 
-def test_every_fault_and_every_mutant_verifies_something():
+def test_every_fault_verifies_something():
     assert {row.fault for row in ROWS} == {n for r in REQUIREMENTS for n in rows_of(r)}
-    assert set(TARGETS) == {module for r in REQUIREMENTS for module in r.mutants}

@@ -1,0 +1,80 @@
+"""What is mutated, and which tests have to notice.
+
+Code and tests are named by path, so that moving them changes this table alone. Tests that are
+marked slow are left out except where they are few, so that a mutant costs seconds.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Subject(NamedTuple):
+    """Code that decides one kind of thing."""
+
+    name: str
+    modules: tuple[str, ...]
+    """Patterns of paths below the root; one that begins with "!" takes away."""
+    tests: tuple[str, ...]
+    slow: bool = False
+    """Whether tests run that are marked slow."""
+
+    def paths(self, root: Path = ROOT) -> list[Path]:
+        taken = {p for m in self.modules if m[0] != "!" for p in root.glob(m)}
+        return sorted(taken - {p for m in self.modules if m[0] == "!" for p in root.glob(m[1:])})
+
+    def pytest_arguments(self) -> tuple[str, ...]:
+        return self.tests if self.slow else ("-m", "not slow", *self.tests)
+
+
+SUBJECTS = (
+    Subject("bus", ("firmware_py/bus/*.py",), ("tests/firmware_py/bus",)),
+    Subject(
+        "supervisor",
+        ("firmware_py/safety/*.py", "firmware_py/realtime/stop_signals.py",
+         "!firmware_py/safety/estimate_trust.py"),
+        ("tests/firmware_py/safety", "tests/firmware_py/test_stop_signals.py",
+         "tests/firmware_py/test_loop.py", "tests/firmware_py/test_loop_ends.py"),
+    ),
+    Subject(
+        "estimator",
+        tuple(f"firmware_py/inference/{name}.py"
+              for name in ("estimator", "compiled_observer", "fmu_instance", "golden")),
+        ("tests/firmware_py/inference", "tests/fmu/test_tip_bundle.py"),
+        slow=True,
+    ),
+    Subject(
+        "guard",
+        ("firmware_py/inference/predictor.py", "firmware_py/inference/batch_prediction.py",
+         "firmware_py/safety/estimate_trust.py", "models/tip/guarded_tip.py",
+         "models/tip/innovation_bound.py", "models/tip/tip_interval.py"),
+        ("tests/firmware_py/inference", "tests/firmware_py/goals/test_tip_feedback.py",
+         "tests/models/tip"),
+    ),
+    Subject(
+        "goals",
+        ("firmware_py/goals/**/*.py", "!firmware_py/goals/outside/ros2_bridge.py"),
+        ("tests/firmware_py/goals",),
+    ),
+    Subject(
+        "imports",
+        ("models/trials/verdict/**/*.py", "!models/trials/verdict/verdict_*.py"),
+        ("tests/models/trials/verdict",),
+    ),
+    Subject(
+        "plant",
+        ("models/plant/composition/*.py", "models/plant/plant.py"),
+        ("tests/models/plant/test_plant.py", "tests/models/plant/composition"),
+        slow=True,
+    ),
+    Subject(
+        "gap",
+        ("models/gap/decision/*.py", "models/gap/search/*.py"),
+        ("tests/models/gap/decision", "tests/models/gap/search"),
+    ),
+    Subject("fmu", ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
+    Subject("timing", ("hil/timing/*.py",), ("tests/hil/timing",)),
+)  # fmt: skip
