@@ -21,6 +21,7 @@ import os
 import platform
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -494,6 +495,8 @@ def _quietly(command: Callable[[list[str]], int], *arguments: str) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         code = command(list(arguments))
+    if code == 128 + signal.SIGINT:
+        raise KeyboardInterrupt
     if code not in (0, 1, 3):
         raise RuntimeError(f"{arguments[0]} ended with exit code {code}")
     return out.getvalue()
