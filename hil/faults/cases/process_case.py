@@ -96,6 +96,7 @@ def _robot(config: RobotConfig, scratch: Path, seconds: float) -> Iterator[subpr
         [sys.executable, "-m", "dropstitch", "run", "--config", str(path), "--seconds",
          str(seconds), "--log", str(scratch / "ticks.mcap"), "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=_hear_hangups,
     )  # fmt: skip
     try:
         yield process
@@ -104,6 +105,11 @@ def _robot(config: RobotConfig, scratch: Path, seconds: float) -> Iterator[subpr
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         process.communicate()
+
+
+def _hear_hangups() -> None:
+    """Handle SIGHUP by default: under `nohup` the robot would inherit that it is ignored."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _without_none(value: Any) -> Any:

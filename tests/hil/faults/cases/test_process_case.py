@@ -1,5 +1,7 @@
 """Faults with real processes: a loop that is killed, and a port that comes back as another one."""
 
+import signal
+
 import pytest
 
 from firmware_py.inference.bundle import ModelBundle
@@ -14,6 +16,7 @@ PERIOD_S = 0.017
 CASES = {
     "killed": "SIGKILL in motion, once",
     "replugged": "unplug and replug, another name, configured to go on",
+    "hung up": "SIGHUP in motion, once",
 }
 
 
@@ -28,7 +31,10 @@ TRIES = 3
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_of_the_process_is_survived(robot, name):
+def test_a_fault_of_the_process_is_survived(robot, name, request):
+    if name == "hung up":  # as under nohup
+        before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+        request.addfinalizer(lambda: signal.signal(signal.SIGHUP, before))
     row = next(row for row in PROCESS if f"{row.fault}, {row.how}" == CASES[name])
     deviations = []
     for _ in range(TRIES):
