@@ -4,9 +4,8 @@
     make figures ONLY="tip loop"    # these parts; prints them and writes nothing
     python -m bench.figures --readme   # the block of README, from docs/figures.json
 
-What a part needs of build/ is made first, as `make demo` makes it. A part that fails, or that
-Ctrl-C skips, says so in its row; the pages are written at the end. Leave the machine alone
-meanwhile: some parts measure times.
+What a part needs of build/ is made first, as `make demo` makes it. A part that fails says so in its
+row; the pages are written at the end. Leave the machine alone meanwhile: some parts measure times.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import os
 import platform
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -405,8 +403,6 @@ def measure_parts(names: Sequence[str]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"part": name, "title": PARTS[name].title, "figures": []}
         try:
             row["figures"] = [asdict(figure) for figure in PARTS[name].measure(out)]
-        except KeyboardInterrupt:
-            row["error"] = "skipped by Ctrl-C"
         except (Exception, SystemExit) as error:
             traceback.print_exc()
             row["error"] = f"{type(error).__name__}: {error}".splitlines()[0]
@@ -495,8 +491,6 @@ def _quietly(command: Callable[[list[str]], int], *arguments: str) -> str:
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
         code = command(list(arguments))
-    if code == 128 + signal.SIGINT:
-        raise KeyboardInterrupt
     if code not in (0, 1, 3):
         raise RuntimeError(f"{arguments[0]} ended with exit code {code}")
     return out.getvalue()
