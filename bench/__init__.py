@@ -1,1 +1,1 @@
-"""Benchmarks against peers and limits, and the claims of the documentation."""
+"""Comparisons with peers and with recordings of other machines."""

@@ -10,12 +10,8 @@ from scipy.stats import binomtest
 
 def rate(rows: Sequence[bool]) -> dict[str, Any]:
     """Fraction of true rows, its interval, and the number of rows."""
-    return rate_of_count(sum(rows), len(rows))
-
-
-def rate_of_count(count: int, of: int) -> dict[str, Any]:
-    """The same of a count."""
-    if of == 0:
+    if not rows:
         return {"of": 0}
-    low, high = binomtest(count, of).proportion_ci(0.95, method="exact")
-    return {"fraction": count / of, "interval": [float(low), float(high)], "of": of}
+    low, high = binomtest(sum(rows), len(rows)).proportion_ci(0.95, method="exact")
+    interval = [float(low), float(high)]
+    return {"fraction": sum(rows) / len(rows), "interval": interval, "of": len(rows)}

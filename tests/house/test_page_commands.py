@@ -1,9 +1,14 @@
 """Commands of README.md and of docs, as printed: parsers accept them, their files exist."""
 
+import re
+from importlib.util import find_spec
+
 import pytest
 
+from firmware_py.command_table import COMMANDS
+from firmware_py.console import chosen_command
 from tests.house.each_file import ROOT
-from tests.house.page_commands import PageCommands, blocks, commands
+from tests.house.page_commands import PageCommands, blocks, commands, targets_of_make
 
 PAGES = sorted(
     str(path.relative_to(ROOT))
@@ -34,6 +39,24 @@ def test_every_command_of_a_page_can_be_given_as_printed(page):
         except AssertionError as error:
             failures.append(str(error).splitlines()[0])
     assert not failures, "\n".join(failures)
+
+
+def test_commands_that_the_prose_names_are_there():
+    """`make TARGET`, `dropstitch COMMAND` and `python -m bench.NAME` between backticks."""
+    missing = []
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
+        text = page.read_text(encoding="utf-8")
+        for program, word, second in re.findall(
+            r"`(make|dropstitch|python -m) (\w[\w./-]*)(?: ([a-z]+))?", text
+        ):
+            known = {
+                "make": word in targets_of_make() or "/" in word,
+                "dropstitch": "COMMAND" in word or chosen_command(COMMANDS, [word, second]),
+                "python -m": not word.startswith("bench.") or find_spec(word),
+            }
+            if not known[program]:
+                missing.append(f"{page.relative_to(ROOT)}: {program} {word}")
+    assert not missing, "\n".join(missing)
 
 
 @pytest.mark.parametrize(
