@@ -42,7 +42,7 @@ def test_every_command_of_a_page_can_be_given_as_printed(page):
 
 
 def test_commands_that_the_prose_names_are_there():
-    """`make TARGET`, `dropstitch COMMAND` and `python -m bench.NAME` between backticks."""
+    """Targets of make, commands of dropstitch and benchmarks, between backticks."""
     missing = []
     for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]:
         text = page.read_text(encoding="utf-8")
