@@ -8,7 +8,7 @@ Schema is in `docs/schema/`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import msgspec
 
@@ -17,7 +17,7 @@ from firmware_py.files.input_files import MOST_JSON_BYTES, check_json, convert, 
 from firmware_py.files.memory_limit import limited_memory
 from firmware_py.files.output_files import write_whole
 
-__all__ = ["Document", "read_document", "schema_of", "write_document"]
+__all__ = ["Document", "check_version", "read_document", "write_document"]
 
 T = TypeVar("T", bound="Document")
 
@@ -48,18 +48,18 @@ def read_document(path: Path, kind: type[T]) -> T:
             raw = msgspec.json.decode(data)
     except (ValueError, RecursionError) as error:
         raise InputError(path, f"is no JSON document ({error})", remedy) from error
-    version = raw.get("schema") if isinstance(raw, dict) else None
-    if version != kind.VERSION:
-        found = "has no schema version" if version is None else f"has schema version {version}"
-        raise InputError(path, f"{found}, this release reads version {kind.VERSION}", remedy)
+    check_version(path, raw, kind.VERSION, remedy)
     return convert(raw, kind, path, "does not fit its schema", remedy)
+
+
+def check_version(path: Path, raw: object, version: int, remedy: str) -> None:
+    """Refuse a decoded document of another version; `remedy` names the command that makes it."""
+    of_file = raw.get("schema") if isinstance(raw, dict) else None
+    if of_file != version:
+        found = "has no schema version" if of_file is None else f"has schema version {of_file}"
+        raise InputError(path, f"{found}, this release reads version {version}", remedy)
 
 
 def write_document(path: Path, document: Document) -> None:
     """Write a document atomically as indented JSON; NaN and infinities become null."""
     write_whole(path, msgspec.json.format(msgspec.json.encode(document), indent=1) + b"\n")
-
-
-def schema_of(kind: type[Document]) -> dict[str, Any]:
-    """Return the JSON Schema of a document (draft 2020-12)."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | msgspec.json.schema(kind)

@@ -24,7 +24,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.documents import Document
+from firmware_py.documents import Document, check_version
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 
@@ -93,10 +93,7 @@ def read_motion_document(path: Path | str) -> MotionDocument:
     """Read and check a motion file."""
     path = Path(path)
     raw = read_toml(path, _MAKE, _MAKE)
-    version = raw.get("schema")
-    if version != MotionDocument.VERSION:
-        found = "has no schema version" if version is None else f"has schema version {version}"
-        raise InputError(path, f"{found}, this release reads {MotionDocument.VERSION}", _MAKE)
+    check_version(path, raw, MotionDocument.VERSION, _MAKE)
     document = convert(raw, MotionDocument, path, "is no motion", _MAKE)
     check_motion_document(document, path)
     return document

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
-from hil.emulator.line_faults import FAULT_KINDS
+from hil.emulator.line_faults import LINE_FAULTS
 from models.plant.plant_document import link_of_plant
 
 
@@ -29,7 +29,7 @@ def add_line_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--faults", nargs="+", default=[], metavar="KIND=RATE",
-        help="fractions of the packets that are " + ", ".join(FAULT_KINDS),
+        help="fractions of the packets that are " + ", ".join(LINE_FAULTS),
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random")
 

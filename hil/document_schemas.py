@@ -19,7 +19,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.documents import Document, schema_of
+from firmware_py.documents import Document
 from firmware_py.goals.outside.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature
@@ -57,13 +57,15 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
 """Every document that a command writes, by the name of its schema file. A command that writes
 several has a folder."""
 
+DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+
 
 def schema_files() -> dict[str, str]:
     """Text of each schema by the name of its file."""
     structs = {kind.__name__: kind for kind in _structs(msgspec.Struct)}
     files = {}
     for name, document in DOCUMENTS.items():
-        schema = schema_of(document)
+        schema = {"$schema": DIALECT} | msgspec.json.schema(document)
         for struct in schema["$defs"].keys() & structs.keys():
             properties = schema["$defs"][struct]["properties"]
             for field, text in _comments(structs[struct]).items():

@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 
 import msgspec
 
-from firmware_py.documents import Document
+from firmware_py.documents import Document, check_version
 from firmware_py.errors import InputError
 from firmware_py.inference.file_content import FileContent, content_of
 
@@ -90,8 +90,7 @@ def check_signature(manifest: FileContent, path: Path, trusted: Sequence[str]) -
         signature = msgspec.json.decode(content_of(path, _SIGN).data, type=BundleSignature)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(path, f"is no signature ({error})", f"{_SIGN} again") from None
-    if signature.schema != BundleSignature.VERSION:
-        raise InputError(path, f"has schema version {signature.schema}", f"{_SIGN} again")
+    check_version(path, {"schema": signature.schema}, BundleSignature.VERSION, f"{_SIGN} again")
     if signature.key not in trusted:
         raise InputError(
             path, f"is by the key {signature.key[:80]!r}, which [trust] does not name",

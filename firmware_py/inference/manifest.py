@@ -13,6 +13,7 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.documents import check_version
 from firmware_py.errors import InputError
 from firmware_py.files.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, check_signature
@@ -132,7 +133,9 @@ def _decoded(data: bytes, path: Path) -> Manifest:
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise InputError(path, f"is damaged ({error})", "copy the bundle again") from None
     if isinstance(document, dict):
-        _check_version(document, path)
+        check_version(path, document, SCHEMA, _MAKE)
+        if _OWN_HASH not in document:
+            raise InputError(path, f"has no {_OWN_HASH}, as every bundle of this release", _MAKE)
         if document[_OWN_HASH] != own:
             raise InputError(
                 path, f"does not match the hash of its own content ({_OWN_HASH})",
@@ -142,15 +145,6 @@ def _decoded(data: bytes, path: Path) -> Manifest:
         return msgspec.convert(document, Manifest)
     except (msgspec.ValidationError, RecursionError) as error:
         raise InputError(path, str(error), "copy the bundle again, or " + _MAKE) from None
-
-
-def _check_version(document: dict[str, Any], path: Path) -> None:
-    version = document.get("schema")
-    if version != SCHEMA:
-        found = "has no schema version" if version is None else f"has schema version {version}"
-        raise InputError(path, f"{found}, this release reads version {SCHEMA}", _MAKE)
-    if _OWN_HASH not in document:
-        raise InputError(path, f"has no {_OWN_HASH}, as every bundle of this release", _MAKE)
 
 
 def content_sha256(document: dict[str, Any]) -> str:

@@ -15,11 +15,11 @@ from typing import Final
 from firmware_py.errors import InputError
 from hil.emulator.packets import Packet
 
-__all__ = ["FAULT_KINDS", "FaultPlan", "parse_rates"]
+__all__ = ["LINE_FAULTS", "FaultPlan", "parse_rates"]
 
 UNHEARD: Final = "unheard"
 """Fault of an instruction: no servo receives it."""
-FAULT_KINDS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
+LINE_FAULTS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
 LATE_NS: Final = 12_000_000
 """Delay of a late packet: it misses the deadline of its exchange, but arrives before the second
 exchange after that."""
@@ -81,8 +81,8 @@ def parse_rates(words: Iterable[str]) -> dict[str, float]:
     rates: dict[str, float] = {}
     for word in words:
         kind, _, text = word.partition("=")
-        if kind not in FAULT_KINDS:
-            raise InputError(f"--faults {word}", "is not known", f"use {', '.join(FAULT_KINDS)}")
+        if kind not in LINE_FAULTS:
+            raise InputError(f"--faults {word}", "is not known", f"use {', '.join(LINE_FAULTS)}")
         try:
             rates[kind] = float(text)
         except ValueError:

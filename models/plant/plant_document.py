@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 import msgspec
 import tomli_w
 
-from firmware_py.documents import Document
+from firmware_py.documents import Document, check_version
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_json, read_toml
 from firmware_py.files.output_files import write_whole
@@ -104,13 +104,7 @@ def read_plant_document(path: Path) -> PlantDocument:
     remedy = "name a plant, e.g. models/plant/nominal.toml"
     raw = read_json(path, remedy) if path.suffix.lower() == ".json" else read_toml(path, remedy)
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
-    version = raw.get("schema") if isinstance(raw, dict) else None
-    if version != PlantDocument.VERSION:
-        found = "has no schema version" if version is None else f"has schema version {version}"
-        raise InputError(
-            path, f"{found}, this release reads version {PlantDocument.VERSION}",
-            f"write it anew with {PlantDocument.MADE_BY}",
-        )  # fmt: skip
+    check_version(path, raw, PlantDocument.VERSION, f"write it anew with {PlantDocument.MADE_BY}")
     document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
     _check_effects_single(path, document.effects)
     for name, given in document.parameters.items():

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from firmware_py.documents import Document, read_document, schema_of, write_document
+from firmware_py.documents import Document, read_document, write_document
 from firmware_py.errors import InputError
 
 
@@ -49,8 +49,3 @@ def test_what_does_not_fit_is_refused_with_file_reason_and_remedy(tmp_path, text
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"missing\.json"):
         read_document(tmp_path / "missing.json", Sample)
-
-
-def test_the_schema_names_every_field():
-    definition = schema_of(Sample)["$defs"]["Sample"]
-    assert set(definition["properties"]) == {"schema", "tip_x_m", "note"}

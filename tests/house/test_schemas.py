@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 
 import pytest
 
@@ -56,3 +57,12 @@ def test_a_document_names_the_command_that_makes_it(kind):
 def test_the_command_writes_every_schema(tmp_path):
     assert main([str(tmp_path)]) == 0
     assert written(tmp_path) == schema_files()
+
+
+def test_the_comment_of_a_field_is_its_description():
+    """Beside the field, above it, and in a class that another one extends."""
+    fields = json.loads(schema_files()["timing.schema.json"])["$defs"]["SilEnvironment"]
+    described = {name: f.get("description", "") for name, f in fields["properties"].items()}
+    assert "virtual" in described["line"]
+    assert "plan" in described["goals_note"]
+    assert "release" in described["kernel"]

@@ -14,7 +14,7 @@ from firmware_py.motion import KINDS as MOTIONS
 from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
-from hil.emulator.line_faults import FAULT_KINDS
+from hil.emulator.line_faults import LINE_FAULTS
 
 if TYPE_CHECKING:
     from hil.sil import SilOptions
@@ -82,9 +82,9 @@ class SilKind(CaseKind[SilConfig]):
 
     def check(self, config: SilConfig) -> None:
         check_effects_known(config.effects)
-        if unknown := sorted(config.faults.keys() - set(FAULT_KINDS)):
+        if unknown := sorted(config.faults.keys() - set(LINE_FAULTS)):
             raise InputError(
-                f"faults.{unknown[0]}", "is no fault of the line", f"use {', '.join(FAULT_KINDS)}"
+                f"faults.{unknown[0]}", "is no fault of the line", f"use {', '.join(LINE_FAULTS)}"
             )
         if not all(r >= 0 for r in config.faults.values()) or sum(config.faults.values()) > 1:
             raise InputError("faults", "are no fractions of the packets", "let them sum to ≤ 1")
