@@ -26,8 +26,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.console import DONE, NEGATIVE, Progress
-from models.__main__ import main as models
 from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.plant.identification.evaluation import compare_with_trials
@@ -183,7 +183,7 @@ def _models(*arguments: str, negative: bool = False) -> None:
     """One of the commands of this project; its table goes to standard error."""
     print("$ dropstitch", *arguments, file=sys.stderr)
     with redirect_stdout(sys.stderr):
-        code = models(list(arguments))
+        code = dropstitch(list(arguments))
     if code != DONE and not (negative and code == NEGATIVE):
         raise RuntimeError(f"{arguments[0]} ended with exit code {code}")
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.command_table import COMMANDS
 from firmware_py.console import Command
-from fmu.__main__ import main as fmu
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKSHOP_ONLY = ("sklearn", "casadi", "mujoco", "fmpy", "scipy", "skl2onnx", "models", "fmu", "hil")
@@ -61,7 +61,7 @@ def complete_bundle(toy_bundle: Path, tmp_path_factory: pytest.TempPathFactory) 
     bundle = tmp_path_factory.mktemp("robot") / "bundle"
     shutil.copytree(toy_bundle, bundle)
     plant = str(bundle / "plant.json")
-    assert fmu(["build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
+    assert dropstitch(["fmu", "build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
     return bundle
 
 

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import model_named
@@ -30,7 +31,6 @@ from firmware_py.robot import build_bus, build_loop, load_bundle
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S, tip_names
 from firmware_py.summary import Ended
-from fmu.__main__ import main as fmu
 
 CONFIG = """
 bundle = "bundle"
@@ -49,7 +49,7 @@ def directory(toy_bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("robot")
     bundle = shutil.copytree(toy_bundle, directory / "bundle")
     plant = str(bundle / "plant.json")
-    assert fmu(["build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
+    assert dropstitch(["fmu", "build", str(bundle), "--plant", plant, "--unit", "observer"]) == 0
     return directory
 
 

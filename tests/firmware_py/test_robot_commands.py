@@ -96,7 +96,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     assert (code, json.loads(output.out)["agree"]) == (0, True)
     assert json.loads(output.out)["bundle"] == str(toy_bundle)
 
-    from models.__main__ import main as models
+    from dropstitch.__main__ import main as dropstitch
     from models.trials.trial_files import read_trial
 
     mapping = tmp_path / "map.toml"
@@ -106,7 +106,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     )
     out = tmp_path / "trials"
     arguments = ["import", result["log"], "--as", "recording", "--map", mapping, "--out", out]
-    assert models([*map(str, arguments), "--name", "run"]) == 0, capsys.readouterr().err
+    assert dropstitch([*map(str, arguments), "--name", "run"]) == 0, capsys.readouterr().err
     trial = read_trial(out / "run.csv")
     at_once = log.columns["bus_status"] == BusStatus.OK
     if at_once.all() and not log.columns["missed"].any() and not result["telemetry_drops"]:

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import write_manifest
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity
-from fmu.__main__ import main
 from fmu.fmu_models import FmuParts
 from fmu.stimulus import check_link_of_trial, usual_payload_kg
 from models.plant.plant import read_plant
@@ -49,7 +49,7 @@ def test_a_plant_of_another_link_than_the_bundles_is_refused(bundle, tmp_path, c
     out = tmp_path / ("out.ssp" if words == ["ssp"] else "out.fmu")
     read_plant().with_values({"link_length_m": 0.6}).write(short)
     words = [*words, bundle, "--plant", short, "--out", out]
-    assert main([str(word) for word in words]) == 2
+    assert main(["fmu", *map(str, words)]) == 2
     said = capsys.readouterr().err
     assert str(short) in said and str(bundle / "plant.json") in said
     assert "length_m 0.6" in said and "0.95" in said
@@ -103,5 +103,5 @@ def test_a_package_holds_a_payload_of_its_link(
     plant, out = tmp_path / "plant.json", tmp_path / "link.ssp"
     parts(SMALL).plant.write(plant)
     words = ["ssp", bundle_1dof, "--plant", plant, "--out", out, "--json", *given]
-    assert main([str(word) for word in words]) == 0
+    assert main(["fmu", *map(str, words)]) == 0
     assert built == [json.loads(capsys.readouterr().out)["payload_kg"]] == [held_kg]

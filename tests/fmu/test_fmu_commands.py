@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.signals import tip_names
-from fmu.__main__ import main
 from fmu.stimulus import inputs_from_trial
 from models.shared.kinematics import base_corners_m
 from models.trials.trial import Trial, TrialMeta
@@ -22,7 +22,7 @@ from models.trials.trial_files import write_trial
 @pytest.fixture(scope="module")
 def twin(bundle_1dof, tmp_path_factory):
     path = tmp_path_factory.mktemp("twin") / "twin.fmu"
-    assert main(["build", str(bundle_1dof), "--out", str(path)]) == 0
+    assert main(["fmu", "build", str(bundle_1dof), "--out", str(path)]) == 0
     return path
 
 
@@ -45,7 +45,9 @@ def _read(path):
 
 def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
     out = tmp_path / "run"
-    assert main(["simulate", str(twin), "--out", str(out), "--payload-kg", "2", "--json"]) == 0
+    assert (
+        main(["fmu", "simulate", str(twin), "--out", str(out), "--payload-kg", "2", "--json"]) == 0
+    )
     assert json.loads(capsys.readouterr().out)["rows"] == 512
     columns = _read(out / "result.csv")
     assert columns["time_s"][-1] == pytest.approx(511 * 0.017)
@@ -61,7 +63,7 @@ def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
     di = {}
     for payload in ("0", "2"):
         out = tmp_path / payload
-        assert main(["simulate", str(twin), "--out", str(out), "--payload-kg", payload]) == 0
+        assert main(["fmu", "simulate", str(twin), "--out", str(out), "--payload-kg", payload]) == 0
         di[payload] = _read(out / "result.csv")["di"].mean()
     assert di["2"] > di["0"]
 
@@ -89,37 +91,39 @@ def _trial_of(columns, directory):
 
 def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
     """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
-    assert main(["simulate", str(twin), "--out", str(tmp_path), "--payload-kg", "1"]) == 0
+    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--payload-kg", "1"]) == 0
     trial = str(_trial_of(_read(tmp_path / "result.csv"), tmp_path))
     observer = tmp_path / "observer.fmu"
-    assert main(["build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
+    assert (
+        main(["fmu", "build", str(bundle_1dof), "--unit", "observer", "--out", str(observer)]) == 0
+    )
     capsys.readouterr()
     options = ["--out", str(tmp_path / "again"), "--trial", trial, "--json"]
-    assert main(["simulate", str(twin), *options]) == 0
+    assert main(["fmu", "simulate", str(twin), *options]) == 0
     rms = json.loads(capsys.readouterr().out)["rms"]
     for name in ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m"):
         assert rms[name] < 1e-9
     known = ["--set", "parameters.payload_known_kg=1"]
-    assert main(["simulate", str(observer), *options, *known]) == 0
+    assert main(["fmu", "simulate", str(observer), *options, *known]) == 0
     rms = json.loads(capsys.readouterr().out)["rms"]
     assert rms["payload_kg"] == 0.0
     assert rms["tip_x_m"] < 0.005
 
 
 def test_a_trial_that_does_not_fit_is_refused(tmp_path, bundle_1dof, twin, capsys):
-    assert main(["simulate", str(twin), "--out", str(tmp_path)]) == 0
+    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path)]) == 0
     path = _trial_of(_read(tmp_path / "result.csv"), tmp_path)
     toml = path.with_suffix(".toml")
     columns = path.read_text().replace("goal_1_rad,angle_1_rad,current_1_a", "x_rad,y_rad,z_a", 1)
     path.write_text(columns)
-    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
     assert "column goal_1_rad is missing" in capsys.readouterr().err
     path.write_text(columns.replace("x_rad,y_rad,z_a", "goal_1_rad,angle_1_rad,current_1_a", 1))
     toml.write_text(toml.read_text().replace("link_length_m = 0.95", "link_length_m = 0.6"))
-    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
     assert "link_length_m 0.6" in capsys.readouterr().err
     toml.unlink()
-    assert main(["simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
+    assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--trial", str(path)]) == 2
     assert "run.toml: is missing" in capsys.readouterr().err
 
 
@@ -130,7 +134,7 @@ def test_a_trial_of_two_joints_is_no_input_of_one(tmp_path):
 
 
 def test_a_parameter_is_set_before_the_start(twin, tmp_path, capsys):
-    options = ["simulate", str(twin), "--out", str(tmp_path), "--set"]
+    options = ["fmu", "simulate", str(twin), "--out", str(tmp_path), "--set"]
     assert main([*options, "parameters.link_mass_kg=1e6"]) == 2
     assert "parameters.link_mass_kg = 1e+06 lies outside" in capsys.readouterr().err
     assert main([*options, "parameters.nonsense=1"]) == 2
@@ -143,7 +147,7 @@ def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys
         name = next(n for n in files if n.endswith(".so"))
         files[name] = files[name].replace(b"fmi3GetClock\0", b"fmi3GotClock\0")
 
-    assert main(["check", str(_rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
+    assert main(["fmu", "check", str(_rewritten(twin, tmp_path / "lacks.fmu", hide))]) == 1
     assert "lacks fmi3GetClock" in capsys.readouterr().out
 
 
@@ -154,7 +158,7 @@ def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
         after = after.replace(' unit="A"', "", 1)
         files["modelDescription.xml"] = f'{before}name="current_1_a"{after}'.encode()
 
-    assert main(["check", str(_rewritten(twin, tmp_path / "bare.fmu", strip))]) == 1
+    assert main(["fmu", "check", str(_rewritten(twin, tmp_path / "bare.fmu", strip))]) == 1
     assert "missing on current_1_a" in capsys.readouterr().out
 
 
@@ -169,7 +173,7 @@ def test_check_refuses_what_is_not_an_fmu(tmp_path, capsys, content, sentence):
     elif content:
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("readme.txt", content)
-    assert main(["check", str(path)]) == 2
+    assert main(["fmu", "check", str(path)]) == 2
     error = capsys.readouterr().err
     assert sentence in error
     assert "Traceback" not in error
@@ -186,7 +190,7 @@ def test_build_refuses_with_one_sentence(bundle_1dof, tmp_path, capsys):
         "cannot run on the robot (FMI 3.0)": ["build", bundle, "--unit", "observer", "--fmi", "2"],
     }
     for sentence, arguments in cases.items():
-        assert main(arguments) == 2
+        assert main(["fmu", *arguments]) == 2
         error = capsys.readouterr().err
         assert sentence in error
         assert error.count("\n") == 1
@@ -196,5 +200,5 @@ def test_build_refuses_a_damaged_predictor(bundle_1dof, tmp_path, capsys):
     directory = tmp_path / "bundle"
     shutil.copytree(bundle_1dof, directory)
     (directory / "predictor.onnx").write_bytes(b"damaged")
-    assert main(["build", str(directory), "--out", str(tmp_path / "any.fmu")]) == 2
+    assert main(["fmu", "build", str(directory), "--out", str(tmp_path / "any.fmu")]) == 2
     assert "does not match the hash" in capsys.readouterr().err

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S, feature_names
 from fmu import fmu_models
-from fmu.__main__ import main
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_models import embedded_parts, read_parts
 from fmu.parity import varying_steps_s
@@ -36,7 +36,7 @@ def fmu_of(tmp_path_factory):
         dof = read_manifest(bundle).dof
         path = folder / f"{kind}_{dof}dof.fmu"
         options = ["--unit", kind, "--fmi", str(dof + 1), "--out", str(path)]
-        assert main(["build", str(bundle), *options]) == 0
+        assert main(["fmu", "build", str(bundle), *options]) == 0
         return path
 
     return build
@@ -51,7 +51,7 @@ def built(request, bundle, fmu_of):
 
 def test_the_command_passes_each_fmu(built, capsys):
     path, parts = built
-    assert main(["check", str(path), "--json"]) == 0
+    assert main(["fmu", "check", str(path), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["passed"]
     assert set(report["parity"]) == set(names(parts.model().outputs))
@@ -173,6 +173,6 @@ def test_check_notices_another_plant(bundle_1dof, fmu_of, tmp_path, capsys):
     mass_kg = plant.parameters["link_mass_kg"].value
     plant.with_values({"link_mass_kg": 1.001 * mass_kg}).write(tmp_path / "other.json")
     path = fmu_of("twin", bundle_1dof)
-    assert main(["check", str(path)]) == 0
-    assert main(["check", str(path), "--plant", str(tmp_path / "other.json")]) == 1
+    assert main(["fmu", "check", str(path)]) == 0
+    assert main(["fmu", "check", str(path), "--plant", str(tmp_path / "other.json")]) == 1
     assert "NOT sound" in capsys.readouterr().out

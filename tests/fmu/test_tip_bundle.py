@@ -7,13 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import read_golden, verify_equal
 from firmware_py.inference.manifest import write_manifest
-from fmu.__main__ import main as fmu
-from models.__main__ import main as models
 from models.tip.predictors_document import read_predictors
 from models.trials.trial_files import write_trial
 
@@ -31,7 +30,7 @@ def trained(toy_trials, tmp_path_factory):
         "train", str(root / "trials"), "--dof", "1", "--out", str(root / "bundle"),
         "--plant", "models/plant/nominal.toml", "--motions", str(root / "further"),
     ]  # fmt: skip
-    assert models(arguments) == 0
+    assert dropstitch(arguments) == 0
     return root
 
 
@@ -60,7 +59,7 @@ def test_the_observer_adds_what_a_whole_answer_costs(observed):
 def observed(trained, tmp_path_factory):
     """That bundle with its observer."""
     bundle = shutil.copytree(trained / "bundle", tmp_path_factory.mktemp("observed") / "bundle")
-    assert fmu(["build", str(bundle), "--unit", "observer"]) == 0
+    assert dropstitch(["fmu", "build", str(bundle), "--unit", "observer"]) == 0
     return bundle
 
 
@@ -79,7 +78,7 @@ def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(tra
 
 
 def test_the_observer_passes_its_check_and_takes_the_age_of_a_sample_as_zero(observed, capsys):
-    assert fmu(["check", str(observed / "observer.fmu")]) == 0
+    assert dropstitch(["fmu", "check", str(observed / "observer.fmu")]) == 0
     assert "NOT sound" not in capsys.readouterr().out
 
 
@@ -164,5 +163,5 @@ def test_a_trial_is_not_both_trained_on_and_tested(trained, tmp_path, capsys):
     arguments = ["train", str(trained / "trials"), "--dof", "1", "--out", str(tmp_path / "b"),
                  "--plant", "models/plant/nominal.toml", "--motions", str(trained / "further"),
                  "--unseen", str(trained / "further")]  # fmt: skip
-    assert models(arguments) == 2
+    assert dropstitch(arguments) == 2
     assert "is a trial of --motions and a test" in capsys.readouterr().err

@@ -14,7 +14,6 @@ from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
-from models.__main__ import main as models
 from models.trials import importers
 from models.trials.trial_files import read_trial
 
@@ -71,7 +70,7 @@ def test_the_importer_makes_a_trial(npz_importer, tmp_path):
     )  # fmt: skip
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
     arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
-    assert models(["import", str(tmp_path / "run.npz"), *arguments]) == 0
+    assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 0
     trial = read_trial(tmp_path / "out" / "run.csv")
     assert np.allclose(trial.angle_rad[:, 0], angle_rad[: len(trial)], atol=1e-12)
 
@@ -82,7 +81,7 @@ def test_the_importer_refuses_a_truncated_file(npz_importer, tmp_path, capsys):
     (tmp_path / "run.npz").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
     arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
-    assert models(["import", str(tmp_path / "run.npz"), *arguments]) == 2
+    assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 2
     assert "run.npz" in capsys.readouterr().err
 
 

@@ -7,11 +7,11 @@ import shutil
 
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.console import BAD_INPUT
 from firmware_py.documents import read_document, write_document
 from firmware_py.errors import InputError
 from hil.document_schemas import DOCUMENTS
-from models.__main__ import main as models
 from models.plant.plant import read_plant
 from tests.firmware_py.goals.small_plan import small_plan
 
@@ -60,6 +60,6 @@ def test_a_command_refuses_an_old_file(robot, capsys, monkeypatch, file, keys, c
     monkeypatch.chdir(robot)
     without(robot / file, *keys)
     argv = [*command.split(), "--plant", "plant.json", "--bundle", "bundle", "--out", "out.json"]
-    assert models(argv) == BAD_INPUT
+    assert dropstitch(argv) == BAD_INPUT
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and file in said and made_by in said and keys[0] in said

@@ -22,7 +22,7 @@ def main() -> int:
     ids = os.environ.get("DROPSTITCH_HITL_IDS", "1").split(",")
     emulator = subprocess.Popen(
         [
-            sys.executable, "-m", "hil", "emulate", "--line", "pty", "--plant", str(NOMINAL),
+            sys.executable, "-m", "dropstitch", "emulate", "--line", "pty", "--plant", str(NOMINAL),
             "--model", model, "--ids", *ids,
         ],
         stdout=subprocess.PIPE, text=True, cwd=HERE.parents[1],

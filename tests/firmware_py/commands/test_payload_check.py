@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.commands.payload_check import PayloadEstimate, contradicted_payload, unused_payload
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.motion import Motion
@@ -14,7 +15,6 @@ from firmware_py.realtime.timing import Timing
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
 from firmware_py.summary import Ended, RunSummary
-from fmu.__main__ import main as fmu
 from models.plant.plant import read_plant
 from models.plant.simulation.plant_run import simulate_plant
 
@@ -25,7 +25,7 @@ def bundle(toy_bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("robot") / "bundle"
     shutil.copytree(toy_bundle, directory)
     plant = str(directory / "plant.json")
-    assert fmu(["build", str(directory), "--plant", plant, "--unit", "observer"]) == 0
+    assert dropstitch(["fmu", "build", str(directory), "--plant", plant, "--unit", "observer"]) == 0
     return ModelBundle.load(directory)
 
 

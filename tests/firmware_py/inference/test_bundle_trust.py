@@ -12,6 +12,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.config import read_config
 from firmware_py.documents import read_document
 from firmware_py.errors import InputError
@@ -20,7 +21,6 @@ from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import content_sha256, write_manifest
-from models.__main__ import main as models
 from models.plant.plant import read_plant
 from models.study.study_document import StudyDocument
 
@@ -139,7 +139,7 @@ def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
     public = key_text(PUBLIC)
     with pytest.raises(InputError, match="is not signed"):
         ModelBundle.load(bundle, [public])
-    assert models(["sign", str(bundle), "--key", str(key), "--json"]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(key), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["key"] == public
     assert ModelBundle.load(bundle, [key_text(bytes(32)), public]).signed_by == public
     assert ModelBundle.load(bundle).signed_by == ""
@@ -148,7 +148,7 @@ def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
 
 
 def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
-    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
     trusted = [key_text(PUBLIC)]
     changed(bundle, degree=7)
     with pytest.raises(InputError, match="was changed after it was signed"):
@@ -156,7 +156,7 @@ def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
     write_manifest(bundle, msgspec.structs.replace(read_manifest(bundle), degree=3))
     with pytest.raises(InputError, match="is not signed"):  # the old signature is removed
         ModelBundle.load(bundle, trusted)
-    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
     content = bytearray((bundle / "predictor.onnx").read_bytes())
     content[100] ^= 1
     (bundle / "predictor.onnx").write_bytes(content)
@@ -176,7 +176,7 @@ def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
     ],
 )
 def test_a_damaged_signature_is_one_sentence(bundle, key, change):
-    assert models(["sign", str(bundle), "--key", str(key)]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
     path = bundle / "manifest.sig"
     path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(InputError, match=r"manifest\.sig"):
@@ -185,10 +185,10 @@ def test_a_damaged_signature_is_one_sentence(bundle, key, change):
 
 def test_a_new_key_is_its_owners_alone_and_never_overwritten(bundle, tmp_path, capsys):
     path = tmp_path / "new.pem"
-    assert models(["sign", str(bundle), "--key", str(path), "--new-key"]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(path), "--new-key"]) == 0
     assert path.stat().st_mode & 0o777 == 0o600
-    assert models(["sign", str(bundle), "--key", str(path)]) == 0
-    assert models(["sign", str(bundle), "--key", str(path), "--new-key"]) == 2
+    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(path), "--new-key"]) == 2
     assert "exists" in capsys.readouterr().err
 
 
@@ -197,7 +197,7 @@ def test_a_key_of_openssh_signs_too(bundle, tmp_path):
         pytest.skip("ssh-keygen is not installed")
     path = tmp_path / "id_ed25519"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", path], check=True)
-    assert models(["sign", str(bundle), "--key", str(path)]) == 0
+    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 0
 
 
 def _no_input(_):
@@ -225,7 +225,7 @@ def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys, monkeypatc
                 serialization.NoEncryption(),
             )
         )
-    assert models(["sign", str(bundle), "--key", str(path)]) == 2
+    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 2
     assert "other" in capsys.readouterr().err and not (bundle / "manifest.sig").exists()
 
 

@@ -9,9 +9,9 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
-from fmu.__main__ import main
 from hil.emulator.fmu_physics import FmuPhysics
 
 
@@ -115,9 +115,9 @@ def test_of_several_inputs_none_is_taken_where_one_is_out_of_bounds(instance):
 
 def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof, tmp_path, capsys):
     twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
-    assert main(["build", str(bundle_1dof), "--out", twin]) == 0
+    assert main(["fmu", "build", str(bundle_1dof), "--out", twin]) == 0
     for payload in ("-0.3", "3.5"):
-        assert main(["simulate", twin, "--out", out, "--payload-kg", payload]) == 2
+        assert main(["fmu", "simulate", twin, "--out", out, "--payload-kg", payload]) == 2
         error = capsys.readouterr().err
         assert f"payload_kg = {payload} lies outside 0 to 3" in error
         assert error.count("\n") == 1

@@ -6,11 +6,11 @@ import zipfile
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.golden import read_golden
 from firmware_py.signals import feature_names
-from fmu.__main__ import main
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import read_parts
 from fmu.packaging.platforms import HOST, SOURCE_CODE
@@ -25,7 +25,7 @@ def completed(bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("completed") / "bundle"
     shutil.copytree(bundle, directory)
     asked = ["--platforms", f"{HOST},{SOURCE_CODE}"]
-    assert main(["build", str(directory), "--unit", "observer", *asked]) == 0
+    assert main(["fmu", "build", str(directory), "--unit", "observer", *asked]) == 0
     return directory
 
 
@@ -99,7 +99,7 @@ def test_a_failed_build_leaves_the_bundle_as_it_was(bundle_1dof, tmp_path, capsy
     shutil.copytree(bundle_1dof, directory)
     (directory / "golden.npz").write_bytes(b"damaged")
     before = (directory / "manifest.json").read_bytes()
-    assert main(["build", str(directory), "--unit", "observer"]) == 2
+    assert main(["fmu", "build", str(directory), "--unit", "observer"]) == 2
     assert not (directory / "observer.fmu").exists()
     assert (directory / "manifest.json").read_bytes() == before
     assert "golden.npz" in capsys.readouterr().err

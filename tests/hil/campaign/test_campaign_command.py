@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hil.__main__ import main
+from dropstitch.__main__ import main
 
 TOYS = """\
 name = "Toys"

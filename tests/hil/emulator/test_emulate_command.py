@@ -10,8 +10,8 @@ import sys
 import dynamixel_sdk as sdk
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.realtime.clock import RealTimeOptions
-from hil.__main__ import main
 from hil.commands.emulate import NOT_REAL_TIME
 from hil.emulator.emulator import open_physics
 from models.plant.plant import NOMINAL
@@ -21,7 +21,7 @@ def started(*options):
     """A process that emulates, and the name of its port."""
     process = subprocess.Popen(
         [
-            sys.executable, "-m", "hil", "emulate", "--model", "PH54-200-S500-R",
+            sys.executable, "-m", "dropstitch", "emulate", "--model", "PH54-200-S500-R",
             "--plant", str(NOMINAL), "--baud", "1000000", *map(str, options),
         ],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

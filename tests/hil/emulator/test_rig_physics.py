@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.summary import Ended
-from hil.__main__ import main
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
 from hil.sil import SilOptions, run_sil, write_results

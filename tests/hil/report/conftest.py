@@ -9,13 +9,12 @@ from dataclasses import replace
 import msgspec
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.inference.bundle import ModelBundle
-from fmu.__main__ import main as fmu_main
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
-from hil.__main__ import main as hil_main
 from hil.emulator.twin_fmu import build_twin
 from hil.report import write_report
 from hil.sil import SilOptions, run_sil, write_results
@@ -179,23 +178,23 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
         "after": directory / "found" / "plant.json",
     }.items():
         fmu = directory / f"{variant}.fmu"
-        command(["build", str(toy_bundle), "--plant", str(plant), "--out", str(fmu)])
+        command(["fmu", "build", str(toy_bundle), "--plant", str(plant), "--out", str(fmu)])
         for kg, trial in zip(("0", "2"), paths["sealed"], strict=True):
             name = directory / f"fmpy_{variant}_{kg}"
-            arguments = ["simulate", str(fmu), "--trial", str(trial), "--out", str(name), "--json"]
+            options = ["--trial", str(trial), "--out", str(name), "--json"]
             with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
                 patch.setattr("fmu.run_files.draw_run", lambda *_: None)
-                said = command(arguments)
+                said = command(["fmu", "simulate", str(fmu), *options])
             name.with_suffix(".json").write_text(said)
         for kg in ("0", "2"):
             shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
-    said = command(["check", str(fmu), "--json"])
+    said = command(["fmu", "check", str(fmu), "--json"])
     (directory / "check_twin_1dof.json").write_text(said)
     return directory
 
 
-def command(arguments, main=fmu_main):
-    """Output of a command, of `fmu` by default."""
+def command(arguments):
+    """Output of a command."""
     with redirect_stdout(io.StringIO()) as said:
         assert main(arguments) == 0
     return said.getvalue()
@@ -205,9 +204,9 @@ def command(arguments, main=fmu_main):
 def gap_command(gap_build, plant_before):
     """Path of the page about that directory, and what the command that wrote it printed."""
     out = gap_build / "report.html"
-    arguments = ["gap", str(gap_build), "--plant", str(plant_before), "--out", str(out),
+    arguments = ["report", "gap", str(gap_build), "--plant", str(plant_before), "--out", str(out),
                  "--hide", "stiffness_softening=0.2"]  # fmt: skip
-    return out, command(arguments, hil_main)
+    return out, command(arguments)
 
 
 @pytest.fixture(scope="session")

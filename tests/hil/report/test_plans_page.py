@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.goals.feedback_design import FeedbackDesign, LoopMargins, RateFilter
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.link.link_facts import STUDY_FACTS
-from hil.__main__ import main
 from hil.report.plans.planned_runs import PlannedRun, plan_figures, read_planned_runs
 from hil.report.plans.plans_page import write_plans_page
 from models.plant.plant import read_plant
@@ -90,7 +90,7 @@ def test_margins_loops_and_lost_trust_are_shown(runs, tmp_path):
 def test_a_directory_without_runs_is_refused(tmp_path, capsys):
     with pytest.raises(InputError, match="holds no run of a plan; run 'make tip-demo'"):
         read_planned_runs(tmp_path)
-    assert main(["plans", str(tmp_path)]) == 2
+    assert main(["report", "plans", str(tmp_path)]) == 2
     assert "make tip-demo" in capsys.readouterr().err
 
 

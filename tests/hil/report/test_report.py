@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from hil.__main__ import main
+from dropstitch.__main__ import main
 from hil.report.build_inputs import LoopRun, read_build
 from hil.report.loop_figures import loop_figures
 from hil.report.report_page import report_page
@@ -240,7 +240,7 @@ def test_one_dof_alone_is_enough(copy_1dof):
 
 
 def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
-    assert main(["report", str(tmp_path), "--json"]) == 0
+    assert main(["report", "build", str(tmp_path), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
@@ -250,10 +250,10 @@ def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
 @pytest.mark.parametrize("damage", ["{", "[1]", "\xff\xfe"])
 def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
     (copy / "check_twin_1dof.json").write_bytes(damage.encode("latin-1"))
-    assert main(["report", str(copy)]) == 2
+    assert main(["report", "build", str(copy)]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "check_twin_1dof.json" in err and "write it again" in err
-    assert main(["report", str(copy / "none")]) == 2
+    assert main(["report", "build", str(copy / "none")]) == 2
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
 def test_a_file_of_an_older_version_gets_one_sentence_with_the_command(copy, capsys, name, command):
     document = json.loads((copy / name).read_text())
     (copy / name).write_text(json.dumps(document | {"schema": 1}))
-    assert main(["report", str(copy)]) == 2
+    assert main(["report", "build", str(copy)]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "schema version 1" in err and command in err
 

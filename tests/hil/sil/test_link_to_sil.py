@@ -5,13 +5,12 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.servo_models import model_named
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recording import read_recording
-from hil.__main__ import main as hil
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.timing_document import read_timing
-from models.__main__ import main as models
 from models.plant.plant import read_plant
 from models.rig.drawn_rig import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE
@@ -49,19 +48,17 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
         tmp_path / name for name in ("link.toml", "trials", "plant.json", "bundle", "sil")
     )
 
-    def passes(main, arguments):
-        assert main(arguments.split()) == 0, arguments
+    def passes(arguments):
+        assert dropstitch(arguments.split()) == 0, arguments
         return capsys.readouterr().out
 
-    passes(models, f"new {link} {LINK}")
-    passes(
-        models, f"simulate --rig {link} --out {trials} --payloads 0.4 {MOTION} --workers 1 --seed 1"
-    )
-    found = passes(models, f"identify {trials} --plant {link} --out {plant} --json")
+    passes(f"new {link} {LINK}")
+    passes(f"simulate --rig {link} --out {trials} --payloads 0.4 {MOTION} --workers 1 --seed 1")
+    found = passes(f"identify {trials} --plant {link} --out {plant} --json")
     held_out = json.loads(found)["held_out"]
     assert held_out["tip_rms_m"] < held_out["rigid_tip_rms_m"] / 4
 
-    text = passes(models, f"train {trials} --dof 1 --plant {plant} --out {bundle}")
+    text = passes(f"train {trials} --dof 1 --plant {plant} --out {bundle}")
     assert "no unseen motion" in text and "--amplitude-deg 20" in text
     kept = read_plant(bundle / "plant.json").link
     of_run = sil_config(SilOptions(bundle=ModelBundle.load(bundle), model=model_named("XM430-W350"),
@@ -72,7 +69,6 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
     assert kept.gravity.mounting == "hanging"
 
     text = passes(
-        hil,
         f"sil --bundle {bundle} --rig {link} --line virtual --out {sil} --payload-kg 0.4 "
         f"--seconds 2.2 {MOTION}",
     )

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.outside.for_robot import outside_goals
 from firmware_py.goals.outside.goal_channel import connect
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.log.recording import read_recording
-from hil.__main__ import main
 from hil.commands.sil import describe_sil
 from hil.sil import run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME

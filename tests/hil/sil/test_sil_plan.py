@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
@@ -19,12 +20,10 @@ from firmware_py.log.recording import read_recording
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
-from hil.__main__ import main
 from hil.commands.sil import describe_sil
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
-from models.__main__ import main as models_main
 from models.plan.path_shapes import PathOptions, built_in_path
 from models.plan.plan_learning import improve_plan
 from models.plan.planning import PlanRequest, plan_path
@@ -132,7 +131,7 @@ def _improve(bundle, plan, directory, measured_m):
         "plan", directory / "plan.json", "--improve", directory / "trial" / "sil.csv", "--plant",
         NOMINAL, "--bundle", bundle.directory, "--out", directory / "next.json",
     ]  # fmt: skip
-    assert models_main([str(w) for w in words]) == 0
+    assert main([str(w) for w in words]) == 0
     improved = read_tip_plan(directory / "next.json")
     assert improved.learned[0].rms_m == pytest.approx(measured_m, rel=0.02)
     assert improved.learned[0].predicted_rms_m < measured_m / 2

@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial_files import write_trial
 

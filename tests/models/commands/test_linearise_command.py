@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL
 
 

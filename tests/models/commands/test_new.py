@@ -23,7 +23,9 @@ class Terminal:
         self.process, self.file = pty.fork()
         if not self.process:
             signal.signal(signal.SIGINT, signal.SIG_DFL)  # a job in the background ignores it
-            os.execv(sys.executable, [sys.executable, "-m", "models", "new", *map(str, arguments)])
+            os.execv(
+                sys.executable, [sys.executable, "-m", "dropstitch", "new", *map(str, arguments)]
+            )
         self.shown, self.end_s = "", time.monotonic() + WAIT_S
 
     def read(self):

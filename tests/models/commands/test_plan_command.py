@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.plan.recorded_plan_run import RecordedRun
 from models.plant.plant import NOMINAL
 from tests.firmware_py.goals.small_plan import small_plan

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
 from models.plant.provenance import FittedTrial, Provenance
 from models.trials.trial import TrialSet

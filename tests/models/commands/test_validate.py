@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.trials.trial_files import write_trial
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.gap.diagnosis import diagnose
 from models.trials.trial import TrialSet
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.gap.report.gap_json import read_gap_document
 from models.plant.plant import read_plant
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.plant import read_plant

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.identification.evaluation import compare_with_trials

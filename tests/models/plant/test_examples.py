@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.compiled_model import CompiledModel
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL
 from models.trials.importers.table_file import read_columns
 from tests.real_data import real_recordings

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.console import BAD_INPUT, DONE
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.rig.forms.creep_forms import relaxation_spectrum
 from models.rig.hinged.bending_law import BendLaw
 from models.rig.rig import build_rig

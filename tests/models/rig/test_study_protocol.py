@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.console import BAD_INPUT, DONE
-from models.__main__ import main
 from models.rig.study_protocol import run_case
 from models.shared.kinematics import rigid_tip_m
 from models.trials.trial_files import read_trial, read_trials, write_trial

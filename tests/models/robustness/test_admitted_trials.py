@@ -12,7 +12,7 @@ import re
 
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.gap import diagnosis
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import GapSettings

@@ -5,8 +5,8 @@ import shutil
 import msgspec
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.inference.manifest import read_bundle_files, write_manifest
-from models.__main__ import main
 from models.plant.plant import read_plant
 from models.study.bundle_plant import compare_with_bundle
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.trials.earlier_import import recording_hash
 from models.trials.trial_files import read_trial
 

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.motion import Motion
-from models.__main__ import main
 from models.gap.calibration.calibration_files import (
     begin_work,
     calibration_directory,

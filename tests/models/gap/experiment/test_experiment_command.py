@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.gap.report.gap_json import DiagnosisInputs, write_gap_document
 from models.gap.report.gap_results import gap_document
 from models.trials.trial_files import write_trial

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from models.__main__ import main
+from dropstitch.__main__ import main
 from models.plant.identification.identification import identify
 from models.plant.identification.simulation_fit import Objective, fit_objective
 from models.plant.plant import NOMINAL, read_plant

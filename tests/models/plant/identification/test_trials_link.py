@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import msgspec
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
 from models.study.findings import doubts_of_di

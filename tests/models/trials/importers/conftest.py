@@ -97,7 +97,7 @@ def servo_csv(session, tmp_path):
 @pytest.fixture
 def run(tmp_path, capsys):
     """Run the command; returns exit code, standard output and standard error."""
-    from models.__main__ import main
+    from dropstitch.__main__ import main
 
     def call(*arguments):
         code = main(["import", *map(str, arguments), "--out", str(tmp_path / "trials")])

@@ -13,11 +13,11 @@ import pytest
 import scipy.io
 from mcap.writer import CompressionType, Writer
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.files import guarded_call
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
-from models.__main__ import main
 from models.trials.importers import matlab_file
 from models.trials.importers.matlab_file import matlab_variables
 from tests.fuzz import valid_files

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.plant.plant import read_plant
 from models.trials.importers.json_path import json_values
 from models.trials.trial_files import read_trial

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.bus.registers import TORQUE_LOST
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
@@ -13,7 +14,6 @@ from firmware_py.log.recording import read_recording
 from firmware_py.log.sinks import McapSink, TickEncoder
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
-from models.__main__ import main
 from models.trials.importers import robot_log
 from models.trials.importers.mapping import RecordingMap
 from models.trials.trial_files import read_trial

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.signals import trial_signals
-from models.__main__ import main
 from models.shared.kinematics import base_rotation
 from models.trials.importers.mocap_frame import nominal_markers_m
 from models.trials.trial import Trial, TrialMeta

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.__main__ import main
 from models.shared.kinematics import base_rotation
 from models.trials.trial_directories import refuse_unusable
 from models.trials.trial_files import write_trial
