@@ -71,13 +71,13 @@ class Part(NamedTuple):
 def plant(out: Path) -> list[Figure]:
     """Tip of the identified plant on trials that no fit used."""
     rows = []
-    for motion, words in (("20deg", "an amplitude of 20°"), ("multisine", "a multisine")):
+    for motion, words in (("20deg", "a 20° amplitude"), ("multisine", "a multisine")):
         by_dof = _read(BUILD / f"evaluate_unseen_{motion}.json")["dof"]
         for dof in ("1", "2"):
             rms_mm, rigid_mm = (1e3 * by_dof[dof][k] for k in ("tip_rms_m", "rigid_tip_rms_m"))
             rows.append(Figure(
                 f"plant-{motion}-{dof}dof",
-                f"tip of the identified plant on {words} that it has not seen, RMS error, {dof}DOF",
+                f"RMS tip error of the identified plant on {words} that was not fitted, {dof}DOF",
                 rms_mm, f"{rms_mm:.2f} mm", f"a rigid link: {rigid_mm:.0f} mm", SIMULATION,
                 f"make build/evaluate_unseen_{motion}.json",
             ))  # fmt: skip
@@ -92,8 +92,8 @@ def estimator(out: Path) -> list[Figure]:
         percent = 100 * study["estimators"]["unseen_20deg"]["observer"]["benefit_recovered"]["3"]
         rows.append(Figure(
             f"estimator-{dof}dof",
-            "share of the gain by the true deformation index that the estimated one recovers, at "
-            f"an amplitude of 20° that no training saw, {dof}DOF",
+            "accuracy gained with the estimated DI, as a fraction of that gained with the true DI, "
+            f"20° amplitude outside the training data, {dof}DOF",
             percent, f"{percent:.0f} %", "cubic polynomial", SIMULATION,
             f"make build/bundle_{dof}dof/observer.fmu",
         ))  # fmt: skip
@@ -114,14 +114,14 @@ def tip(out: Path) -> list[Figure]:
         rows += [
             Figure(
                 f"tip-{dof}dof",
-                "tip predicted by the robot's loop, payload (1.3 kg) and link unseen, mean error, "
-                f"{dof}DOF",
+                "mean error of the tip predicted in the loop, rig with unseen motion, payload "
+                f"(1.3 kg) and link, {dof}DOF",
                 mean_mm, f"{mean_mm:.2f} mm", f"the paper's polynomial: {paper_mm:.2f} mm", on,
                 command,
             ),
             Figure(
                 f"tip-coverage-{dof}dof",
-                f"the same, samples inside the predicted 95 % interval, {dof}DOF",
+                f"samples of that run inside the 95 % prediction interval, {dof}DOF",
                 percent, f"{percent:.1f} %", f"n = {own['rows']} ticks of one run", on, command,
             ),
         ]  # fmt: skip
@@ -136,7 +136,7 @@ def onnx(out: Path) -> list[Figure]:
     for slow, words in (("default", "skl2onnx's conversion"), ("sklearn", "scikit-learn")):
         r = bench.ratio(cases, slow, "deployed")
         rows.append(Figure(
-            f"onnx-{slow}", f"one prediction, the robot's ONNX graph beside {words}",
+            f"onnx-{slow}", f"speed of one prediction, the bundle's ONNX graph against {words}",
             r["mean"], f"{r['mean']:.1f} × faster",
             f"{len(cases)} models: {r['least']:.1f} to {r['most']:.1f} ×", MACHINE,
             "python -m bench.onnx",
@@ -154,21 +154,18 @@ def loop(out: Path) -> list[Figure]:
     timing = _read(out / "timing.json")
     p50_us, p99_us = (timing["own_cost"][f"p{q}_ns"] / 1e3 for q in (50, 99))
     bound = 100 * timing["own_miss_rate_upper_bound_95"]
+    by_host = timing["misses"] - timing["own_misses"]
+    early = "" if timing["ended"] == "finished" else f"; it ended early: {timing['reason']}"
     command = "make figures ONLY=loop"
     return [
-        Figure("loop-own", "own work of a 17 ms tick in real time, p99, 2DOF", p99_us,
+        Figure("loop-own", "computing time of a 17 ms tick in real time, p99, 2DOF", p99_us,
                f"{p99_us:.0f} µs", f"p50 {p50_us:.0f} µs, {timing['slots']} ticks", MACHINE,
                command),
-        Figure("loop-misses", "deadlines that the loop missed by its own doing, 2DOF",
+        Figure("loop-misses", "deadlines missed by the loop itself, 2DOF",
                timing["own_misses"], f"{timing['own_misses']} of {timing['slots']}",
-               f"miss rate below {bound:.2g} % with 95 %; the host took {_others(timing)}",
+               f"miss rate below {bound:.2g} % at 95 % confidence; {by_host} by the host{early}",
                MACHINE, command),
     ]  # fmt: skip
-
-
-def _others(timing: dict[str, Any]) -> str:
-    count = timing["misses"] - timing["own_misses"]
-    return f"{count} more" if count else "none"
 
 
 def sdk(out: Path) -> list[Figure]:
@@ -186,7 +183,7 @@ def sdk(out: Path) -> list[Figure]:
     percent = 100 * peer["missed_slots"] / peer["slots"]
     return [Figure(
         "sdk", "deadlines missed by the same loop on the Dynamixel SDK as shipped, 1 % of the "
-        "replies lost, the machine under load",
+        "replies lost, one core under load",
         percent, f"{percent:.1f} % of {peer['slots']}",
         f"this loop: {100 * ours['missed_slots'] / ours['slots']:.1f} % of {ours['slots']}; the "
         f"SDK with real-time rights: {100 * rows['SDK, FIFO']['missed_slots'] / peer['slots']:.1f} "
@@ -203,8 +200,9 @@ def faults(out: Path) -> list[Figure]:
              str(BUILD / "twin_2dof.fmu"), "--out", str(out))  # fmt: skip
     counts = _read(out / "faults.json")["counts"]
     of = sum(counts.values())
-    return [Figure("faults", "injected faults that the loop answers as its safety table says",
-                   counts["pass"], f"{counts['pass']} of {of}", f"{counts['fail']} failed",
+    return [Figure("faults", "fault cases with the reaction that the fault table requires",
+                   counts["pass"], f"{counts['pass']} of {of}",
+                   f"{counts['fail']} failed, {counts['inconclusive']} inconclusive",
                    SIMULATION, "make faults")]  # fmt: skip
 
 
@@ -250,8 +248,8 @@ def real(out: Path) -> list[Figure]:
         name, machine, reference = words[system]
         named = " + ".join(e for round_ in found["rounds"] for e in round_)
         rows.append(Figure(
-            name, f"{machine}: error on recordings left out, with the effects that the program "
-            "names, over that with " + reference,
+            name, f"{machine}: error on held-out recordings with the effects named by `gap`, "
+            "relative to " + reference,
             found["ratio"], f"{found['ratio']:.2f}", f"named: {named}",
             f"{found['recordings']} recordings", f"python -m bench.real DATA --only {system}",
         ))  # fmt: skip
@@ -275,12 +273,12 @@ def gap(out: Path) -> list[Figure]:
     command = "python -m bench.gap --rigs " + " ".join(GAP_RIGS)
     rows = []
     for name, link, words in (
-        ("changed", "link changed", "on another link than the plant was identified on"),
-        ("same", "same link", "on the link that the plant was identified on"),
+        ("changed", "link changed", "link changed since identification"),
+        ("same", "same link", "link unchanged"),
     ):
         for rate, what in (
-            ("class", f"hidden effects that are named, or a declared look-alike, {words}"),
-            ("false", f"nothing hidden, and a gap is reported all the same, {words}"),
+            ("class", f"hidden effects named correctly, or by a declared look-alike, {words}"),
+            ("false", f"false alarms: a gap is reported where nothing is hidden, {words}"),
         ):
             own = found[link]["class_right" if rate == "class" else "false_alarms"]
             if not own["of"]:
@@ -308,7 +306,7 @@ def plans(out: Path) -> list[Figure]:
         path = "line" if dof == 1 else "circle"
         rows.append(Figure(
             f"plan-{dof}dof",
-            f"tip led along a {path}, payload unknown, RMS distance from it, {dof}DOF",
+            f"RMS distance of the tip from a planned {path}, payload estimated, {dof}DOF",
             rms_mm, f"{rms_mm:.1f} mm",
             f"rigid kinematics: {rigid_mm:.0f} mm; payload known: {known_mm:.1f} mm", SIMULATION,
             "python -m bench.plans",
@@ -322,7 +320,7 @@ def link(out: Path) -> list[Figure]:
     ratio = held_out["rigid_tip_rms_m"] / held_out["tip_rms_m"]
     return [Figure(
         "link", "another link (0.6 m, 12 markers, XM430, hanging): tip error of a rigid link over "
-        "the plant's, held-out trials", ratio, f"{ratio:.1f} ×",
+        "that of the identified plant, held-out trials", ratio, f"{ratio:.1f} ×",
         f"{1e3 * held_out['tip_rms_m']:.2f} mm", SIMULATION, "make link-demo",
     )]  # fmt: skip
 
