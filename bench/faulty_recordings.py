@@ -27,11 +27,11 @@ from bench.rates import rate
 from bench.real import EXAMPLES, SYSTEMS, gain_of, import_recordings
 from firmware_py.console import DONE, Progress
 from models.gap.diagnosis import diagnose
-from models.plant.identification.identification import identify
+from models.plant.identification.identify import identify
 from models.plant.plant import read_plant
 from models.shared.worker_pool import worker_pool
+from models.trials.files import read_trials
 from models.trials.trial import Trial, TrialSet
-from models.trials.trial_files import read_trials
 
 SYSTEM: Final = SYSTEMS["xl330_pendulum"]
 EFFECTS: Final = ("load_dependent_friction", "stribeck_friction")

@@ -27,7 +27,7 @@ from firmware_py.console import DONE, NEGATIVE
 from firmware_py.errors import InputError
 from models.gap.training.case_runs import case_results, run_cases
 from models.gap.training.cases import hidden_cases
-from models.rig.drawn_rig import rig_named
+from models.rig.drawn import rig_named
 
 Result = dict[str, Any]
 

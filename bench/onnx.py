@@ -3,7 +3,7 @@
 Every case times its contenders in turn, a few calls each, in several rounds, so that a change of
 the machine's speed affects all of them. Batch 1, float64, the same fitted pipeline for all:
 
-bare        power form, IO binding (`models.learning.onnx_power` without guard and interval)
+bare        power form, IO binding (`models.predictor.onnx_graphs` without guard and interval)
 deployed    the bundle's graph: guard, prediction, in_range, 95 % interval; IO binding
 default     skl2onnx's conversion, onnxruntime's default options, `session.run`
 sklearn     `pipeline.predict`
@@ -32,8 +32,8 @@ from skl2onnx.common.data_types import DoubleTensorType
 
 from firmware_py.console import DONE, Progress
 from firmware_py.inference.predictor import OnnxGraph, OnnxPredictor
-from models.learning.onnx_power import PolynomialGraph, to_onnx
-from models.learning.predictors import DEGREES, GuardedPredictor
+from models.predictor.onnx_graphs import PolynomialGraph, to_onnx
+from models.predictor.polynomials import DEGREES, GuardedPredictor
 
 CONTENDERS = ("bare", "deployed", "default", "sklearn")
 ROUNDS, WARM_UP = 40, 5

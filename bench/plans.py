@@ -25,10 +25,10 @@ from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
 from hil.sil.path_error import path_errors
-from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import Method, PlanRequest, plan_path
 from models.plant.plant import read_plant
-from models.rig.rig_parameters import read_rig
+from models.rig.parameters import read_rig
 
 SERVO: Final = "H54-200-S500-R(A)"
 """With a bus watchdog, so that the full limit of the rate holds."""

@@ -31,11 +31,11 @@ from firmware_py.console import DONE, NEGATIVE, Progress
 from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.plant.identification.evaluation import compare_with_trials
-from models.plant.identification.identification import identify
+from models.plant.identification.identify import identify
 from models.plant.plant import Plant, read_plant
 from models.shared.worker_pool import worker_pool
+from models.trials.files import read_trials
 from models.trials.trial import Trial, TrialSet
-from models.trials.trial_files import read_trials
 
 EXAMPLES: Final = Path(__file__).parents[1] / "models/plant/examples"
 

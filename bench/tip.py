@@ -34,14 +34,14 @@ from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
 from hil.sil.prediction_error import programme_part, true_tip_m
 from hil.sil.sil_options import programme_s
-from models.learning.axis_coverage import axis_coverage
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
-from models.rig.drawn_rig import rig_named
+from models.predictor.validation import axis_coverage
+from models.rig.drawn import rig_named
+from models.rig.protocol import run_trial_cases
 from models.rig.trial_case import TrialCase
-from models.rig.trial_runner import run_trial_cases
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 Array = NDArray[np.float64]
 PAYLOAD_KG: Final = 1.3

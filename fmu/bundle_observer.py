@@ -30,8 +30,7 @@ from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
 from fmu.packaging.platforms import HOST
 from models.plant.step_model import StepModel, names
-from models.tip.latency import measure_latency
-from models.tip.predictors_document import Latency, read_predictors, write_predictors
+from models.predictor.document import Latency, measure_latency, read_predictors, write_predictors
 
 Array = NDArray[np.float64]
 OBSERVER = "observer.fmu"
@@ -157,8 +156,8 @@ def _tell_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency
     path = bundle / "predictors.json"
     if not path.is_file():
         return
-    from models.study.model_card import model_card  # loads scikit-learn
-    from models.study.study_document import read_study
+    from models.bundle.model_card import model_card  # loads scikit-learn
+    from models.study.document import read_study
 
     document = msgspec.structs.replace(read_predictors(path), runtimes=runtimes)
     write_predictors(path, document)

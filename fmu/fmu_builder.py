@@ -27,7 +27,7 @@ from fmu.packaging.zip_file import build_time_s, date_and_time, write_zip
 from models.plant.simulation.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
-from models.shared.page_parts import Section
+from models.shared.pages import Section
 
 __all__ = ["build_fmu"]
 

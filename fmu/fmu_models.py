@@ -23,10 +23,10 @@ import casadi as ca
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_json
 from firmware_py.signals import AGE, IN_RANGE, observer_signals, tick_signals, tip_names
-from models.learning.onnx_symbolic import predictor_function, predictor_inputs
+from models.plant.document import plant_json
 from models.plant.plant import Plant, read_plant
-from models.plant.plant_document import plant_json
 from models.plant.step_model import StepModel, Variable, names
+from models.predictor.onnx_graphs import predictor_function, predictor_inputs
 
 __all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
 

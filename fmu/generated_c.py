@@ -10,8 +10,8 @@ from typing import Final
 
 from firmware_py.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
-from models.plant.simulation.model_c import FUNCTIONS, write_model_c
 from models.plant.simulation.relations import SAMPLE_S, Relations
+from models.plant.simulation.runner import FUNCTIONS, write_model_c
 from models.plant.step_model import StepModel
 
 

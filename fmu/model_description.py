@@ -11,7 +11,7 @@ from firmware_py.display_units import VALUE_UNITS
 from firmware_py.signals import PERIOD_S
 from fmu.interface import FmiVariable, Interface, finite_bounds
 from fmu.packaging.source_code import add_source_files
-from models.trials.si_units import base_exponents
+from models.trials.units import base_exponents
 
 FmiVersion = Literal[2, 3]
 

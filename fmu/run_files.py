@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 from firmware_py import display_units
 from firmware_py.signals import TIME
 from fmu.fmpy_run import FmuRun
+from models.shared.drawing import FILE_STYLE
 from models.shared.palette import SERIES
-from models.shared.svg_drawing import FILE_STYLE
 
 
 def write_fmu_run(result: FmuRun, path: Path) -> None:

@@ -15,9 +15,8 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from firmware_py.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
-from models.plant.identification.doubts import ALIKE_M_S2
-from models.plant.identification.trials_link import SAME_SIZE_FRACTION
-from models.plant.simulation.compiled_model import model_inputs
+from models.plant.identification.doubts import ALIKE_M_S2, SAME_SIZE_FRACTION
+from models.plant.simulation.runner import model_inputs
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial

@@ -8,7 +8,7 @@ from pathlib import Path
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from hil.emulator.line_faults import LINE_FAULTS
-from models.plant.plant_document import link_of_plant
+from models.plant.document import link_of_plant
 
 
 def add_line_arguments(parser: argparse.ArgumentParser) -> None:

@@ -31,10 +31,10 @@ from hil.campaign.result_store import CaseRecord, FailureRecord
 from hil.faults.faults_document import FaultsDocument
 from hil.timing.timing_document import TimingDocument
 from models.gap.report.gap_json import GapDocument
-from models.plant.plant_document import PlantDocument
-from models.rig.conditions_record import ConditionsRecord
-from models.study.study_document import StudyDocument
-from models.tip.predictors_document import PredictorsDocument
+from models.plant.document import PlantDocument
+from models.predictor.document import PredictorsDocument
+from models.rig.protocol import ConditionsRecord
+from models.study.document import StudyDocument
 
 DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,

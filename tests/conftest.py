@@ -173,8 +173,8 @@ def toy_study(toy_trials, toy_observer):
 @pytest.fixture(scope="session")
 def toy_bundle(toy_study, tmp_path_factory):
     """The bundle of that study; copy it before changing it."""
+    from models.bundle.files import write_bundle
     from models.plant.plant import read_plant
-    from models.study.bundle_export import write_bundle
 
     directory = tmp_path_factory.mktemp("toy") / "bundle"
     write_bundle(directory, toy_study, read_plant())

@@ -14,7 +14,7 @@
     MODEL_CARD.md     description of the models
     manifest.sig      signature of the manifest, if `dropstitch sign` was used
 
-`models.study.bundle_export` and `fmu.fmu_builder` write it; the robot reads each file once and
+`models.bundle.files` and `fmu.fmu_builder` write it; the robot reads each file once and
 refuses a mismatch. `observer.fmu` is a native library: **whoever makes a bundle decides what
 runs on the robot PC**.
 """

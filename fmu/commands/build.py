@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from fmu.fmu_models import read_parts
     from fmu.packaging.fmu_contents import fmu_contents
     from fmu.packaging.platforms import platform_names
-    from models.study.bundle_plant import compare_with_bundle
+    from models.bundle.plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from fmu.fmpy_instance import FmuArchive
     from fmu.fmpy_run import simulate_fmu
     from fmu.run_files import draw_run, write_fmu_run
-    from models.trials.trial_files import read_trial
+    from models.trials.files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
     motion = Motion(

@@ -36,8 +36,8 @@ def run(args: argparse.Namespace) -> int:
     from fmu.packaging.platforms import platform_names
     from fmu.ssp.ssp_builder import build_ssp
     from fmu.stimulus import usual_payload_kg
-    from models.plant.physical_limits import check_payload
-    from models.study.bundle_plant import compare_with_bundle
+    from models.bundle.plant import compare_with_bundle
+    from models.plant.parameter import check_payload
 
     if args.out.suffix != ".ssp":
         raise InputError(

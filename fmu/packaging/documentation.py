@@ -8,8 +8,7 @@ from markupsafe import Markup
 
 from firmware_py.display_units import symbol_of
 from fmu.interface import FmiVariable, Interface, finite_bounds
-from models.shared.html_page import render_page
-from models.shared.page_parts import Paragraph, Section, Table
+from models.shared.pages import Paragraph, Section, Table, render_page
 
 __all__ = ["documentation_page"]
 

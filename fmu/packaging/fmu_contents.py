@@ -16,7 +16,7 @@ from fmu.packaging.reference_run import reference_files, reference_run
 from fmu.packaging.terminals import terminal_files
 from fmu.stimulus import inputs_from_motion, usual_payload_kg
 from models.plant.step_model import StepModel
-from models.shared.page_parts import Section
+from models.shared.pages import Section
 
 __all__ = ["FmuContents", "fmu_contents"]
 

@@ -15,13 +15,11 @@ from firmware_py.display_units import LENGTH, symbol_of
 from firmware_py.realtime.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
 from fmu.interface import Interface
-from models.plant.components import lagrange
-from models.plant.components.drives.drive_registry import DRIVES
 from models.plant.composition import observer
-from models.plant.effects import EFFECTS
-from models.plant.effects.order import in_order
-from models.plant.plant import LOADS, Plant
-from models.shared.page_parts import Paragraph, Part, Section, Table
+from models.plant.composition.compose import DRIVES, LOADS
+from models.plant.effects import EFFECTS, in_order
+from models.plant.plant import Plant
+from models.shared.pages import Paragraph, Part, Section, Table
 
 __all__ = ["plant_sections"]
 
@@ -73,7 +71,6 @@ def _direct_outputs(interface: Interface) -> str:
 
 def _equations(parts: FmuParts, plant: Plant) -> Section:
     made_of: list[tuple[str, Any]] = [
-        ("Link: motion", lagrange),
         (f"Load: {plant.load}", inspect.getmodule(LOADS[plant.load])),
         (f"Drive: {plant.drive}", DRIVES[plant.drive]),
     ]

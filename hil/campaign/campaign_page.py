@@ -25,8 +25,8 @@ from hil.campaign.campaign_spec import CampaignSpec, axis_names, draw_axes, flat
 from hil.campaign.campaign_summary import SummaryRow, summary_rows
 from hil.campaign.kinds.case_kind import CaseKind
 from hil.campaign.result_store import ResultStore
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.drawing import Drawing
+from models.shared.pages import (
     NO_VALUE,
     Cell,
     Facts,
@@ -38,9 +38,9 @@ from models.shared.page_parts import (
     Section,
     Table,
     TableCell,
+    render_page,
 )
 from models.shared.palette import BLUE
-from models.shared.svg_drawing import Drawing
 
 MOST_POINTS: Final = 3000
 """Largest number of points in a drawing. More make the page slow, so they are thinned evenly

@@ -40,7 +40,7 @@ from hil.sil import LineKind, SilOptions, run_sil, write_results
 from hil.sil.sil_options import LONGEST_S, sil_config
 from hil.timing.tick_budget import describe_budget
 from hil.timing.timing_document import PredictionError, TimingDocument
-from models.learning.axis_coverage import coverage_text
+from models.predictor.validation import coverage_text
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (

@@ -36,6 +36,6 @@ class RigSource:
     # Strength of each effect added to the rig, in the unit that `models.shared.catalogue` lists
     hidden: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0  # Seed of the variation between trials and of the current's noise
-    # Name of a structure, or a TOML file that changes values (`models.rig.drawn_rig.rig_named`)
+    # Name of a structure, or a TOML file that changes values (`models.rig.drawn.rig_named`)
     rig: str = "default"
     pressure_pa: float | None = None  # Declared pressure; by default that of the link

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
-from models.rig.drawn_rig import rig_named
+from models.rig.drawn import rig_named
+from models.rig.protocol import check_link_state, draw_variation
 from models.rig.rig import build_rig
 from models.rig.sensors import read_current
-from models.rig.study_protocol import check_link_state, draw_variation
 from models.rig.trial_case import TrialCase
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_json
-from models.study.study_document import StudyDocument, read_study
+from models.study.document import StudyDocument, read_study
 
 __all__ = [
     "BuildFiles",

@@ -41,11 +41,11 @@ from hil.report.build_files import (
     is_bundle,
 )
 from hil.timing.timing_document import TimingDocument, read_timing
+from models.plant.document import Evaluation
 from models.plant.plant import Plant, read_plant
-from models.plant.provenance import Evaluation
-from models.study.study_document import StudyDocument
-from models.tip.predictors_document import PredictorsDocument, read_predictors
-from models.trials.trial_files import read_trial
+from models.predictor.document import PredictorsDocument, read_predictors
+from models.study.document import StudyDocument
+from models.trials.files import read_trial
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ import msgspec
 from firmware_py.display_units import ANGLE_ERROR, DURATION, TICK_TIME
 from hil.faults.faults_document import CaseResult, FaultsDocument
 from hil.verdict import Verdict
-from models.shared.page_parts import NO_VALUE, Facts, Table, TableCell
+from models.shared.pages import NO_VALUE, Facts, Table, TableCell
 
 _HEADER: Final = [
     "fault", "required", "detected after, ticks", "supervisor state", "last command to the servos",

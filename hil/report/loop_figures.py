@@ -12,9 +12,9 @@ from firmware_py.display_units import LENGTH, POSITION, TICK_TIME, TIME
 from firmware_py.realtime.percentiles import LABELS
 from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
-from models.shared.page_parts import Figure, LegendEntry, Panel, Table
+from models.shared.drawing import Drawing
+from models.shared.pages import Figure, LegendEntry, Panel, Table
 from models.shared.palette import ALARM, BLUE, INK, ORANGE, SPAN
-from models.shared.svg_drawing import Drawing
 
 Array = NDArray[np.float64]
 Ticks = dict[str, Array]

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hil.report.build_inputs import BuildInputs, LoopRun
-from models.shared.page_parts import Cell, Notice, Table
-from models.study.study_document import StudyDocument
-from models.trials.origin_notice import KIND_WORDS, origin_notice
-from models.trials.trial_origin import TrialOrigin, kind_of_origins, merged_origins
+from models.shared.pages import Cell, Notice, Table
+from models.study.document import StudyDocument
+from models.trials.origin import (
+    KIND_WORDS,
+    TrialOrigin,
+    kind_of_origins,
+    merged_origins,
+    origin_notice,
+)
 
 Origins = tuple[TrialOrigin, ...]
 

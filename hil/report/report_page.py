@@ -32,8 +32,7 @@ from hil.report.study.error_figures import error_figures
 from hil.report.study.estimator_figures import di_estimates, predictors_by_payload
 from hil.report.study.motion_figures import motion_figures
 from hil.timing.timing_document import SilEnvironment
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.pages import (
     ClaimCard,
     ClaimCards,
     CommandList,
@@ -42,8 +41,9 @@ from models.shared.page_parts import (
     Part,
     Section,
     missing_inputs,
+    render_page,
 )
-from models.study.study_document import StudyDocument
+from models.study.document import StudyDocument
 
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
 

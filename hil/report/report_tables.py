@@ -24,11 +24,11 @@ from firmware_py.realtime.targets import (
 from hil.report.build_inputs import BuildInputs, FmuCheckOutput, LoopRun
 from hil.report.study.estimator_figures import test_words
 from hil.timing.timing_document import TipErrors
-from models.learning.axis_coverage import COVERS, coverage_text
+from models.plant.document import DofEvaluation, Evaluation, SignalError, TipError
 from models.plant.plant import Plant
-from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipError
-from models.shared.page_parts import NO_VALUE, Cell, Table, TableCell
-from models.study.study_document import StudyDocument
+from models.predictor.validation import COVERS, coverage_text
+from models.shared.pages import NO_VALUE, Cell, Table, TableCell
+from models.study.document import StudyDocument
 
 DOFS: Final = (1, 2)
 DEFAULT_RIG: Final = ("rig", "default")

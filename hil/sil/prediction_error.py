@@ -13,7 +13,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
 from hil.emulator.emulator import Truth
 from hil.timing.timing_document import PredictionError, TipErrors
-from models.learning.axis_coverage import axis_coverage
+from models.predictor.validation import axis_coverage
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from firmware_py.display_units import POSITION, TICK_TIME, TIME
 from hil.sil.prediction_error import predicted_tip_m, true_tip_m
 from hil.sil.sil_loop import SilResult
 from hil.timing.timing_verdict import TimingVerdict
+from models.shared.drawing import FILE_STYLE
 from models.shared.palette import ALARM, SERIES
-from models.shared.svg_drawing import FILE_STYLE
 
 
 def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:

@@ -23,7 +23,7 @@ from hil.timing.tick_budget import measure_budget, plan_times
 from hil.timing.timeline import write_timeline
 from hil.timing.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
 from hil.timing.timing_verdict import judge_timing, timing_junit
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 def write_results(result: SilResult, options: SilOptions) -> TimingDocument:

@@ -21,7 +21,7 @@ from hil.sil.real_time_run import run_in_real_time
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.sil.virtual_run import run_on_virtual_line
-from models.plant.plant_document import read_plant_document
+from models.plant.document import read_plant_document
 
 _SIZES: Final = ("base_offset_m", "link_length_m", "link_width_m")
 

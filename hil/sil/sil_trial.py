@@ -13,8 +13,7 @@ from firmware_py.signals import joint_signals, marker_signals, tip_names
 from hil.sil.prediction_error import true_tip_m
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions
-from models.trials.motion_start import rows_at_rest
-from models.trials.trial import Trial, TrialMeta
+from models.trials.trial import Trial, TrialMeta, rows_at_rest
 
 
 def as_trial(result: SilResult, options: SilOptions) -> Trial:

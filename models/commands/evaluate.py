@@ -13,12 +13,11 @@ import msgspec
 
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
-from models.plant.identification.doubts import evaluation_doubts
+from models.plant.document import Evaluation
+from models.plant.identification.doubts import evaluation_doubts, refuse_other_links
 from models.plant.identification.evaluation import evaluate_plant
-from models.plant.identification.trials_link import refuse_other_links
 from models.plant.plant import read_plant
-from models.plant.provenance import Evaluation
-from models.trials.trial_directories import read_trial_directories
+from models.trials.checks.trials import read_trial_directories
 
 EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
 

@@ -15,9 +15,9 @@ from firmware_py.errors import InputError
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
+from models.bundle.plant import compare_with_bundle
 from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
-from models.study.bundle_plant import compare_with_bundle
 
 EXAMPLE = (
     "dropstitch goalmap --plant build/plant.json --bundle build/bundle_2dof "
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--reach", f"is {args.reach:g}", "choose 0.01 to 2")
     plant = read_plant(args.plant)
     # CasADi is loaded here, so that a wrong option is refused at once.
-    from models.plan.moves.rest_map import map_rest
+    from models.plan.moves import map_rest
     from models.plan.planning import PlanRequest, check_request
 
     payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)

@@ -20,17 +20,13 @@ from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file
 from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.gap.residuals.residuals import check_duration
-from models.plant.identification.doubts import doubts
-from models.plant.identification.fit_picture import draw_fit
-from models.plant.identification.identification import identify
-from models.plant.identification.torque_constant import torque_constant_doubts
-from models.plant.identification.trials_link import refuse_other_links
-from models.plant.identified_gains import read_servo_gains
+from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
+from models.plant.identification.evaluation import draw_fit
+from models.plant.identification.identify import identify, read_servo_gains
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
-from models.trials.trial_directories import read_trial_directories
-from models.trials.trial_listing import conditions_beside
-from models.trials.verdict.trial_check import judge_not_fitted, judge_pressures
+from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_trial_directories
+from models.trials.files import conditions_beside
 
 EXAMPLE = (
     "dropstitch identify build/trials --plant models/plant/nominal.toml --out build/plant.json"

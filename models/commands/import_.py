@@ -29,17 +29,16 @@ from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.commands.output_paths import check_output_directory
-from models.trials.earlier_import import check_earlier_import, recording_hash
-from models.trials.importers import KINDS
-from models.trials.importers.mapping import RecordingMap, read_mapping
-from models.trials.importers.robot_log import motion_rows, with_log_conditions
-from models.trials.importers.table_file import read_scalars
-from models.trials.takes import Take, find_takes
-from models.trials.trial_files import check_trial_name, read_trial, write_trial
-from models.trials.verdict.finding import OFFSET_M, ImportFinding
-from models.trials.verdict.import_verdict import ImportVerdict
-from models.trials.verdict.inspected_import import Source, inspect_import
-from models.trials.verdict.verdict_page import clock_text, write_verdict
+from models.trials.checks.finding import OFFSET_M, ImportFinding
+from models.trials.checks.page import clock_text, write_verdict
+from models.trials.checks.verdict import ImportVerdict
+from models.trials.files import check_trial_name, read_trial, write_trial
+from models.trials.pipeline import Source, check_earlier_import, inspect_import, recording_hash
+from models.trials.recordings import KINDS
+from models.trials.recordings.mapping import RecordingMap, read_mapping
+from models.trials.recordings.robot_log import motion_rows, with_log_conditions
+from models.trials.recordings.table import read_scalars
+from models.trials.recordings.takes import Take, find_takes
 
 SECONDS_PER_BYTE: Final = 2e-6
 """Processor time by the size of a recording: five times that of a bag of joint states

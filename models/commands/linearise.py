@@ -26,7 +26,7 @@ from firmware_py.files.output_files import write_whole
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.signals import PERIOD_S
 from models.commands.output_paths import check_output_file
-from models.plant.physical_limits import check_payload
+from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
 
 EXAMPLE = (
@@ -69,8 +69,8 @@ def run(args: argparse.Namespace) -> int:
     # CasADi and python-control are loaded here, so that a wrong option is refused at once.
     import numpy as np
 
-    from models.plan.feedback.feedback_loops import design_feedback
-    from models.plan.feedback.linear_twin import LinearTwins, modes
+    from models.plan.feedback import design_feedback
+    from models.plant.linear_twin import LinearTwins, modes
 
     twins = LinearTwins(plant, args.dof, args.period)
     system = twins.at(payload_kg, np.radians(angles_deg), sliding=not args.at_rest)

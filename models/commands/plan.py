@@ -29,11 +29,10 @@ from firmware_py.inference.manifest import BundleFiles, read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
+from models.bundle.plant import compare_with_bundle
 from models.commands.output_paths import check_output_file
-from models.plan.path_file import read_path
-from models.plan.path_shapes import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path
+from models.plan.paths import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path, read_path
 from models.plant.plant import Plant, read_plant
-from models.study.bundle_plant import compare_with_bundle
 
 if TYPE_CHECKING:
     from models.plan.planning import Method
@@ -142,8 +141,7 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
         raise InputError(
             args.path, f"was made for another bundle than {args.bundle}", "name its bundle"
         )
-    from models.plan.plan_learning import improve_plan
-    from models.plan.recorded_plan_run import read_plan_run
+    from models.plan.learning import improve_plan, read_plan_run
 
     run = read_plan_run(args.improve, plan)
     if beyond := recording_beyond_plan(plan, run.payload_kg):
@@ -177,7 +175,7 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
 
 def _write(plan: TipPlan, out: Path) -> Path:
     """Write a plan and its picture; return the path of the picture."""
-    from models.plan.plan_picture import draw_plan
+    from models.plan.picture import draw_plan
 
     out.parent.mkdir(parents=True, exist_ok=True)
     write_document(out, plan)
@@ -275,7 +273,7 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
 
 
 def _probe_in_words(plan: TipPlan, probe: ProbeDesign) -> str:
-    from models.plan.feedback.probe_motion import expected_deviation
+    from models.plan.probing import expected_deviation
 
     most = {
         known: max(expected_deviation(probe, float(kg), known=known) for kg in plan.grid_kg)

@@ -22,13 +22,13 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.motion import KINDS, STUDY_PERIOD_S
 from firmware_py.motion_config import MotionConfig
 from models.commands.output_paths import check_output_directory
-from models.rig.conditions_record import (
+from models.rig.drawn import rig_named
+from models.rig.parameters import RigParameters
+from models.rig.protocol import (
     RigConditions,
     record_conditions,
     refuse_other_conditions,
 )
-from models.rig.drawn_rig import rig_named
-from models.rig.rig_parameters import RigParameters
 from models.rig.trial_case import TrialCase
 from models.shared.catalogue import parse_strengths
 from models.shared.link_scale import LinkScale
@@ -95,8 +95,8 @@ def run(args: argparse.Namespace) -> int:
     hidden = parse_strengths(args.hide)
     cases = _cases(args, parameters)
     parameters = parameters.hide(hidden)
-    from models.rig.trial_overview import draw_overview
-    from models.rig.trial_runner import (
+    from models.rig.overview import draw_overview
+    from models.rig.protocol import (
         run_trial_cases,  # loads MuJoCo: only once the options are right
     )
 

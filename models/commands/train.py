@@ -25,17 +25,17 @@ import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
+from models.bundle.files import check_bundle_directory
 from models.commands.output_paths import check_output_directory
-from models.plant.provenance import Provenance
-from models.study.bundle_directory import check_bundle_directory
-from models.study.study_summary import study_summary
+from models.plant.document import Provenance
+from models.study.study import study_summary
+from models.trials.checks.trials import read_trial_directories
+from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
-from models.trials.trial_directories import read_trial_directories
-from models.trials.trial_files import STEP_TOLERANCE
 
 if TYPE_CHECKING:
-    from models.study.study_document import StudyDocument
-    from models.tip.tip_training import TipTraining
+    from models.predictor.training import TipTraining
+    from models.study.document import StudyDocument
 
 EXAMPLE = (
     "dropstitch train build/trials --dof 1 --plant build/plant.json "
@@ -103,9 +103,9 @@ def run(args: argparse.Namespace) -> int:
     refuse_mixed_steps(every)
     refuse_trained(further, (*held_out, *unseen))
 
-    from models.plant.identification.trials_link import refuse_other_links
+    from models.bundle.files import ParityError, write_bundle  # loads scikit-learn
+    from models.plant.identification.doubts import refuse_other_links
     from models.plant.plant import read_plant
-    from models.study.bundle_export import ParityError, write_bundle  # loads scikit-learn
     from models.study.findings import doubts_of_di
     from models.study.study import run_study
 
@@ -113,10 +113,10 @@ def run(args: argparse.Namespace) -> int:
     refuse_other_links(plant, args.plant, (*everything, *unseen, *further))
     refuse_fitted(plant.provenance, args.plant, tests)
     observer = plant.step_model(args.dof, "observer")
-    from models.tip.candidates.candidate_list import CANDIDATES
-    from models.tip.candidates.own_candidate import own_candidate
-    from models.tip.tip_training import train_tip
-    from models.trials.verdict.trial_check import judge_doubled, judge_not_fitted, judge_pressures
+    from models.predictor.candidates import own_candidate
+    from models.predictor.learners import CANDIDATES
+    from models.predictor.training import train_tip
+    from models.trials.checks.trials import judge_doubled, judge_not_fitted, judge_pressures
 
     candidates = CANDIDATES
     for path in args.candidate:

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from firmware_py.console import DONE, NEGATIVE, emit
 from models.plant.plant import read_plant
-from models.trials.trial_files import read_trials
-from models.trials.verdict.trial_check import check_trial, check_trials
-from models.trials.verdict.verdict_page import write_verdict
+from models.trials.checks.page import write_verdict
+from models.trials.checks.trials import check_trial, check_trials
+from models.trials.files import read_trials
 
 EXAMPLE = "dropstitch validate trials --out build/validated"
 

@@ -38,7 +38,8 @@ from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.separate_joints import joints_differ
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.plant import LOADS, Plant
+from models.plant.composition.compose import LOADS
+from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 
 __all__ = ["Diagnosis", "all_fit_parameters", "diagnose", "plant_is_known"]
@@ -76,7 +77,7 @@ class Diagnosis:
         First row from which the joint does not follow its goal, by trial; later rows are not used.
     rows_fitted : dict of str to int
         Rows that were fitted, for each trial that is too long to be fitted as a whole
-        (`models.plant.simulation.long_trials`).
+        (`models.plant.identification.fit`).
     own_error : dict of str to tuple of str
         By group of trials: how well the plant's mean error and its patterns are known there
         (`models.gap.estimation.curve_transfer.Knowledge`).

@@ -15,8 +15,8 @@ from models.gap.residuals.fit_parameters import FitParameter, plant_with_searche
 from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
+from models.plant.document import Provenance
 from models.plant.plant import Plant
-from models.plant.provenance import Provenance
 from models.trials.trial import TrialSet
 
 

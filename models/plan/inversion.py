@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from models.plan.plan_timeline import Timeline
-from models.plan.twin_sensitivity import TipTwin
+from models.plan.paths import Timeline
+from models.plan.tip_twin import TipTwin
 from models.shared.kinematics import pointing_angles_rad
 
 Array = NDArray[np.float64]

@@ -1,19 +1,32 @@
-"""Parameter of a plant: value, bounds, unit, role and source."""
+"""Parameter of a plant: value, bounds, unit, role and source.
+
+Values, bounds and priors of a plant's parameters for a described link.
+
+Each is that of the study's link (`read_plant()`) times the ratio of the property that it depends on
+(`models.shared.link_scale`), so the bounds keep their relative distance from the value.
+
+Physical limits: the largest payload, and sums of parameters that cannot be negative.
+
+Every parameter has bounds (`models.plant.parameter`). Two parameters within their bounds can still
+add up to something impossible: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares
+such sums of masses, friction, stiffness and limits for all plants; a sum is ignored if the plant
+has none of its parameters.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from typing import Final, Literal
 
 import msgspec
 
 from firmware_py.errors import InputError
-
-__all__ = [
-    "NO_DEFAULT", "Parameter", "Role", "bound_reached", "check_values", "is_weakly_determined",
-    "prior_deviation_of",
-]  # fmt: skip
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from models.shared.link_scale import LinkScale
 
 Role = Literal["nuisance", "effect", "calibration", "fixed"]
 """Treatment of a parameter by `identify`.
@@ -100,3 +113,165 @@ def check_values(where: str, parameters: Iterable[Parameter]) -> None:
                 f"parameter {q.name} is {q.value:g} {q.unit}, outside {q.low:g} to {q.high:g}",
                 "give a value within the bounds, or wider bounds",
             )
+
+
+_JOINT = re.compile(r"_[12](?=_|$)")
+_KNOWN_PAYLOAD: Final = "payload_known_kg"
+"""Known payload; negative if it is to be estimated, so it is not scaled."""
+
+
+def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
+    """Parameter of the study's plant, scaled to another link."""
+    q, link = parameter, scale.link
+    own = {
+        "base_offset_m": link.base_offset_m,
+        "link_length_m": link.length_m,
+        "link_width_m": link.width_m,
+        "gravity_m_s2": link.gravity.size_m_s2,
+    }
+    if q.name in own:
+        return msgspec.structs.replace(q, value=own[q.name], source="link.toml")
+    if q.name == _KNOWN_PAYLOAD:
+        return msgspec.structs.replace(q, high=link.most_payload_kg)
+    ratio = _ratio(_JOINT.sub("", q.name), scale)
+    if ratio == 1.0:
+        return q
+    return msgspec.structs.replace(
+        q, value=q.value * ratio, low=min(q.low * ratio, q.value * ratio), high=q.high * ratio,
+        prior_deviation=q.prior_deviation and q.prior_deviation * ratio,
+        source=f"{q.source}; scaled by {ratio:.3g} for this link",
+    )  # fmt: skip
+
+
+def _ratio(name: str, scale: LinkScale) -> float:
+    """Scale factor of a parameter; `name` is without the joint's number."""
+    servo, over = scale.servo_ratios, scale.over_study
+    inertia, constant = servo["rotor_inertia_kg_m2"], servo["torque_constant_nm_a"]
+    damping_s = 1 / over("first_mode_rad_s")
+    payload = scale.link.payload_kg / STUDY_LINK.payload_kg
+    length = scale.link.length_m / STUDY_LINK.length_m
+    width = scale.link.width_m / STUDY_LINK.width_m
+    ratios = {
+        "velocity_gain_a_s_rad": inertia / constant,
+        "torque_constant_nm_a": constant,
+        "rotor_inertia_kg_m2": inertia,
+        "current_limit_a": servo["current_limit_a"],
+        "base_mass_kg": over("plate_m2"),
+        "link_mass_kg": over("mass_kg"),
+        "tip_mass_kg": over("tip_mass_kg"),
+        "root_limit_moment_nm": over("limit_moment_nm"),
+        "root_stiffness_nm_rad": over("root_nm_rad"),
+        "span_stiffness_nm_rad": over("span_nm_rad"),
+        "root_damping_nm_s_rad": over("root_nm_rad") * damping_s,
+        "span_damping_nm_s_rad": over("span_nm_rad") * damping_s,
+        "current_saturation_a": servo["current_limit_a"],
+        "coulomb_friction_nm": servo["coulomb_friction_nm"],
+        "viscous_friction_nm_s_rad": servo["viscous_friction_nm_s_rad"],
+        "stribeck_friction_nm": servo["coulomb_friction_nm"],
+        "stiction_nm": servo["coulomb_friction_nm"],
+        "load_dependent_friction": servo["load_friction"],
+        "cogging_nm": servo["torque_limit_nm"],
+        "cogging_cosine_nm": servo["torque_limit_nm"],
+        "joint_elasticity_rad_nm": 1 / inertia,
+        "plate_inertia_kg_m2": inertia,
+        "gear_damping_nm_s_rad": inertia,
+        "backlash_torque_nm": servo["torque_limit_nm"],
+        "unmodelled_payload_kg": max(payload, 0.1 * over("tip_mass_kg")),
+        "load_offset_nm": servo["torque_limit_nm"],
+        "aerodynamic_drag_nm": width * length**4,
+        "current_bias_a": servo["current_limit_a"],
+        "payload_prior_kg": payload,
+        "payload_spread_kg": max(payload, 0.05),
+        "current_noise_a": servo["current_limit_a"],
+    }
+    return ratios.get(name, 1.0)
+
+
+JOINTS: Final = ("1", "2")
+
+
+@dataclass(frozen=True)
+class PhysicalLimit:
+    """Sum of parameters that must be positive, or at least not negative."""
+
+    what: str  # Name of the sum for messages
+    unit: str
+    # Weight of each parameter; in a name, {j} stands for a joint and * for any text
+    weights: Mapping[str, float]
+    constant: float = 0.0  # Constant term of the sum
+    with_payload: bool = False  # Whether a trial's payload in kg is added
+    may_vanish: bool = True  # Whether the sum may be zero
+
+
+@dataclass(frozen=True)
+class ImpossibleSum:
+    """Sum that violates its limit."""
+
+    what: str
+    unit: str
+    value: float
+    parameters: tuple[str, ...]
+
+
+LIMITS: Final = (
+    PhysicalLimit("mass at the tip with payload", "kg",
+                  {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}, with_payload=True),
+    PhysicalLimit("friction at standstill of joint {j}", "N.m",
+                  {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}),
+    PhysicalLimit("viscous friction of joint {j}", "N.m.s/rad", {"viscous_friction_{j}_*": 1}),
+    PhysicalLimit("friction per torque of joint {j}", "1", {"load_dependent_friction_{j}": 1}),
+    PhysicalLimit("root stiffness of plane {j}", "N.m/rad", {"root_stiffness_{j}_nm_rad": 1},
+                  may_vanish=False),
+    PhysicalLimit("span stiffness of plane {j}", "N.m/rad", {"span_stiffness_{j}_nm_rad": 1},
+                  may_vanish=False),
+    PhysicalLimit("stiffness left on the weak side of plane {j}", "1",
+                  {"directional_stiffness_{j}": -1}, constant=1, may_vanish=False),
+    PhysicalLimit("stiffness left on the other side of plane {j}", "1",
+                  {"directional_stiffness_{j}": 1}, constant=1, may_vanish=False),
+    PhysicalLimit("stiffness left at 0.1 rad of bend", "1", {"softening_share": -1}, constant=1,
+                  may_vanish=False),
+    PhysicalLimit("stiffness left after 10 s", "1", {"leak_share": -1}, constant=1,
+                  may_vanish=False),
+    PhysicalLimit("current limit of joint {j}", "A",
+                  {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}, may_vanish=False),
+    PhysicalLimit("torque per ampere of joint {j}, relative", "1",
+                  {"torque_constant_drift_{j}": -1}, constant=1, may_vanish=False),
+    PhysicalLimit("measured per true current of joint {j}", "1", {"current_scale_{j}": 1},
+                  constant=1, may_vanish=False),
+)  # fmt: skip
+"""Sums that no real machine violates, from the meaning of their parameters
+(`models.plant.effects`)."""
+
+
+def impossible_sums(
+    values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
+) -> list[ImpossibleSum]:
+    """Sums of `LIMITS` that the values violate at the smallest payload."""
+    least_payload_kg = min(payloads_kg, default=0.0)
+    found = []
+    for limit in LIMITS:
+        many = any("{j}" in pattern for pattern in limit.weights)
+        for joint in JOINTS if many else ("",):
+            weights = {
+                name: weight
+                for pattern, weight in limit.weights.items()
+                for name in values
+                if fnmatchcase(name, pattern.replace("{j}", joint))
+            }
+            if not weights:
+                continue
+            value = limit.constant + sum(w * values[name] for name, w in weights.items())
+            value += least_payload_kg if limit.with_payload else 0.0
+            if value < 0 or (value == 0 and not limit.may_vanish):
+                what = limit.what.replace("{j}", joint)
+                found.append(ImpossibleSum(what, limit.unit, value, tuple(weights)))
+    return found
+
+
+def check_payload(
+    payload_kg: float, option: str = "--payload-kg", link: LinkDescription | None = None
+) -> None:
+    """Refuse a payload outside the range of a link's plant."""
+    most_kg = (link or STUDY_LINK).most_payload_kg
+    if not 0.0 <= payload_kg <= most_kg:
+        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")

@@ -1,7 +1,7 @@
 """Plant: drive, load, effects and parameters, composed into step models.
 
 Read a plant file with `read_plant` and write one with `Plant.write`; its form is
-`models.plant.plant_document`.
+`models.plant.document`.
 """
 
 from __future__ import annotations
@@ -19,36 +19,32 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import LinkDescription, describes_link, read_link
 from firmware_py.link.link_facts import LinkFacts, facts_of_plant
-from models.plant.components.drives.drive_registry import DRIVES
-from models.plant.composition.plant_composition import (
+from models.plant.composition.compose import (
+    DRIVES,
     LOADS,
     ModelKind,
     compose_plant,
     declared_parameters,
     scope_of,
 )
-from models.plant.effects import EFFECTS, Effect, applicable, check_effects
-from models.plant.effects.order import in_order
-from models.plant.link_parameters import parameter_of_link
-from models.plant.parameter import Parameter, check_values
-from models.plant.plant_document import (
+from models.plant.document import (
     EffectEntry,
     ParameterEntry,
     PartKind,
     PlantDocument,
+    Provenance,
     check_condition_units,
     merged_parameter,
     plain_plant,
     read_plant_document,
     write_plant_document,
 )
-from models.plant.provenance import Provenance
+from models.plant.effects import EFFECTS, Effect, applicable, check_effects, in_order
+from models.plant.parameter import Parameter, check_values, parameter_of_link
 from models.plant.scope import variables_of, without_values
 from models.plant.step_model import StepModel
 from models.shared.link_scale import LinkScale
 from models.trials.trial import SignalRole
-
-__all__ = ["LOADS", "NOMINAL", "ModelKind", "Plant", "read_plant"]
 
 NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""

@@ -1,8 +1,12 @@
-"""Symbols of a plant during composition: parameters, states, inputs and physical quantities.
+"""Effect of a delayed goal on the saw-tooth of the current.
+
+Low-pass of the measured signals of a joint: set by an effect, applied by the composition.
+
+Symbols of a plant during composition: parameters, states, inputs and physical quantities.
 
 Drive, load and effects do not refer to each other. Each reads and changes quantities of the scope,
 which are symbolic expressions by joint or by hinge, in the order of the ports
-(`models.plant.effects.order.PORTS`)::
+(`models.plant.effects.PORTS`)::
 
     sensor → command → stiffness → mass → bend_torque → joint_torque → servo_torque → motion
 """
@@ -18,10 +22,32 @@ import msgspec
 
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import MarkerLayout
-from models.plant.delayed_staircase import DelayedStaircase
 from models.plant.parameter import Parameter
-from models.plant.sensor_low_pass import SensorLowPass
 from models.plant.step_model import Variable
+
+
+@dataclass(frozen=True)
+class DelayedStaircase:
+    """Effect of a goal's delay on the saw-tooth of the current."""
+
+    # Weight of the delayed goal, 0 to 1; the remainder keeps the staircase without delay
+    share: ca.SX
+    rate: ca.SX  # Rate of the delayed goal, without its staircase
+    phase_shift: ca.SX  # Additional delay of the current's sample, as a fraction of the step
+
+
+@dataclass(frozen=True)
+class SensorLowPass:
+    """Low-pass of the measured signals of a joint."""
+
+    time_s: Any  # Mean delay of the filtered signals
+    # Fraction of the delay in a second stage, 0.5 for two equal stages; None for first order
+    second_share: Any | None
+    angle_s: Any  # Time constant of the first-order low-pass of the coordinate
+    # Mean of the current above the plant's, in units of the jumps of a goal that moves as the joint
+    # does; None for a drive without a saw-tooth
+    jump_fraction: Any | None = None
+
 
 Expr = Any
 """A CasADi SX expression."""

@@ -25,8 +25,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["StepModel", "Variable", "names", "runge_kutta"]
-
 Array = NDArray[np.float64]
 
 

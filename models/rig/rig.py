@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from firmware_py.errors import InputError
-from models.rig.rig_parameters import RigParameters
+from models.rig.parameters import RigParameters
 from models.rig.trial_case import DOWN, LinkState
 from models.shared.kinematics import Array
-
-__all__ = ["Rig", "ServoSignals", "build_rig"]
 
 
 class ServoSignals(Protocol):
@@ -32,7 +30,7 @@ class Rig(Protocol):
 
     An engine is a class whose constructor takes the arguments of `build_rig`. It simulates the
     hidden effects by the parameters that `RigParameters.effects` names. The drives take their forms
-    from `models.rig.rig_servo.RigServo`, one for each driven joint.
+    from `models.rig.servo.RigServo`, one for each driven joint.
     """
 
     @property
@@ -96,9 +94,9 @@ def build_rig(
         )
     # An engine is loaded when it is built: each has a large library of its own.
     if parameters.structure.engine == "cosserat":
-        from models.rig.cosserat.cosserat_rig import CosseratRig
+        from models.rig.rod import CosseratRig
 
         return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
-    from models.rig.hinged.mujoco_rig import MujocoRig
+    from models.rig.hinged import MujocoRig
 
     return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)

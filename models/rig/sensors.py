@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.rig.forms.mocap_filter import filtered_frames
-from models.rig.rig_parameters import RigParameters
+from models.rig.forms import filtered_frames
+from models.rig.parameters import RigParameters
 from models.shared.kinematics import Array
 
 

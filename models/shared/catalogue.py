@@ -15,19 +15,6 @@ from typing import Final, Literal, NamedTuple
 
 from firmware_py.errors import InputError
 
-__all__ = [
-    "BEYOND_THE_RIG",
-    "CATALOGUE",
-    "EVERY_EFFECT",
-    "LEAK_TIME_S",
-    "REFERENCE_BEND_RAD",
-    "EffectRow",
-    "Port",
-    "effect_and_joint",
-    "parse_strength",
-    "parse_strengths",
-]
-
 Port = Literal[
     "command", "servo_torque", "joint_torque", "bend_torque", "stiffness", "mass", "sensor"
 ]

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["base_corners_m", "base_rotation", "pointing_angles_rad", "rigid_tip_m"]
-
 Array = NDArray[np.float64]
 
 

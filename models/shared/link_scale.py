@@ -15,8 +15,6 @@ from typing import Final
 
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 
-__all__ = ["LinkScale"]
-
 WALL_STIFFNESS_N_M: Final = 60e3
 """Stiffness Et of the walls."""
 WALL_SHEAR_N_M: Final = 4280.0

@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from firmware_py.display_units import FRACTION, LENGTH
-from models.learning.predictors import Array
-from models.learning.validation import payload_key
-from models.study.study_document import ByDegree, StudyDocument, StudyFinding
+from models.predictor.polynomials import Array
+from models.predictor.validation import payload_key
+from models.study.document import ByDegree, StudyDocument, StudyFinding
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 

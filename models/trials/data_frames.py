@@ -14,14 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from firmware_py.errors import InputError
+from models.trials.files import PlantSignals, check_meta, check_samples
 from models.trials.trial import Trial, TrialMeta
-from models.trials.trial_columns import PlantSignals
-from models.trials.trial_files import check_meta, check_samples
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["as_data_frame", "trial_frame", "trial_from_frame", "trials_frame"]
 
 CONDITIONS = ("name", "dof", "motion", "payload_kg", "amplitude_rad", "trial")
 """Columns that distinguish the trials of one frame."""

@@ -18,8 +18,6 @@ from firmware_py.errors import InputError
 from models.shared.kinematics import Array, base_corners_m
 from models.trials.trial import Trial
 
-__all__ = ["DEFINITIONS", "deformation_index", "marker_lengths_m"]
-
 Definition = Literal["edges", "base_to_marker", "all_pairs"]
 DEFINITIONS: Final[tuple[Definition, ...]] = ("edges", "base_to_marker", "all_pairs")
 MAX_OCCLUDED_FRACTION: Final = 0.2

@@ -97,7 +97,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     assert json.loads(output.out)["bundle"] == str(toy_bundle)
 
     from dropstitch.__main__ import main as dropstitch
-    from models.trials.trial_files import read_trial
+    from models.trials.files import read_trial
 
     mapping = tmp_path / "map.toml"
     mapping.write_text(

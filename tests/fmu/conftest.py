@@ -12,11 +12,11 @@ from firmware_py.inference.manifest import Manifest, Quantity, write_manifest
 from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
-from models.learning.onnx_power import to_onnx
-from models.learning.predictors import GuardedPredictor
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
+from models.predictor.onnx_graphs import to_onnx
+from models.predictor.polynomials import GuardedPredictor
 from tests.fmu.toy import pendulum
 
 GOAL_AMPLITUDE_RAD = math.radians(30.0)

@@ -15,8 +15,8 @@ from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.signals import tip_names
 from fmu.stimulus import inputs_from_trial
 from models.shared.kinematics import base_corners_m
+from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta
-from models.trials.trial_files import write_trial
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_models import embedded_parts, read_parts
 from fmu.parity import varying_steps_s
 from fmu.stimulus import inputs_from_motion
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
 OBSERVED = ["tip_x_deviation_m", "tip_y_deviation_m", "tip_z_deviation_m"]

@@ -13,8 +13,8 @@ from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import read_golden, verify_equal
 from firmware_py.inference.manifest import write_manifest
-from models.tip.predictors_document import read_predictors
-from models.trials.trial_files import write_trial
+from models.predictor.document import read_predictors
+from models.trials.files import write_trial
 
 
 @pytest.fixture(scope="module")

@@ -84,9 +84,9 @@ def documents():
     """Documents that `hil report` and the rig read: name, file, content, and what reads it."""
     from hil.faults.faults_document import FaultsDocument, read_faults
     from hil.timing.timing_document import TimingDocument, read_timing
-    from models.rig.conditions_record import CONDITIONS_FILE, ConditionsRecord, record_conditions
-    from models.study.study_document import StudyDocument, read_study
-    from models.tip.predictors_document import PredictorsDocument, read_predictors
+    from models.predictor.document import PredictorsDocument, read_predictors
+    from models.rig.protocol import CONDITIONS_FILE, ConditionsRecord, record_conditions
+    from models.study.document import StudyDocument, read_study
 
     def example(kind, **values):
         return json.dumps(json.loads(valid_files.example_of(kind)) | values).encode()
@@ -114,14 +114,14 @@ def plan_run():
 
 def run_of_plan(folder):
     from firmware_py.goals.tip_plan import read_tip_plan
-    from models.plan.recorded_plan_run import read_plan_run
+    from models.plan.learning import read_plan_run
 
     read_plan_run(folder / "run.csv", read_tip_plan(folder / "plan.json"))
 
 
 def limits_of_robot(file):
     from firmware_py.config import read_config
-    from models.plant.identified_gains import read_servo_gains
+    from models.plant.identification.identify import read_servo_gains
 
     assert read_config(file).limits_in_force
     read_servo_gains(file)

@@ -149,8 +149,8 @@ def of_takes(rng, files):
 
 
 def takes_of_folder(folder):
-    from models.trials.importers.mapping import read_mapping
-    from models.trials.takes import find_takes
+    from models.trials.recordings.mapping import read_mapping
+    from models.trials.recordings.takes import find_takes
 
     find_takes([folder], "table", read_mapping(folder / "map.toml"))
 
@@ -164,7 +164,7 @@ def every_reader(bundle=None):
 
 
 def _recordings():
-    from models.trials.trial_files import read_trial
+    from models.trials.files import read_trial
 
     trial, (columns, map_) = valid_files.trial(), valid_files.table()
     csv = valid_files.csv_of(columns).encode()
@@ -223,10 +223,10 @@ def _documents():
     from firmware_py.motion_document import read_motion_document
     from firmware_py.summary import RunDocument, read_run_summary
     from models.gap.report.gap_json import GapDocument, read_gap_document
-    from models.plan.path_file import read_path
+    from models.plan.paths import read_path
     from models.plant.plant import read_plant
-    from models.rig.drawn_rig import rig_named
-    from models.rig.rig_parameters import RIG_TOML, read_parameters
+    from models.rig.drawn import rig_named
+    from models.rig.parameters import RIG_TOML, read_parameters
 
     def document(name, file, content, mutation, read):
         return FuzzReader(name, {file: content}, one(file, mutation), lambda f: read(f / file))

@@ -13,7 +13,7 @@ import shutil
 import pytest
 
 from dropstitch.__main__ import main
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 from tests.house.each_file import ROOT
 from tests.house.page_commands import PROGRAM, commands, parse
 

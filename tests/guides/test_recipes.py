@@ -15,7 +15,7 @@ from firmware_py.bus.registers import Register
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
 from models.trials import importers
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = (ROOT / "docs" / "guides" / "extend.md").read_text(encoding="utf-8")

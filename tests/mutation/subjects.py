@@ -49,8 +49,8 @@ SUBJECTS = (
     Subject(
         "guard",
         ("firmware_py/inference/predictor.py", "firmware_py/inference/batch_prediction.py",
-         "firmware_py/safety/estimate_trust.py", "models/tip/guarded_tip.py",
-         "models/tip/innovation_bound.py", "models/tip/tip_interval.py"),
+         "firmware_py/safety/estimate_trust.py", "models/predictor/guarded_tip.py",
+         "models/predictor/interval.py", "models/predictor/interval.py"),
         ("tests/firmware_py/inference", "tests/firmware_py/goals/test_tip_feedback.py",
          "tests/models/tip"),
     ),

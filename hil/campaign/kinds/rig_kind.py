@@ -70,7 +70,7 @@ class RigKind(CaseKind[RigConfig]):
         from firmware_py.link.link_description import STUDY_LINK
         from firmware_py.motion_config import MotionConfig
         from models.plant.identification.evaluation import compare_with_trials
-        from models.rig.study_protocol import run_case  # loads MuJoCo
+        from models.rig.protocol import run_case  # loads MuJoCo
         from models.rig.trial_case import TrialCase
         from models.shared.kinematics import rigid_tip_m
         from models.trials.deformation import deformation_index
@@ -115,7 +115,7 @@ KIND = RigKind()
 
 def changed_rig(name: str, factors: dict[str, float]) -> Any:
     """Return a rig with factors applied to its parameters."""
-    from models.rig.drawn_rig import rig_named
+    from models.rig.drawn import rig_named
 
     rig = rig_named(name)
     if unknown := sorted(factors.keys() - set(rig)):

@@ -177,7 +177,7 @@ def _options(config: SilConfig, out: Path) -> SilOptions:
     from firmware_py.motion_config import MotionConfig
     from hil.emulator.physics import RigSource
     from hil.sil import SilOptions
-    from models.plant.plant_document import link_of_plant
+    from models.plant.document import link_of_plant
 
     plant, link = Path(config.bundle) / "plant.json", STUDY_LINK
     if config.rig and Path(config.rig).is_file():

@@ -13,17 +13,16 @@ from hil.report.gap.before_after import BeforeAfter, judged_part, same_in_python
 from hil.report.gap.gap_curves import CURVE_LEGEND, fmu_curves, robot_curves
 from hil.report.gap.gap_inputs import GapInputs
 from models.gap.report.gap_page import gap_lead, gap_sections
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.pages import (
     NO_VALUE,
     CommandList,
     Figure,
     Paragraph,
     Section,
     Table,
+    render_page,
 )
-from models.trials.origin_notice import origin_notice
-from models.trials.trial_origin import origins_of
+from models.trials.origin import origin_notice, origins_of
 
 HEADINGS: Final = {
     "before": "before", "retrained": "new data, old plant", "after": "after",

@@ -12,11 +12,11 @@ from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.before_after import PART
 from hil.report.gap.gap_inputs import GapInputs
+from models.gap.report.gap_charts import BEFORE_AND_AFTER
 from models.gap.report.gap_page import residual_panel
 from models.plant.identification.evaluation import TIP
-from models.plant.identification.simulation_fit import measured_signals
-from models.shared.gap_charts import BEFORE_AND_AFTER
-from models.shared.page_parts import LegendEntry, Panel
+from models.plant.identification.fit import measured_signals
+from models.shared.pages import LegendEntry, Panel
 from models.shared.palette import MUTED
 
 Array = NDArray[np.float64]

@@ -41,8 +41,8 @@ from hil.report.build_inputs import (
 )
 from models.gap.report.gap_json import GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
+from models.trials.files import read_trials
 from models.trials.trial import TrialSet
-from models.trials.trial_files import read_trials
 
 MADE_BY: Final = "run 'make gap-demo'"
 VARIANTS: Final = ("before", "retrained", "after", "without")

@@ -9,11 +9,11 @@ import numpy as np
 
 from firmware_py.display_units import ANGLE
 from firmware_py.goals.tip_plan import TipPlan
-from models.plan.feedback.feedback_loops import ShapedLoops, shaped_loops
-from models.plan.feedback.linear_twin import LinearTwins
-from models.plan.feedback.loop_margins import LEAST_GAIN_DB, LEAST_PHASE_RAD
+from models.plan.feedback import LEAST_GAIN_DB, LEAST_PHASE_RAD, ShapedLoops, shaped_loops
+from models.plant.linear_twin import LinearTwins
 from models.plant.plant import Plant
-from models.shared.page_parts import (
+from models.shared.drawing import Drawing
+from models.shared.pages import (
     Cell,
     Figure,
     LegendEntry,
@@ -25,7 +25,6 @@ from models.shared.page_parts import (
     TableCell,
 )
 from models.shared.palette import ALARM, INK, MUTED, ordered_colours
-from models.shared.svg_drawing import Drawing
 
 NYQUIST_HALF_WIDTH: Final = 1.3
 """Half of the side of the square in the complex plane that the Nyquist diagram shows."""

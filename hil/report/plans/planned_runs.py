@@ -17,7 +17,7 @@ from firmware_py.realtime.targets import PATH_RMS_TO_RIGID
 from firmware_py.signals import tip_names
 from hil.sil.sil_loop import LOG_NAME
 from hil.timing.timing_document import read_timing
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 Array = NDArray[np.float64]
 Knowledge = Literal["rigid", "known", "unknown", "misled"]

@@ -15,8 +15,8 @@ from hil.report.plans.planned_runs import KNOWLEDGE, Knowledge, PlannedRun, plan
 from hil.report.plans.trust_section import trust_section
 from hil.report.report_origins import EMULATED
 from models.plant.plant import Plant
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.drawing import Drawing
+from models.shared.pages import (
     Cell,
     Figure,
     LegendEntry,
@@ -26,9 +26,9 @@ from models.shared.page_parts import (
     Section,
     Table,
     TableCell,
+    render_page,
 )
 from models.shared.palette import BLUE, GREEN, INK, ORANGE, PURPLE
-from models.shared.svg_drawing import Drawing
 
 COLOURS: Final[dict[Knowledge, str]] = {
     "rigid": ORANGE, "known": BLUE, "unknown": GREEN, "misled": PURPLE,

@@ -11,9 +11,9 @@ from firmware_py.display_units import ANGLE, LENGTH, TIME
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.safety.estimate_trust import FADE_S, TrustState
 from hil.report.plans.planned_runs import PlannedRun
-from models.shared.page_parts import Figure, LegendEntry, Panel, Paragraph, Part, Section, Table
+from models.shared.drawing import Drawing
+from models.shared.pages import Figure, LegendEntry, Panel, Paragraph, Part, Section, Table
 from models.shared.palette import PURPLE, SERIES, SPAN
-from models.shared.svg_drawing import Drawing
 
 
 def trust_section(runs: Sequence[PlannedRun]) -> Section | None:

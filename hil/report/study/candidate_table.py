@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 from firmware_py.display_units import DELAY, FILE_SIZE, FRACTION, LENGTH
 from hil.report.study.estimator_figures import test_words
-from models.learning.axis_coverage import COVERS, coverage_text
-from models.shared.page_parts import Table
-from models.study.model_card import latency_text
-from models.tip.predictors_document import PredictorsDocument
+from models.bundle.model_card import latency_text
+from models.predictor.document import PredictorsDocument
+from models.predictor.validation import COVERS, coverage_text
+from models.shared.pages import Table
 
 
 def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from firmware_py.display_units import LENGTH, TIME
-from models.shared.page_parts import Figure, LegendEntry, Panel
+from models.shared.drawing import Drawing, log_axis
+from models.shared.pages import Figure, LegendEntry, Panel
 from models.shared.palette import BLUE, INK, ordered_colours
-from models.shared.svg_drawing import Drawing, log_axis
-from models.study.study_document import StudyDocument
+from models.study.document import StudyDocument
 
 Studies = Mapping[str, StudyDocument]
 """Studies by their training data."""

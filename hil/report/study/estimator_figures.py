@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Final
 
 from firmware_py.display_units import DEFORMATION, LENGTH, PAYLOAD, TIME
-from models.shared.page_parts import Figure, LegendEntry
+from models.shared.drawing import Drawing, log_axis
+from models.shared.pages import Figure, LegendEntry
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED
-from models.shared.svg_drawing import Drawing, log_axis
-from models.study.study_document import StudyDocument
+from models.study.document import StudyDocument
 
 SOURCES: Final = {
     "true": ("motion capture", INK, "solid"),

@@ -8,10 +8,10 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.display_units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
-from models.shared.page_parts import Figure, LegendEntry, Panel
+from models.shared.drawing import Drawing, nested_widths
+from models.shared.pages import Figure, LegendEntry, Panel
 from models.shared.palette import INK, MUTED, SERIES, ordered_colours
-from models.shared.svg_drawing import Drawing, nested_widths
-from models.study.study_document import StudyDocument, TipPath
+from models.study.document import StudyDocument, TipPath
 
 Studies = Mapping[str, StudyDocument]
 """Studies by kind of motion."""

@@ -19,13 +19,13 @@ from models.gap.calibration.calibration_files import (
     calibration_directory,
     patterns_file,
 )
-from models.plant.identification.trials_link import SAME_SIZE_FRACTION, refuse_other_links
+from models.plant.identification.doubts import SAME_SIZE_FRACTION, refuse_other_links
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import rig_named
-from models.rig.rig_parameters import RigParameters
+from models.rig.drawn import rig_named
+from models.rig.parameters import RigParameters
 from models.shared.worker_pool import worker_pool
+from models.trials.checks.trials import read_trial_directories
 from models.trials.trial import TrialSet
-from models.trials.trial_directories import read_trial_directories
 
 EXAMPLE = "dropstitch calibrate build/trials --plant build/plant.json"
 

@@ -21,11 +21,11 @@ from models.commands.gap_workflow.repetition import check_repetition, repeat_dia
 from models.commands.output_paths import check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import read_rig
+from models.rig.parameters import read_rig
 from models.shared.catalogue import parse_strengths
+from models.trials.checks.trials import read_trial_directories
+from models.trials.files import conditions_beside
 from models.trials.trial import TrialSet
-from models.trials.trial_directories import read_trial_directories
-from models.trials.trial_listing import conditions_beside
 
 EXAMPLE = (
     "dropstitch experiment --gap build/gap/gap.json --config robot.toml --seconds 10 "

@@ -15,9 +15,9 @@ import msgspec
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.errors import InputError
 from models.commands.output_paths import check_output_directory
-from models.plant.identification.trials_link import refuse_other_links
+from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
-from models.trials.trial_directories import read_trial_directories
+from models.trials.checks.trials import read_trial_directories
 
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
 

@@ -23,10 +23,10 @@ from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
 from models.commands.output_paths import check_output_directory, is_same_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant
-from models.rig.rig_parameters import RigParameters
+from models.rig.parameters import RigParameters
+from models.trials.checks.trials import read_trial_directories
+from models.trials.files import write_trial
 from models.trials.trial import Trial
-from models.trials.trial_directories import read_trial_directories
-from models.trials.trial_files import write_trial
 
 WRITTEN: Final = "written.sha256"
 """Names and hashes of the files of the last repetition, as `sha256sum` writes them."""
@@ -95,7 +95,7 @@ def repeat_diagnosis(
     """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
     from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
-    from models.rig.study_protocol import run_case
+    from models.rig.protocol import run_case
     from models.rig.trial_case import TrialCase
 
     directory = args.out.with_suffix("")

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from models.gap.estimation.noise_floor_fit import with_noise_floor
-from models.plant.identification.identification import identify
+from models.plant.identification.identify import identify
 from models.plant.plant import Plant, read_plant
-from models.rig.rig_parameters import RigParameters
-from models.rig.study_protocol import run_case
+from models.rig.parameters import RigParameters
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import TrialSet
 

@@ -65,7 +65,7 @@ def draw_left_out(measured: Mapping[str, MotionErrors], path: Path) -> Path:
     """
     from matplotlib import pyplot
 
-    from models.shared.svg_drawing import FILE_STYLE  # loads matplotlib
+    from models.shared.drawing import FILE_STYLE  # loads matplotlib
 
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(

@@ -36,9 +36,9 @@ from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant, read_plant
-from models.rig.drawn_rig import drawn_link, without_scatter
-from models.rig.rig_parameters import RigParameters
-from models.rig.study_protocol import run_case
+from models.rig.drawn import drawn_link, without_scatter
+from models.rig.parameters import RigParameters
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial
 

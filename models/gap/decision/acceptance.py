@@ -3,7 +3,7 @@
 The effect search decides by the whitened cost. The plant that is written must also be better in SI
 units, on trials that no value was fitted to, by simulation (`models.gap.search.held_out_errors`):
 
-1. No fitted value is at a bound, and no sum is impossible (`models.plant.physical_limits`). A
+1. No fitted value is at a bound, and no sum is impossible (`models.plant.parameter`). A
    strength at a bound removes its effect; any other such value keeps that of the diagnosed plant.
 2. The strength of every effect after the first is the same everywhere: otherwise it only corrects
    the equation of the first.

@@ -24,7 +24,7 @@ is unknown."""
 
 STUDY_REST_S: Final = 60 * PERIOD_S
 """Rest before the motion of trials whose record does not state it: the rig's
-(`models.rig.study_protocol`)."""
+(`models.rig.protocol`)."""
 
 _LENGTH: Final = re.compile(r" (?P<rows>\d+)x(?P<step>[\d.e+-]+)s(?=( \S+=\S+)*$)")
 """Length and step in `models.gap.residuals.residuals.trial_group_key`."""

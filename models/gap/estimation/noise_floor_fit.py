@@ -27,9 +27,9 @@ from models.gap.residuals.fit_parameters import (
 from models.gap.residuals.residuals import Residuals, trial_group_key
 from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.identification.simulation_fit import usual_error
+from models.plant.document import FloorRecord
+from models.plant.identification.fit import usual_error
 from models.plant.plant import Plant
-from models.plant.provenance import FloorRecord
 from models.trials.trial import Trial, TrialSet
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.payload_ratios import PayloadRatios, RatioTable
 from models.gap.residuals.spectrum import Array
-from models.plant.provenance import FloorRecord
+from models.plant.document import FloorRecord
 
 
 def floor_to_record(floor: NoiseFloor) -> FloorRecord:

@@ -9,10 +9,18 @@ import numpy as np
 from firmware_py.motion import Motion
 from models.gap.experiment.experiment import Experiment, better_fixed_in_words
 from models.gap.experiment.rival import Rival
-from models.shared.html_page import render_page
-from models.shared.page_parts import Cell, Figure, LegendEntry, Paragraph, Part, Section, Table
+from models.shared.drawing import Drawing
+from models.shared.pages import (
+    Cell,
+    Figure,
+    LegendEntry,
+    Paragraph,
+    Part,
+    Section,
+    Table,
+    render_page,
+)
 from models.shared.palette import AFTER, BEFORE, MUTED
-from models.shared.svg_drawing import Drawing
 
 
 def write_experiment_page(found: Experiment, path: Path) -> Path:

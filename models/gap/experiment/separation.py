@@ -26,7 +26,7 @@ from models.gap.residuals.prior import prior_precision
 from models.gap.residuals.residuals import Residuals, TrialGroup, trial_group_key
 from models.gap.residuals.spectrum import Array, coefficient_count, cosine_transform, smoothed_power
 from models.gap.settings import GapSettings
-from models.plant.identification.simulation_fit import measured_signals, row_weights
+from models.plant.identification.fit import measured_signals, row_weights
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 

@@ -12,7 +12,7 @@ import msgspec
 
 from models.gap.estimation.curve_transfer import step_of
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.plant.provenance import Provenance
+from models.plant.document import Provenance
 from models.trials.trial import Trial
 
 Condition = Literal["step_s", "payload_kg", "pressure_pa"]

@@ -14,6 +14,11 @@ from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words
 from models.gap.report.effect_checks import effects_to_check
+from models.gap.report.gap_charts import (
+    BEFORE_AND_AFTER,
+    draw_traces,
+    draw_waterfall,
+)
 from models.gap.report.gap_json import GapDocument, SignalGap
 from models.gap.report.gap_words import (
     floor_in_words,
@@ -29,13 +34,8 @@ from models.gap.residuals.localisation import signal_in_words
 from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
 from models.plant.plant import Plant
-from models.shared.gap_charts import (
-    BEFORE_AND_AFTER,
-    draw_traces,
-    draw_waterfall,
-)
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.drawing import Drawing
+from models.shared.pages import (
     Cell,
     Figure,
     LegendEntry,
@@ -44,12 +44,11 @@ from models.shared.page_parts import (
     Part,
     Section,
     Table,
+    render_page,
 )
 from models.shared.palette import MUTED
-from models.shared.svg_drawing import Drawing
-from models.trials.origin_notice import origin_notice
+from models.trials.origin import origin_notice, origins_of
 from models.trials.trial import TrialSet
-from models.trials.trial_origin import origins_of
 
 
 def write_gap_page(

@@ -8,13 +8,13 @@ from typing import Final
 from markupsafe import Markup
 
 from firmware_py.display_units import FRACTION, symbol_of
+from models.gap.report.gap_charts import draw_bars
 from models.gap.report.gap_json import GapDocument, NamedEffect, NamingEvidence
 from models.gap.report.next_step import separated_in_words
 from models.gap.settings import GapSettings
 from models.shared.catalogue import CATALOGUE, EVERY_EFFECT, effect_and_joint
-from models.shared.gap_charts import draw_bars
-from models.shared.page_parts import Cell, Figure, Paragraph, Part, Table
-from models.shared.svg_drawing import Drawing
+from models.shared.drawing import Drawing
+from models.shared.pages import Cell, Figure, Paragraph, Part, Table
 
 MOST_COMPARED: Final = 8
 """Most effects in the figure."""

@@ -22,7 +22,7 @@ from models.gap.fixed_motions import MENU, motion_like, planned_trial
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.spectrum import Array
 from models.plant.plant import Plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial
 

@@ -13,8 +13,7 @@ from typing import Final
 import msgspec
 
 from models.gap.residuals.residuals import trial_group_key
-from models.trials.motion_start import motion_start
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial, TrialSet, motion_start
 
 MOST_CUT: Final = 0.1
 """Largest part of a motion that is cut off to match a shorter trial of it [assumed]."""

@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.components.drives.drive_registry import DRIVES
-from models.plant.composition.plant_composition import scope_of
+from models.plant.composition.compose import DRIVES, LOADS, scope_of
 from models.plant.effects import EFFECTS, applicable
 from models.plant.parameter import Parameter
-from models.plant.plant import LOADS, Plant
+from models.plant.plant import Plant
 from models.trials.trial import Trial
 
 Kind = Literal["nuisance", "trial", "effect"]

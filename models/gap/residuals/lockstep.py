@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.gap.residuals.spectrum import Array
-from models.plant.simulation.compiled_model import trial_inputs
+from models.plant.simulation.runner import trial_inputs
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import StepModel
 from models.trials.trial import Trial

@@ -23,10 +23,9 @@ from models.gap.residuals.spectrum import (
     inverse_cosine_transform,
 )
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.identification.simulation_fit import measured_signals, row_weights
+from models.plant.identification.fit import measured_signals, row_weights, shortened
 from models.plant.plant import Plant
-from models.plant.simulation.compiled_model import trial_parameters
-from models.plant.simulation.long_trials import shortened
+from models.plant.simulation.runner import trial_parameters
 from models.plant.step_model import names
 from models.trials.trial import Trial
 

@@ -52,7 +52,7 @@ from models.gap.training.whole_decisions import (
     mean_cost,
     whole_decisions,
 )
-from models.rig.drawn_rig import rig_purpose
+from models.rig.drawn import rig_purpose
 
 INVERSE_PENALTIES: Final = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 """Of a regression's coefficients; the one with the least loss on rigs left out is taken."""

@@ -13,9 +13,9 @@ from models.gap.diagnosis import diagnose
 from models.gap.equation_error import read_equation_error
 from models.gap.training.cases import PAYLOAD_SETS, HiddenCase, motion_named
 from models.plant.plant import Plant
-from models.rig.drawn_rig import rig_named
-from models.rig.rig_parameters import RigParameters
-from models.rig.study_protocol import run_case
+from models.rig.drawn import rig_named
+from models.rig.parameters import RigParameters
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
 from models.trials.trial import Trial, TrialSet
 

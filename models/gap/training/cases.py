@@ -17,7 +17,7 @@ from typing import Final, Literal
 import numpy as np
 
 from firmware_py.motion import Motion
-from models.rig.drawn_rig import LINK_DEVIATION
+from models.rig.drawn import LINK_DEVIATION
 from models.shared.catalogue import CATALOGUE
 
 DEFAULT_RIG: Final = "default"

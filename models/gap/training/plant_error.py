@@ -2,7 +2,7 @@
 
     python -m models.gap.training own-error --out build/calibrate
 
-Each rig has its own structure and values (`models.rig.drawn_rig`) and a plant that is identified on
+Each rig has its own structure and values (`models.rig.drawn`) and a plant that is identified on
 its trials. Then the link's stiffness, mass and damping change a few times, and the nuisance is
 refitted. What is left beyond the plant's mean error gives the patterns of its own error
 (`models/gap/estimation/model_discrepancy.npz`); a diagnosis on further rigs, with these patterns,
@@ -45,7 +45,7 @@ from models.gap.search.null_distribution import PATH as NULL_DISTRIBUTION
 from models.gap.training.case_run import study_trials
 from models.gap.training.rig_plants import identification_cases, plant_of_rig, required_noise_floor
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import FIRST_TEST_NUMBER, drawn_link
+from models.rig.drawn import FIRST_TEST_NUMBER, drawn_link
 from models.rig.trial_case import TrialCase
 from models.shared.worker_pool import worker_pool
 from models.trials.trial import TrialSet

@@ -30,7 +30,7 @@ from scipy.stats import t as student
 from models.gap.equation_error import PATH, EquationError
 from models.gap.training.case_runs import case_results
 from models.plant.effects import EFFECTS
-from models.rig.drawn_rig import rig_purpose
+from models.rig.drawn import rig_purpose
 
 TABLE: Final = Path(__file__).with_name("strengths.jsonl")
 

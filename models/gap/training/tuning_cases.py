@@ -17,7 +17,7 @@ from pathlib import Path
 from firmware_py.console import DONE, NEGATIVE
 from models.gap.training.case_runs import run_cases
 from models.gap.training.cases import TYPICAL_OF_TWO_JOINTS, hidden_cases
-from models.rig.drawn_rig import rig_purpose
+from models.rig.drawn import rig_purpose
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -26,7 +26,7 @@ import numpy as np
 
 from models.gap.decision.set_weights import MEAN_NUMBER, ODDS_OF_WHOLE_GAP, set_weights
 from models.gap.training.case_runs import case_results
-from models.rig.drawn_rig import rig_purpose
+from models.rig.drawn import rig_purpose
 
 TABLE: Final = Path(__file__).with_name("explained_sets.jsonl")
 

@@ -1,6 +1,6 @@
 """Observer: the link driven by the measured angle, its payload estimated from the current.
 
-The current is predicted from the motion (`models.plant.composition.driven_link`) for the estimated
+The current is predicted from the motion (`models.plant.composition.driven`) for the estimated
 payload m, and for friction that deviates from the plant's by a fraction s_j. The innovation
 corrects m and s (an extended Kalman filter of constants). The bends depend on m through their whole
 past. So their sensitivity S = ∂x/∂m is integrated too, Ṡ = f_x S + f_m, and a correction Δm moves
@@ -20,15 +20,16 @@ import casadi as ca
 
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.signals import PAYLOAD
-from models.plant.components.drives.drive_protocol import Drive
-from models.plant.components.load_protocol import PlantLoad
-from models.plant.composition.driven_link import apply_measured_motion, declare_measured_motion
-from models.plant.composition.restart import is_jump, restart_where_impossible
-from models.plant.composition.step_functions import (
+from models.plant.components.drive import Drive
+from models.plant.components.load import PlantLoad
+from models.plant.composition.driven import apply_measured_motion, declare_measured_motion
+from models.plant.composition.parts import (
     build_step_model,
     current_variable,
+    is_jump,
     measured_current,
     payload_variable,
+    restart_where_impossible,
 )
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter

@@ -6,20 +6,21 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from models.plant.components.drives.drive_protocol import SI_UNIT_OF, Drive
-from models.plant.components.drives.presliding import declare_presliding
-from models.plant.components.lagrange import solve_symmetric
-from models.plant.components.load_protocol import PlantLoad
-from models.plant.composition.equilibrium import set_initial_equilibrium, start_in_motion
-from models.plant.composition.output_lag import lag_outputs
-from models.plant.composition.port_effects import apply_effects, apply_load_torques
-from models.plant.composition.sample_phase import sampled_currents
-from models.plant.composition.step_functions import (
+from models.plant.components.drive import SI_UNIT_OF, Drive, declare_presliding
+from models.plant.components.link import solve_symmetric
+from models.plant.components.load import PlantLoad
+from models.plant.composition.parts import (
     COORDINATE_NAME,
+    apply_effects,
+    apply_load_torques,
     build_step_model,
     current_variable,
+    lag_outputs,
     measured_current,
     payload_variable,
+    sampled_currents,
+    set_initial_equilibrium,
+    start_in_motion,
 )
 from models.plant.effects import Effect
 from models.plant.scope import Expr, Scope, substitute

@@ -9,10 +9,9 @@ from typing import Any, Final
 import casadi as ca
 import numpy as np
 
-from models.plant.delayed_staircase import DelayedStaircase
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Scope
+from models.plant.scope import DelayedStaircase, Scope
 from models.plant.step_model import Variable
 
 SHORTEST_S: Final = 5e-3

@@ -1,20 +1,38 @@
-"""Warnings about an identification: bounds, payloads, no gain over a rigid link, gravity."""
+"""Warnings about an identification: bounds, payloads, no gain over a rigid link, gravity.
+
+Check that trials are of one link, and of the plant's.
+
+Check of the torque constant: whether the declared payloads fit another value better.
+
+The plant takes the torque per ampere from the servo's data sheet. If it is wrong, masses, inertia
+and friction are wrong by the same factor. But the payloads are known, so the difference in current
+between two payloads does not match their weight.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
-from models.plant.identification.identification import Identification
+from models.plant.document import DofEvaluation, Evaluation
+from models.plant.identification.fit import Objective
+from models.plant.identification.identify import (
+    DRIVEN_SUBSTEP_S,
+    LINK_SIGNALS,
+    Identification,
+    free_parameters,
+)
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
-from models.plant.provenance import DofEvaluation, Evaluation
-from models.trials.trial import TrialSet
-
-__all__ = ["check_weight", "doubts", "evaluation_doubts"]
+from models.trials.checks.trials import refuse_mixed_links
+from models.trials.trial import Trial, TrialSet
 
 LARGE_FRACTION: Final = 0.1
 """Error of the tip, as a fraction of its deflection, above which a payload is reported [assumed; 10
@@ -134,3 +152,75 @@ def _check_payloads(link: LinkDescription, trials: TrialSet) -> None:
 
 def _vector(vector: tuple[float, ...]) -> str:
     return "[" + ", ".join(f"{value:.3g}" for value in vector) + "]"
+
+
+SAME_SIZE_FRACTION: Final = 0.01
+"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
+
+
+def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
+    """Refuse trials of several links, and trials of another link than the plant's.
+
+    A plant that is no link has nothing to compare.
+    """
+    if plant.load != "link":
+        return
+    refuse_mixed_links(trials)
+    for trial in trials:
+        length_m = trial.meta.link_length_m
+        for name in ("link_length_m", "link_width_m", "base_offset_m") if length_m else ():
+            own_m, there_m = plant.parameters[name].value, getattr(trial.meta, name)
+            if abs(there_m - own_m) > SAME_SIZE_FRACTION * length_m:
+                raise InputError(
+                    trial.path, f"{name} is {there_m:g} m, in the plant {where} {own_m:g} m",
+                    "correct the one that is wrong, or name a plant of this link",
+                )  # fmt: skip
+    check_weight(plant, TrialSet(tuple(trials)))
+
+
+DIFFERENT_FRACTION: Final = 0.1
+"""Relative difference of the constant above which the user is warned [assumed: one servo's constant
+is within some per cent of its model's; on rigs with the right value the fit was within 2 %]."""
+
+SURE_DEVIATIONS: Final = 5.0
+"""The same in standard deviations [assumed: model errors are larger than noise]."""
+
+LEAST_INVERSE: Final = 0.1
+"""Ratio of measured to expected growth of the current with the payload below which no constant
+explains it [assumed: a servo with ten times the torque per ampere is another servo]."""
+
+
+def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
+    """Warnings, one per joint whose torque constant seems wrong, by one step of a fit."""
+    planes = max(t.meta.dof for t in trials)
+    declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
+    known = plant.parameters
+    constants = [n for n in declared if n in known and known[n].role == "fixed"]
+    if plant.load != "link" or not constants or len({t.meta.payload_kg for t in trials}) < 2:
+        return []
+    free = (*free_parameters(plant, planes)[0], *constants)
+    rms = plant.provenance.residual_rms
+    objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms, DRIVEN_SUBSTEP_S, plant)
+    residual, slopes = objective(objective.start)
+    information = slopes.T @ slopes
+    step = -np.linalg.solve(information, slopes.T @ residual)
+    deviation = np.sqrt(np.diag(np.linalg.inv(information)))
+    said = []
+    for name in constants:
+        k, value = free.index(name), known[name].value
+        if abs(step[k]) > max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
+            inverse = 1 - step[k] / value  # the current is linear in the constant's inverse
+            if inverse < LEAST_INVERSE:
+                said.append(
+                    f"the current of joint {name.split('_')[2]} does not grow with the payload as "
+                    "its weight does: check the sign and the unit of the current, and the declared "
+                    "payloads"
+                )
+                continue
+            better = value / inverse
+            said.append(
+                f"the payloads speak for {name} of about {better:.2g} N.m/A, not "
+                f"{value:.3g}: give that of your servo in link.toml, or fit it (role = "
+                '"nuisance" in the file given to --plant)'
+            )
+    return said

@@ -1,30 +1,27 @@
-"""Evaluation of a plant on trials: the twin, driven by their goals, compared with measurements."""
+"""Evaluation of a plant on trials: the twin, driven by their goals, compared with measurements.
+
+Picture of simulated and measured signals: one column per trial, one row per signal.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from firmware_py.display_units import PAYLOAD, TIME, signal_unit, signal_words
 from firmware_py.errors import InputError
-from models.plant.identification.simulation_fit import measured_signals
+from models.plant.document import DofEvaluation, Evaluation, SignalError, TipError
+from models.plant.identification.fit import measured_signals
 from models.plant.plant import Plant
-from models.plant.provenance import DofEvaluation, Evaluation, SignalError, TipError
-from models.plant.simulation.compiled_model import Array, CompiledModel, run_trial
+from models.plant.simulation.runner import Array, CompiledModel, run_trial
 from models.plant.step_model import names
 from models.shared.kinematics import rigid_tip_m
+from models.shared.palette import MUTED, SIMULATED
+from models.trials.origin import origins_of
 from models.trials.trial import Trial
-from models.trials.trial_origin import origins_of
-
-__all__ = [
-    "Comparison",
-    "compare_with_trials",
-    "evaluate_plant",
-    "rigid_tip_rms_m",
-    "signal_errors",
-    "tip_rms_m",
-]
 
 TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
 
@@ -198,3 +195,53 @@ def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
 
 def _tip_error(comparisons: Sequence[Comparison]) -> TipError:
     return TipError(tip_rms_m(comparisons), rigid_tip_rms_m(comparisons))
+
+
+def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
+    """Draw the smallest and largest payload of each number of joints as SVG; return the path."""
+    from matplotlib import pyplot
+
+    from models.shared.drawing import FILE_STYLE  # loads matplotlib
+
+    columns = compare_with_trials(plant, _extremes(trials))
+    signals = list(dict.fromkeys(s for c in columns for s in c.simulated))
+    with pyplot.rc_context(FILE_STYLE):
+        figure, axes = pyplot.subplots(
+            len(signals), len(columns), squeeze=False, sharex="col",
+            figsize=(3.4 * len(columns), 1.5 * len(signals)), layout="constrained",
+        )  # fmt: skip
+        for column, c in zip(axes.T, columns, strict=True):
+            payload = PAYLOAD.significant(c.trial.meta.payload_kg)
+            column[0].set_title(f"{c.trial.meta.dof}DOF, {payload}", fontsize=9)
+            column[-1].set_xlabel(TIME.label("time"), fontsize=8)
+            for axis, signal in zip(column, signals, strict=True):
+                _panel(axis, c, signal)
+        axes[0, 0].legend(fontsize=7)
+        figure.suptitle(f"{plant.name}: measured, and simulated from the goals", fontsize=10)
+        figure.savefig(path, format="svg")
+        pyplot.close(figure)
+    return path
+
+
+def _extremes(trials: Sequence[Trial]) -> list[Trial]:
+    chosen: list[Trial] = []
+    for dof in sorted({t.meta.dof for t in trials}):
+        own = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
+        chosen += own if len(own) == 1 else [own[0], own[-1]]
+    return chosen
+
+
+def _panel(axis: object, c: Comparison, signal: str) -> None:
+    axis.tick_params(labelsize=7)  # type: ignore[attr-defined]
+    if signal not in c.simulated:
+        axis.set_visible(False)  # type: ignore[attr-defined]
+        return
+    unit = signal_unit(signal)
+    every = max(1, len(c.trial) // 300)
+    for values, style, label in (
+        (c.measured[signal], {"color": MUTED, "lw": 2.0}, "measured"),
+        (c.simulated[signal], {"color": SIMULATED, "lw": 0.8}, "plant"),
+    ):
+        rows = np.round(unit.shown(values[::every]), 3)
+        axis.plot(c.trial.time_s[::every], rows, label=label, **style)  # type: ignore[attr-defined]
+    axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)  # type: ignore[attr-defined]

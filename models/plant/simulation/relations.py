@@ -28,8 +28,6 @@ import casadi as ca
 from firmware_py.signals import PERIOD_S
 from models.plant.step_model import StepModel
 
-__all__ = ["Derivatives", "Relations", "relations_of"]
-
 Derivatives = Literal["none", "forward", "both"]
 """Derivatives to write: none, forward ones, or forward and adjoint ones."""
 

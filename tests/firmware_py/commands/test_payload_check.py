@@ -16,7 +16,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
 from firmware_py.summary import Ended, RunSummary
 from models.plant.plant import read_plant
-from models.plant.simulation.plant_run import simulate_plant
+from models.plant.simulation.runner import simulate_plant
 
 
 @pytest.fixture(scope="module")

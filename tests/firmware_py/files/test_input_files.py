@@ -14,10 +14,10 @@ from firmware_py.files.input_files import read_bytes, read_json, read_lines, rea
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.motion_document import read_motion_document
 from firmware_py.summary import read_run_summary
-from models.plan.path_file import read_path
+from models.plan.paths import read_path
 from models.plant.plant import read_plant
-from models.rig.rig_parameters import read_parameters
-from models.trials.importers.mapping import read_mapping
+from models.rig.parameters import read_parameters
+from models.trials.recordings.mapping import read_mapping
 
 READERS = {
     "robot.toml": read_config, "motion.toml": read_motion_document, "plant.toml": read_plant,

@@ -22,7 +22,7 @@ from firmware_py.inference.bundle_signature import key_text
 from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import content_sha256, write_manifest
 from models.plant.plant import read_plant
-from models.study.study_document import StudyDocument
+from models.study.document import StudyDocument
 
 # RFC 8032, section 7.1, test 1: secret and public key.
 SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")

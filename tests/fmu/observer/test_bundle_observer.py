@@ -15,7 +15,7 @@ from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import read_parts
 from fmu.packaging.platforms import HOST, SOURCE_CODE
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
 

@@ -24,12 +24,12 @@ from models.gap.report.gap_results import errors_in_floors
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
+from models.study.document import write_study
 from models.study.study import run_study
-from models.study.study_document import write_study
+from models.trials.files import write_trial
 from models.trials.trial import TrialSet
-from models.trials.trial_files import write_trial
 
 COMMANDS = [
     "dropstitch simulate --out build/trials --dof 1 2 --seed 1",

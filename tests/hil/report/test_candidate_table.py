@@ -1,7 +1,7 @@
 """Table of the candidates in the report."""
 
 from hil.report.study.candidate_table import candidate_table
-from models.tip.predictors_document import CandidateEntry, Latency, PredictorsDocument, TipScore
+from models.predictor.document import CandidateEntry, Latency, PredictorsDocument, TipScore
 
 LATENCY = Latency(1e-5, 3e-5)
 

@@ -7,7 +7,7 @@ import pytest
 
 from hil.report.build_inputs import read_build
 from hil.report.report_origins import origin_table, report_notices, study_badges
-from models.trials.trial_origin import TrialOrigin
+from models.trials.origin import TrialOrigin
 
 RIG, MEASURED = TrialOrigin("rig", "default", 4), TrialOrigin("measured", trials=2)
 UNSTATED = TrialOrigin("")

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from models.tip.candidates import candidate_list
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.servo_models import model_named
@@ -12,12 +13,10 @@ from firmware_py.log.recording import read_recording
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.timing_document import read_timing
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import rig_named
+from models.predictor.candidates import ObserverTip, PaperPolynomial
+from models.rig.drawn import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE
-from models.tip.candidates import candidate_list
-from models.tip.candidates.observer_tip import ObserverTip
-from models.tip.candidates.paper_polynomial import PaperPolynomial
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 LINK = (
     "--length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --dof 1 "
@@ -35,9 +34,7 @@ def brief(monkeypatch):
         "models.commands.simulate.rig_named",
         lambda name: rig_named(name).changed(**{"world.pause_s": 0.3, "world.settle_s": 0.1}),
     )
-    monkeypatch.setattr(
-        "models.plant.identification.identification.starts_with_option", lambda plant: []
-    )
+    monkeypatch.setattr("models.plant.identification.identify.starts_with_option", lambda plant: [])
     monkeypatch.setattr("models.commands.identify.with_noise_floor", lambda plant, trials: plant)
     monkeypatch.setattr(candidate_list, "CANDIDATES", (ObserverTip, PaperPolynomial))
 

@@ -36,7 +36,7 @@ from hil.sil.prediction_error import prediction_error, true_tip_m
 from hil.sil.sil_loop import LOG_NAME
 from hil.timing.timing_document import read_timing
 from models.plant.plant import NOMINAL, read_plant
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 from tests.fmu.toy import pendulum
 
 BASE_M, LENGTH_M = 0.06, 0.95

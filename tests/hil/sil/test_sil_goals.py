@@ -20,7 +20,7 @@ from hil.commands.sil import describe_sil
 from hil.sil import run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from hil.sil.sil_options import sil_config
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 from tests.firmware_py.goals.outside.scripted_program import linear_map, swinging
 from tests.firmware_py.goals.small_plan import OTHER_PLANT
 from tests.hil.sil.test_sil_plan import bundle, fmu, options, plan  # noqa: F401

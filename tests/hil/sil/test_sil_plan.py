@@ -24,12 +24,11 @@ from hil.commands.sil import describe_sil
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
-from models.plan.path_shapes import PathOptions, built_in_path
-from models.plan.plan_learning import improve_plan
+from models.plan.learning import improve_plan, read_plan_run
+from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path
-from models.plan.recorded_plan_run import read_plan_run
 from models.plant.plant import NOMINAL, read_plant
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 from tests.hil.sil.test_sil import RigidPredictor
 
 

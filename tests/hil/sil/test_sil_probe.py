@@ -18,9 +18,9 @@ from firmware_py.signals import PERIOD_S
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
-from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.learning import read_plan_run
+from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path
-from models.plan.recorded_plan_run import read_plan_run
 from models.plant.plant import NOMINAL, read_plant
 from tests.hil.sil.test_sil import RigidPredictor
 

@@ -8,7 +8,7 @@ import pytest
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion_config import MotionConfig
 from hil.sil import sil_trial
-from models.trials.trial_files import read_trial, write_trial
+from models.trials.files import read_trial, write_trial
 
 
 @pytest.mark.parametrize(("rows", "rest_rows"), [(40, 39), (59, 58), (200, 59)])

@@ -4,7 +4,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL, read_plant
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 @pytest.fixture

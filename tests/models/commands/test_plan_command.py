@@ -6,7 +6,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
-from models.plan.recorded_plan_run import RecordedRun
+from models.plan.learning import RecordedRun
 from models.plant.plant import NOMINAL
 from tests.firmware_py.goals.small_plan import small_plan
 
@@ -54,8 +54,8 @@ def test_a_recording_of_a_payload_beyond_the_plan_is_told(
     def stop(*_):
         raise InputError("the test", "ends here", "go on")
 
-    monkeypatch.setattr("models.plan.recorded_plan_run.read_plan_run", recorded)
-    monkeypatch.setattr("models.plan.plan_learning.improve_plan", stop)
+    monkeypatch.setattr("models.plan.learning.read_plan_run", recorded)
+    monkeypatch.setattr("models.plan.learning.improve_plan", stop)
     monkeypatch.setattr("models.commands.plan.compare_with_bundle", lambda *_: None)
     plan = tmp_path / "plan.json"
     write_document(plan, small_plan(bare_bundle))

@@ -11,9 +11,9 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from models.commands.train import name_tests, of_phases, refuse_fitted, refuse_mixed_steps
-from models.plant.provenance import FittedTrial, Provenance
+from models.plant.document import FittedTrial, Provenance
+from models.trials.files import write_trial
 from models.trials.trial import TrialSet
-from models.trials.trial_files import write_trial
 
 
 def fitted(name, trial):

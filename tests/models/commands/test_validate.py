@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from dropstitch.__main__ import main
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 def validate(capsys, directory, *options):

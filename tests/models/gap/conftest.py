@@ -13,7 +13,7 @@ from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta, TrialSet
 

@@ -8,8 +8,8 @@ import pytest
 from firmware_py.errors import InputError
 from models.commands.train import refuse_fitted
 from models.gap.diagnosis import diagnose
+from models.plant.document import Provenance
 from models.plant.plant import read_plant
-from models.plant.provenance import Provenance
 from models.trials.trial import TrialSet
 
 

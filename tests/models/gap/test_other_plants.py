@@ -7,10 +7,10 @@ from dropstitch.__main__ import main
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
+from models.trials.files import read_trials
 from models.trials.trial import Trial, TrialMeta, TrialSet
-from models.trials.trial_files import read_trials
 from tests.real_data import real_recordings
 
 EXAMPLES = "models/plant/examples"

@@ -7,7 +7,7 @@ from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import NOMINAL, read_plant
-from models.trials.trial_files import read_trials
+from models.trials.files import read_trials
 from tests.real_data import real_recordings
 
 EXAMPLES = NOMINAL.parent / "examples"

@@ -3,7 +3,7 @@
 import numpy as np
 import onnxruntime as ort
 
-from models.learning.predictors import GuardedPredictor
+from models.predictor.polynomials import GuardedPredictor
 
 
 def fitted_predictor(n, degree, seed=0):

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from models.learning.lagged import LaggedRegressor, lagged_features
-from models.learning.validation import r_squared
+from models.predictor.lagged import LaggedRegressor, lagged_features
+from models.predictor.validation import r_squared
 from models.trials.deformation import deformation_index
 
 

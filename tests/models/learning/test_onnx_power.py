@@ -7,8 +7,8 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from models.learning.onnx_power import PolynomialGraph, to_onnx
-from models.learning.predictors import polynomial_pipeline, predict
+from models.predictor.onnx_graphs import PolynomialGraph, to_onnx
+from models.predictor.polynomials import polynomial_pipeline, predict
 from tests.models.learning.graph_cases import fitted_predictor, graph_outputs
 
 CASES = [(n, degree) for n in (3, 5) for degree in range(1, 7)]

@@ -6,8 +6,7 @@ import onnx
 import pytest
 
 from firmware_py.errors import InputError
-from models.learning.onnx_power import to_onnx
-from models.learning.onnx_symbolic import predictor_function
+from models.predictor.onnx_graphs import predictor_function, to_onnx
 from tests.models.learning.graph_cases import fitted_predictor, graph_outputs
 
 

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.learning.power_form import power_form
-from models.learning.predictors import Polynomial
+from models.predictor.polynomials import Polynomial, power_form
 
 SIZES = st.tuples(st.integers(1, 5), st.integers(1, 6), st.integers(0, 2**32 - 1))
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from sklearn.linear_model import LinearRegression
 from sklearn.preprocessing import PolynomialFeatures
 
-from models.learning.predictors import GuardedPredictor, Polynomial, polynomial_pipeline, predict
+from models.predictor.polynomials import GuardedPredictor, Polynomial, polynomial_pipeline, predict
 
 SIZES = st.tuples(st.integers(1, 5), st.integers(1, 6), st.integers(0, 2**32 - 1))
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.learning.samples import collect_samples
+from models.predictor.validation import collect_samples
 from models.trials.deformation import deformation_index
 
 

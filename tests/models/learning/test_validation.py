@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.learning.validation import (
+from models.predictor.validation import (
     block_folds,
     euclidean_distance_m,
     payload_folds,

@@ -4,9 +4,9 @@ import pytest
 
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
-from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path
-from models.plan.twin_sensitivity import TipTwin
+from models.plan.tip_twin import TipTwin
 from models.plant.plant import read_plant
 
 LIMITS = Limits(rate_rad_s=1.0)

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from firmware_py.goals.feedback_design import wrong_in_feedback
-from models.plan.feedback import loop_margins
-from models.plan.feedback.feedback_loops import (
+from models.plan.feedback import (
     as_system,
     design_feedback,
     frequencies,
     keeps_margins,
+    loop_margins,
 )
-from models.plan.feedback.linear_twin import LinearTwins, frequency_response, modes, tip_part
+from models.plant.linear_twin import LinearTwins, frequency_response, modes, tip_part
 from models.plant.plant import read_plant
 
 PERIOD_S, PAYLOADS_KG = 0.017, (0.0, 2.0)

@@ -5,10 +5,18 @@ import pytest
 
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
-from models.plan.path_file import read_path
-from models.plan.path_shapes import SHAPES, PathOptions, built_in_path
-from models.plan.plan_timeline import LEAD_S, REST_S, SETTLE_S, timeline
-from models.plan.stroke_font import GLYPHS, text_strokes
+from models.plan.paths import (
+    GLYPHS,
+    LEAD_S,
+    REST_S,
+    SETTLE_S,
+    SHAPES,
+    PathOptions,
+    built_in_path,
+    read_path,
+    text_strokes,
+    timeline,
+)
 
 
 def shape(name, dof=2, **options):

@@ -11,19 +11,19 @@ from firmware_py.errors import InputError
 from firmware_py.goals.tip_plan import LearnedRun
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
-from models.plan.expected_error import unknown_error_m
-from models.plan.feedback.probe_motion import design_probe
-from models.plan.plan_learning import improve_plan
-from models.plan.recorded_plan_run import (
+from models.plan.learning import (
     RecordedRun,
     fitting_payload,
+    improve_plan,
     interpolated,
     payload_weights,
     read_plan_run,
+    unknown_error_m,
 )
-from models.plan.twin_sensitivity import TipTwin
+from models.plan.probing import design_probe
+from models.plan.tip_twin import TipTwin
+from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta
-from models.trials.trial_files import write_trial
 
 LIMITS = Limits(rate_rad_s=1.0)
 PAYLOAD_KG = 0.6

@@ -7,11 +7,9 @@ from firmware_py.errors import InputError
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from models.plan.inversion import Inverter
-from models.plan.path_shapes import DesiredPath, PathOptions, built_in_path
-from models.plan.plan_timeline import timeline
-from models.plan.planning import PlanRequest, plan_path
-from models.plan.reach import nearest_rest_m
-from models.plan.twin_sensitivity import TipTwin
+from models.plan.paths import DesiredPath, PathOptions, built_in_path, timeline
+from models.plan.planning import PlanRequest, nearest_rest_m, plan_path
+from models.plan.tip_twin import TipTwin
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 

@@ -9,15 +9,15 @@ from firmware_py.goals.probe_design import wrong_in_probe
 from firmware_py.goals.probe_estimate import ProbeEstimate
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
-from models.plan.feedback.linear_twin import STIFFNESS
-from models.plan.feedback.probe_motion import (
+from models.plan.paths import PathOptions, built_in_path
+from models.plan.planning import PlanRequest, plan_path
+from models.plan.probing import (
     CORRELATION,
     NOISE_A,
     design_probe,
     expected_deviation,
 )
-from models.plan.path_shapes import PathOptions, built_in_path
-from models.plan.planning import PlanRequest, plan_path
+from models.plant.linear_twin import STIFFNESS
 
 PAYLOADS_KG = (0.0, 1.0, 2.0)
 

@@ -11,7 +11,7 @@ import pytest
 from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import square_corners_m
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.kinematics import base_corners_m, base_rotation
 from models.trials.trial import Trial, TrialMeta

@@ -8,7 +8,7 @@ import scipy.io
 
 from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 
 EXAMPLES = NOMINAL.parent / "examples"
 KP_TO_DUTY = 651.9 / (256 * 885)

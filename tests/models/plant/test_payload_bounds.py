@@ -13,10 +13,10 @@ from models.commands import linearise
 from models.commands.simulate import _cases, _complete_from_link
 from models.plan.planning import PlanRequest, check_request
 from models.plant.identification.doubts import check_weight
-from models.plant.physical_limits import check_payload
+from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
 from models.plant.step_model import names
-from models.rig.rig_of_link import rig_of_link
+from models.rig.parameters import rig_of_link
 from models.trials.trial import TrialSet
 
 STEP_S, REST, COUNT = 0.017, 20, 220

@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.plant.physical_limits import impossible_sums
+from models.plant.parameter import impossible_sums
 from models.plant.plant import read_plant
 
 

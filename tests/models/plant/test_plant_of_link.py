@@ -12,8 +12,7 @@ from firmware_py.link.link_description import (
 )
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.plant.plant import read_plant
-from models.rig.rig_of_link import rig_of_link
-from models.rig.rig_parameters import read_parameters
+from models.rig.parameters import read_parameters, rig_of_link
 
 SMALL = LinkDescription(
     length_m=0.6, width_m=0.1, payload_kg=0.1, joints=1,

@@ -8,8 +8,8 @@ import pytest
 
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
+from models.plant.document import Evaluation, FittedTrial, Provenance, SignalError
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.provenance import Evaluation, FittedTrial, Provenance, SignalError
 
 EXAMPLES = sorted((NOMINAL.parent / "examples").glob("*_identified.json"))
 

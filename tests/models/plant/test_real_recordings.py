@@ -7,7 +7,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL
-from models.trials.importers.table_file import read_columns
+from models.trials.recordings.table import read_columns
 from tests.real_data import real_recordings
 
 EXAMPLES = NOMINAL.parent / "examples"

@@ -3,8 +3,8 @@ import math
 import pytest
 
 from firmware_py.motion import Motion
-from models.rig.rig_parameters import read_parameters
-from models.rig.study_protocol import run_case
+from models.rig.parameters import read_parameters
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
 
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.rig.hinged.bending_law import BendLaw
-from models.rig.rig_parameters import read_parameters
-from models.rig.rig_structure import DEFAULT_STRUCTURE
+from models.rig.hinged import BendLaw
+from models.rig.parameters import read_parameters
+from models.rig.structure import DEFAULT_STRUCTURE
 
 SPAN_HINGES = DEFAULT_STRUCTURE.hinges
 HINGES = SPAN_HINGES + 1

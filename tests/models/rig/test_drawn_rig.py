@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.rig.drawn_rig import draw_rig, rig_named, rig_purpose
-from models.rig.rig_parameters import read_rig
-from models.rig.rig_structure import named_structures
+from models.rig.drawn import draw_rig, rig_named, rig_purpose
+from models.rig.parameters import read_rig
+from models.rig.structure import named_structures
 
 MANY = [rig_named(f"drawn_{k}") for k in range(40)]
 

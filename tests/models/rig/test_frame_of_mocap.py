@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.rig.rig_parameters import read_rig
+from models.rig.parameters import read_rig
 from models.rig.sensors import MarkerLog, read_markers
 from models.shared.kinematics import base_rotation
 

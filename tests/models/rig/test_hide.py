@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
+from models.rig.parameters import RIG_TOML, read_parameters, read_rig
+from models.rig.protocol import draw_variation, run_case
 from models.rig.rig import build_rig
-from models.rig.rig_parameters import RIG_TOML, read_parameters, read_rig
-from models.rig.study_protocol import draw_variation, run_case
 from models.shared.catalogue import CATALOGUE
 from models.shared.kinematics import rigid_tip_m
 from tests.models.rig.strengths import STRENGTH

@@ -14,16 +14,16 @@ from firmware_py.motion import Motion
 from models.plant.identification.doubts import check_weight
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
-from models.rig.drawn_rig import rig_named
-from models.rig.study_protocol import run_case
+from models.rig.drawn import rig_named
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
+from models.trials.checks.trials import check_trial
+from models.trials.checks.verdict import ImportVerdict
 from models.trials.deformation import deformation_index
-from models.trials.importers.mapping import MocapFrame, read_mapping
+from models.trials.files import read_trial, write_trial
+from models.trials.pipeline import Source, inspect_import
+from models.trials.recordings.mapping import MocapFrame, read_mapping
 from models.trials.trial import TrialSet
-from models.trials.trial_files import read_trial, write_trial
-from models.trials.verdict.import_verdict import ImportVerdict
-from models.trials.verdict.inspected_import import Source, inspect_import
-from models.trials.verdict.trial_check import check_trial
 
 LINK = LinkDescription(
     length_m=0.6, width_m=0.1, pressure_pa=20_700.0, payload_kg=0.2, joints=1,

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.rig.hinged.mujoco_rig import MujocoRig
+from models.rig.hinged import MujocoRig
 from models.shared.kinematics import rigid_tip_m
 
 MEMORYLESS = {"memory.hysteresis_share": 0.0, "memory.relaxing_share": 0.0}

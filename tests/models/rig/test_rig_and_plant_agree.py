@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
+from models.plant.simulation.runner import CompiledModel, run_trial, trial_parameters
 from models.plant.step_model import names
-from models.rig.study_protocol import run_case
+from models.rig.protocol import run_case
 
 HIDDEN = {
     "sensor_lag": (0.02, "current_1_a", 0.2),

@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.rig.hinged.bending_law import BendLaw
-from models.rig.hinged.mujoco_rig import MujocoRig
-from models.rig.rig_servo import RigServo
+from models.rig.hinged import BendLaw, MujocoRig
+from models.rig.servo import RigServo
 
 STEP_S = 1e-3
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from models.rig.cosserat.section_law import SectionLaw, stiffness_factor
+from models.rig.rod import SectionLaw, stiffness_factor
 
 STEP_S, SECTIONS = 1e-3, 8
 PLAIN = {

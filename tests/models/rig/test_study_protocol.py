@@ -7,9 +7,9 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.console import BAD_INPUT, DONE
-from models.rig.study_protocol import run_case
+from models.rig.protocol import run_case
 from models.shared.kinematics import rigid_tip_m
-from models.trials.trial_files import read_trial, read_trials, write_trial
+from models.trials.files import read_trial, read_trials, write_trial
 
 QUICK = ["--amplitude-deg", "5", "--period", "0.5", "--payloads", "0.5", "--trials", "1"]
 
@@ -17,7 +17,7 @@ QUICK = ["--amplitude-deg", "5", "--period", "0.5", "--payloads", "0.5", "--tria
 def run(out, *options):
     """Exit code of the command, without the overview's drawing, which costs more than a trial."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("models.rig.trial_overview.draw_overview", lambda directory: directory)
+        patch.setattr("models.rig.overview.draw_overview", lambda directory: directory)
         return command(out, "--workers", "1", *options)
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from models.shared.html_page import stylesheet
+from models.shared.drawing import Drawing
+from models.shared.pages import stylesheet
 from models.shared.palette import DARK_PAGE_COLOURS, INK, PAGE_COLOURS, PAPER
-from models.shared.svg_drawing import Drawing
-from models.trials.verdict.verdict_drawing import Curve, chart
+from models.trials.checks.page import Curve, chart
 
 LEAST = 4.5
 """WCAG 2.1, success criterion 1.4.3."""

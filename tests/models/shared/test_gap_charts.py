@@ -2,15 +2,15 @@ import numpy as np
 import pytest
 
 from firmware_py.display_units import LENGTH
-from models.shared.gap_charts import (
+from models.gap.report.gap_charts import (
     draw_bars,
     draw_heat_map,
     draw_traces,
     draw_waterfall,
     heat_legend,
 )
+from models.shared.drawing import Drawing
 from models.shared.palette import AFTER, BEFORE, HEAT, MUTED
-from models.shared.svg_drawing import Drawing
 
 
 def texts(ax):

@@ -3,8 +3,7 @@ from html.parser import HTMLParser
 import pytest
 from markupsafe import Markup
 
-from models.shared.html_page import render_page
-from models.shared.page_parts import (
+from models.shared.pages import (
     ClaimCard,
     ClaimCards,
     CommandList,
@@ -17,6 +16,7 @@ from models.shared.page_parts import (
     Table,
     TableCell,
     missing_inputs,
+    render_page,
 )
 
 VOID = {"meta", "link", "br"}

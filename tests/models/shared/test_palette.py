@@ -6,7 +6,7 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from models.shared import palette
-from models.shared.html_page import STYLE, stylesheet
+from models.shared.pages import STYLE, stylesheet
 
 # Simulation of colour blindness in linear RGB at full severity: Machado, Oliveira and Fernandes,
 # "A Physiologically-based Model for Simulation of Color Vision Deficiency", 2009, table 1.

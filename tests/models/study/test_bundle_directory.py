@@ -5,7 +5,7 @@ import json
 import pytest
 
 from firmware_py.errors import InputError
-from models.study.bundle_directory import check_bundle_directory, replaced_bundle
+from models.bundle.files import check_bundle_directory, replaced_bundle
 
 OLD = {"training_data_sha256": "", "plant_sha256": "", "files": {}}
 FOREIGN = ("my_notes.txt", "twin_1dof.fmu", "logs/run.mcap")

@@ -8,10 +8,10 @@ import pytest
 
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import read_manifest
-from models.learning.onnx_power import to_onnx
+from models.bundle.files import GATE_M, ParityError, check_parity, monomial, write_bundle
 from models.plant.plant import read_plant
-from models.study.bundle_export import GATE_M, ParityError, check_parity, monomial, write_bundle
-from models.study.study_document import read_study
+from models.predictor.onnx_graphs import to_onnx
+from models.study.document import read_study
 from tests.models.learning.graph_cases import fitted_predictor
 
 
@@ -88,7 +88,7 @@ def test_a_bundle_that_fails_half_way_leaves_the_old_one(
     old = tmp_path / "bundle"
     shutil.copytree(toy_bundle, old)
     before = {file.name: file.read_bytes() for file in old.iterdir()}
-    monkeypatch.setattr("models.study.bundle_export.model_card", lambda *_: 1 / 0)
+    monkeypatch.setattr("models.bundle.files.model_card", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_bundle(old, toy_study, read_plant())
     assert {file.name: file.read_bytes() for file in old.iterdir()} == before

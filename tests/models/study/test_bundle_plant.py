@@ -7,8 +7,8 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.inference.manifest import read_bundle_files, write_manifest
+from models.bundle.plant import compare_with_bundle
 from models.plant.plant import read_plant
-from models.study.bundle_plant import compare_with_bundle
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
-from models.study.observer_runs import run_observer
+from models.predictor.observed_trials import run_observer
 
 
 @pytest.mark.parametrize("dof", [1, 2])

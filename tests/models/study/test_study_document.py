@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
+from models.study.document import read_study, write_study
 from models.study.study import run_study
-from models.study.study_document import read_study, write_study
 
 
 def test_a_study_is_read_back_as_it_was_written(toy_study, tmp_path):

@@ -3,7 +3,7 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-from models.study.study_summary import study_summary
+from models.study.study import study_summary
 
 
 def document(names):

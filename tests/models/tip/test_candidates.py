@@ -7,14 +7,12 @@ import onnx
 import onnxruntime as ort
 import pytest
 
-from models.learning.onnx_power import to_onnx
-from models.learning.onnx_symbolic import predictor_function
-from models.tip.candidates.boosted_trees import BoostedTrees
-from models.tip.candidates.candidate_list import CANDIDATES
-from models.tip.guarded_tip import GuardedTip
-from models.tip.tip_interval import TipInterval
-from models.tip.tip_predictor import TipPredictor
-from models.tip.tip_selection import choose_tip_predictor
+from models.predictor.candidates import TipPredictor
+from models.predictor.guarded_tip import GuardedTip
+from models.predictor.interval import TipInterval
+from models.predictor.learners import CANDIDATES, BoostedTrees
+from models.predictor.onnx_graphs import predictor_function, to_onnx
+from models.predictor.training import choose_tip_predictor
 from tests.models.tip.tip_cases import made_up_rows
 
 

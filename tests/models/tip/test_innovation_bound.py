@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from models.tip.candidates.observer_tip import ObserverTip
-from models.tip.guarded_tip import GuardedTip
-from models.tip.innovation_bound import FACTOR, InnovationBound
-from models.tip.tip_interval import TipInterval
+from models.predictor.candidates import ObserverTip
+from models.predictor.guarded_tip import GuardedTip
+from models.predictor.interval import FACTOR, InnovationBound, TipInterval
 from tests.models.tip.tip_cases import made_up_rows
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from firmware_py.errors import InputError
-from models.tip.candidates.candidate_list import CANDIDATES
-from models.tip.candidates.own_candidate import own_candidate
-from models.tip.tip_selection import choose_tip_predictor
+from models.predictor.candidates import own_candidate
+from models.predictor.learners import CANDIDATES
+from models.predictor.training import choose_tip_predictor
 from tests.models.tip.tip_cases import made_up_rows
 
 PAGE = Path(__file__).parents[3] / "docs" / "predictor" / "choice.md"

@@ -4,12 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.tip.candidates.candidate_list import CANDIDATES
-from models.tip.candidates.corrected_tip import CorrectedTip
-from models.tip.candidates.observer_tip import ObserverTip
-from models.tip.observed_trials import ASKEW_RAD, askew_shifts_m
-from models.tip.tip_interval import TipInterval
-from models.tip.tip_selection import choose_tip_predictor, group_folds
+from models.predictor.candidates import CorrectedTip, ObserverTip
+from models.predictor.interval import TipInterval
+from models.predictor.learners import CANDIDATES
+from models.predictor.observed_trials import ASKEW_RAD, askew_shifts_m
+from models.predictor.training import choose_tip_predictor, group_folds
 from tests.models.tip.tip_cases import made_up_rows
 
 

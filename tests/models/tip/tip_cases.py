@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from models.tip.tip_rows import TipRows, input_names
+from models.predictor.observed_trials import TipRows, input_names
 
 SIZE = {"m": 0.3, "rad": 0.4, "rad_s": 0.5, "a": 0.1, "kg": 0.5, "di": 0.005, "s": 0.0}
 

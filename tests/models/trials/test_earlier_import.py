@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from models.trials.earlier_import import recording_hash
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
+from models.trials.pipeline import recording_hash
 
 MAP = """step_s = 0.01
 [trial]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import KINDS, Motion
-from models.trials.motion_start import motion_start
+from models.trials.trial import motion_start
 
 STEP_S = 0.017
 

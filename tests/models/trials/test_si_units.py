@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from firmware_py.errors import InputError
 from firmware_py.signals import UNIT_OF_SUFFIX
-from models.trials.si_units import TO_SI, base_exponents, check_signal_units
 from models.trials.trial import SignalRole
+from models.trials.units import TO_SI, base_exponents, check_signal_units
 
 
 @pytest.mark.parametrize(

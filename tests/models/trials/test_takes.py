@@ -3,8 +3,8 @@
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import RecordingMap, TakeRules
-from models.trials.takes import find_takes
+from models.trials.recordings.mapping import RecordingMap, TakeRules
+from models.trials.recordings.takes import find_takes
 
 
 @pytest.fixture

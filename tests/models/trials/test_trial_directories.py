@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.trial_directories import read_trial_directories, refuse_unusable
-from models.trials.trial_files import write_trial
+from models.trials.checks.trials import read_trial_directories, refuse_unusable
+from models.trials.files import write_trial
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
 from firmware_py.signals import trial_signals
+from models.trials.files import read_trial, read_trials, write_trial
 from models.trials.trial import SignalRole, Trial, TrialMeta, TrialSet
-from models.trials.trial_files import read_trial, read_trials, write_trial
 
 finite = st.floats(-6, 6, allow_nan=False)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.trial_files import read_trials, write_trial
+from models.trials.files import read_trials, write_trial
 
 
 @pytest.fixture

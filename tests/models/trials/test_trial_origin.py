@@ -4,13 +4,12 @@ import msgspec
 import pytest
 
 from firmware_py.motion import Motion
-from models.plant.provenance import Provenance
-from models.rig.conditions_record import RigConditions, record_conditions
-from models.rig.rig_structure import DEFAULT_STRUCTURE
+from models.plant.document import Provenance
+from models.rig.protocol import RigConditions, record_conditions
+from models.rig.structure import DEFAULT_STRUCTURE
 from models.rig.trial_case import TrialCase
-from models.trials.origin_notice import origin_notice
-from models.trials.trial_files import read_trial, write_trial
-from models.trials.trial_origin import TrialOrigin, kind_of_origins, origins_of
+from models.trials.files import read_trial, write_trial
+from models.trials.origin import TrialOrigin, kind_of_origins, origin_notice, origins_of
 
 RIG, MEASURED = TrialOrigin("rig", "default", 4), TrialOrigin("measured", trials=2)
 

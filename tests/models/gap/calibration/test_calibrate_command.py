@@ -18,7 +18,7 @@ from models.gap.estimation.curve_transfer import motion_of
 from models.gap.estimation.model_discrepancy import write_patterns
 from models.plant.plant import read_plant
 from models.rig.trial_case import TrialCase
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 def refusal(capsys, *options, command="calibrate"):

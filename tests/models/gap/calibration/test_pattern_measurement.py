@@ -22,7 +22,7 @@ from models.gap.calibration.pattern_measurement import (
     run_pattern_work,
     trials_without_scatter,
 )
-from models.rig.drawn_rig import drawn_link
+from models.rig.drawn import drawn_link
 from models.rig.trial_case import TrialCase
 
 SIGNALS, SIZE, LINKS = ("angle_1_rad", "tip_x_m"), 40, 3

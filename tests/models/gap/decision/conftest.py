@@ -6,7 +6,7 @@ import pytest
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
+from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta, TrialSet
 

@@ -16,7 +16,7 @@ from models.gap.residuals.spectrum import (
     inverse_cosine_transform,
 )
 from models.gap.settings import DEFAULT_SETTINGS
-from models.plant.provenance import FloorRecord
+from models.plant.document import FloorRecord
 
 COUNT, STEP_S = 512, 0.017
 

@@ -6,7 +6,7 @@ import pytest
 from dropstitch.__main__ import main
 from models.gap.report.gap_json import DiagnosisInputs, write_gap_document
 from models.gap.report.gap_results import gap_document
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from firmware_py.errors import InputError
 from models.commands.gap_workflow.repetition import WRITTEN, check_repetition, write_own_trial
 from models.gap.report.gap_json import DiagnosisInputs
-from models.trials.trial_files import write_trial
+from models.trials.files import write_trial
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import pytest
 
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.report.changed_conditions import changed_conditions
-from models.plant.provenance import FittedTrial, Provenance
+from models.plant.document import FittedTrial, Provenance
 
 SPECTRUM = np.ones(3)
 KEY = "1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s"

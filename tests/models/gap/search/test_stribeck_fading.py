@@ -10,8 +10,8 @@ from models.gap.estimation.noise_floor_fit import noise_floor_for
 from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
+from models.plant.document import Provenance
 from models.plant.effects import EFFECTS
-from models.plant.provenance import Provenance
 
 CONSIDERED = ("coulomb_friction", "stiction", "stribeck_friction", "viscous_friction")
 

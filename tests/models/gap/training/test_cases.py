@@ -11,7 +11,7 @@ from models.gap.training.case_run import rig_of, study_trials
 from models.gap.training.case_runs import case_results, run_cases
 from models.gap.training.cases import MOTIONS, PAYLOAD_SETS, HiddenCase, drawn_case, motion_named
 from models.gap.training.rig_plants import plant_of_rig, plants_of_rigs
-from models.rig.drawn_rig import rig_named
+from models.rig.drawn import rig_named
 
 
 def test_the_link_of_a_case_is_another_one_unless_it_is_the_same():

@@ -9,9 +9,8 @@ from firmware_py.errors import InputError
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from models.plan import planning
-from models.plan.moves.point_moves import rate_limited, shaped, zvd_impulses
-from models.plan.moves.vibration_mode import VibrationMode, first_modes
-from models.plan.path_shapes import PathOptions, built_in_path
+from models.plan.moves import VibrationMode, first_modes, rate_limited, shaped, zvd_impulses
+from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path, shortest_move_s
 
 LIMITS = Limits(rate_rad_s=1.0, acceleration_rad_s2=20.0)

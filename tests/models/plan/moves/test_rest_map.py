@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.goals.outside.goal_map import RestGoals
 from firmware_py.signals import PERIOD_S
-from models.plan.moves.rest_map import map_rest
+from models.plan.moves import map_rest
 
 
 def approached(twin, goals, payload_kg):

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT, profiled_change
-from models.rig.forms.goal_forms import ProfiledGoal
+from models.plant.components.goal import NO_ACCELERATION_LIMIT, profiled_change
+from models.rig.forms import ProfiledGoal
 
 STEP_S = 0.017
 FINE = 500

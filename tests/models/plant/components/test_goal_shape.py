@@ -8,16 +8,15 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import CubicSpline
 
-from models.plant.components.drives.cascade import Cascade
-from models.plant.components.drives.drive_protocol import declare_goal
-from models.plant.components.drives.goal_profile import NO_ACCELERATION_LIMIT
-from models.plant.components.drives.goal_shape import above_mean
+from models.plant.components.cascade import Cascade
+from models.plant.components.drive import declare_goal
+from models.plant.components.goal import NO_ACCELERATION_LIMIT, above_mean
 from models.plant.components.link import Link
 from models.plant.composition.twin import compose_twin
-from models.plant.identification.simulation_fit import Objective, fit_objective
+from models.plant.identification.fit import Objective, fit_objective
 from models.plant.plant import read_plant
 from models.plant.scope import Scope
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import Variable, names
 
 STEP_S = 0.017

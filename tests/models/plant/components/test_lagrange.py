@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from models.plant.components.lagrange import (
+from models.plant.components.link import (
     add_rod,
     lagrange_equations,
     symbolic_base_rotation,

@@ -8,7 +8,7 @@ from scipy.stats import foldnorm
 
 from models.plant.components.link import mean_magnitude
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.kinematics import base_rotation
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
 STEP_S, PERIOD_S, REST = 0.017, 4.352, 40

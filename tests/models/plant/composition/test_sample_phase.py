@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
 PHASES = {"current_phase_1": 0.25, "goal_delay_1_s": 0.005}

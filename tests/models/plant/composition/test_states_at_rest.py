@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from models.plant.composition.step_functions import SMALLEST_STATE
+from models.plant.composition.parts import SMALLEST_STATE
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 

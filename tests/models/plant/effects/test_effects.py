@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.plant.composition.plant_composition import scope_of
+from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant
 from models.plant.simulation.sensitivity import SensitiveModel

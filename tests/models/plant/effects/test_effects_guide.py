@@ -8,7 +8,7 @@ import pytest
 
 from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import names
 

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 
 FINE_S = 1e-3

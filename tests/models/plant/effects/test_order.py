@@ -4,9 +4,8 @@ import random
 
 import pytest
 
-from models.plant.composition.plant_composition import compose_plant
-from models.plant.effects import EFFECTS, Effect
-from models.plant.effects.order import ORDER, PORTS, in_order
+from models.plant.composition.compose import compose_plant
+from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
 from models.plant.plant import read_plant
 from models.plant.step_model import names
 from models.shared.catalogue import CATALOGUE, EVERY_EFFECT

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.plant.identification.cluster_errors import Group, cluster_errors, motion_parts
+from models.plant.identification.fit import Group, cluster_errors, motion_parts
 from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
 
 ROWS = 40

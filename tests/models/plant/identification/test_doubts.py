@@ -3,10 +3,10 @@
 import msgspec
 import pytest
 
+from models.plant.document import DofEvaluation, Evaluation, TipError
 from models.plant.identification.doubts import doubts, evaluation_doubts
-from models.plant.identification.identification import Identification
+from models.plant.identification.identify import Identification
 from models.plant.plant import read_plant
-from models.plant.provenance import DofEvaluation, Evaluation, TipError
 
 
 def found(*, fitted=(), tip_m=(0.002, 0.003), rigid_m=(0.02, 0.06)):

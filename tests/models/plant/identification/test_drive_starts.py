@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from models.plant.identification.drive_starts import (
+from models.plant.identification.identify import (
     OPTIONS,
     SHAPE,
     starts_with_alike_servos,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from models.plant.identification.identification import identify
-from models.plant.identification.simulation_fit import Objective, fit_objective
+from models.plant.identification.fit import Objective, fit_objective
+from models.plant.identification.identify import identify
 from models.plant.plant import NOMINAL, read_plant
+from models.trials.files import write_trial
 from models.trials.trial import TrialSet
-from models.trials.trial_files import write_trial
 
 SHIFTED = (
     "link_mass_kg", "root_stiffness_1_nm_rad", "span_stiffness_1_nm_rad",
@@ -145,7 +145,7 @@ def test_two_joints_are_told_apart(synthetic):
 
 def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeypatch):
     # Of the synthetic markers only the lengths between them are right, not where they stand.
-    monkeypatch.setattr("models.trials.trial_directories.judge_tip", lambda trial: [])
+    monkeypatch.setattr("models.trials.checks.trials.judge_tip", lambda trial: [])
     true, rng = drawn(7)
     for trial in trials_of(true, synthetic, rng, (0.0, 2.0), (1, 2)):
         write_trial(trial, tmp_path / "trials")

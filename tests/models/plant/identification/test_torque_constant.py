@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from models.plant.identification.torque_constant import torque_constant_doubts
+from models.plant.identification.doubts import torque_constant_doubts
 from models.plant.plant import read_plant
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.errors import InputError
-from models.plant.identification.trials_link import refuse_other_links
+from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
 from models.study.findings import doubts_of_di
+from models.trials.checks.trials import check_trials
+from models.trials.files import write_trial
 from models.trials.trial import TrialSet
-from models.trials.trial_files import write_trial
-from models.trials.verdict.trial_check import check_trials
 
 UPSIDE_DOWN = (0.0, 0.0, 9.81)
 

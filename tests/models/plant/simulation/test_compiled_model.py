@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, model_inputs
+from models.plant.simulation.runner import CompiledModel, model_inputs
 
 STEP_S = 0.017
 

@@ -7,8 +7,7 @@ from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
 from models.plant.plant import read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial
-from models.plant.simulation.plant_run import simulate_plant
+from models.plant.simulation.runner import CompiledModel, run_trial, simulate_plant
 from models.plant.step_model import names
 from models.trials.trial import Trial, TrialMeta
 

@@ -10,9 +10,8 @@ import pytest
 from models.gap.residuals.fit_parameters import plant_with_every_effect
 from models.plant.plant import read_plant
 from models.plant.simulation import sensitivity
-from models.plant.simulation.compiled_model import CompiledModel
-from models.plant.simulation.sensitivity import SensitiveModel
-from models.plant.simulation.sensitivity_c import write_sensitivity_c
+from models.plant.simulation.runner import CompiledModel
+from models.plant.simulation.sensitivity import SensitiveModel, write_sensitivity_c
 from models.plant.step_model import names
 from models.shared.c_compiler import OPTIONS_VARIABLE
 

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from models.plant.plant import NOMINAL, read_plant
-from models.plant.simulation.compiled_model import CompiledModel, run_trial, trial_parameters
-from models.plant.simulation.start_of_motion import start_of_motion
-from models.trials.trial_files import read_trials
+from models.plant.simulation.runner import (
+    CompiledModel,
+    run_trial,
+    start_of_motion,
+    trial_parameters,
+)
+from models.trials.files import read_trials
 
 EXAMPLES = NOMINAL.parent / "examples"
 STEP_S = 0.001

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.rig.forms.creep_forms import relaxation_spectrum
-from models.rig.forms.hysteresis_forms import hysteresis_form
-from models.rig.rig_parameters import read_parameters, read_rig
+from models.rig.forms import hysteresis_form, relaxation_spectrum
+from models.rig.parameters import read_parameters, read_rig
 
 YIELD_RAD, STIFFNESS, FRACTION = 0.01, 350.0, 0.2
 TORQUE_NM = FRACTION * STIFFNESS * YIELD_RAD

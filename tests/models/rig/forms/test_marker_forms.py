@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from models.rig.forms.marker_play import MarkerPlay
-from models.rig.forms.mocap_filter import filtered_frames
-from models.rig.rig_parameters import read_rig
+from models.rig.forms import MarkerPlay, filtered_frames
+from models.rig.parameters import read_rig
 
 PLAY_RAD, RATE_HZ = 0.004, 240.0
 FILTERS = {"none": "default", "low_pass": "test_a", "zero_phase": "capture"}

@@ -10,11 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.signals import PERIOD_S
-from models.rig.forms.current_sampling import CurrentRegister
-from models.rig.forms.friction_forms import friction_form
-from models.rig.forms.goal_forms import InterpolatedGoal, ProfiledGoal, goal_form
-from models.rig.rig_parameters import read_parameters, read_rig
-from models.rig.rig_servo import RigServo
+from models.rig.forms import (
+    CurrentRegister,
+    InterpolatedGoal,
+    ProfiledGoal,
+    friction_form,
+    goal_form,
+)
+from models.rig.parameters import read_parameters, read_rig
+from models.rig.servo import RigServo
 
 STEP_S = 1e-3
 STEPS = round(PERIOD_S / STEP_S)

@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.trials.clock.bending_lag import nominal_bend_ratio
-from models.trials.clock.offset_fit import fit_offset
-from models.trials.clock.offset_search import ClockSignal, find_peaks
-from models.trials.clock.sync_channel import edge_offsets, rising_edges_s
+from models.trials.clock import (
+    ClockSignal,
+    edge_offsets,
+    find_peaks,
+    fit_offset,
+    nominal_bend_ratio,
+    rising_edges_s,
+)
 from models.trials.trial import TrialMeta
 
 LENGTH_M, BASE_M = 0.95, 0.06

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from models.trials.clock.time_grid import sampled, time_grid
-from models.trials.importers.assembly import assemble_trial
-from models.trials.importers.mapping import RecordingMap
-from models.trials.importers.series import Series
+from models.trials.recordings.assembly import assemble_trial, sampled, time_grid
+from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.series import Series
 
 STEP_S = 0.017
 META = {

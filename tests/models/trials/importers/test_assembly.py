@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.trials.importers.assembly import align_markers, assemble_trial
-from models.trials.importers.mapping import BASE_MARKERS, MocapFrame, RecordingMap
-from models.trials.importers.series import Series, marker_columns
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
+from models.trials.recordings.assembly import align_markers, assemble_trial
+from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
+from models.trials.recordings.series import Series, marker_columns
 
 META = {
     "dof": 1, "payload_kg": 1.0, "pressure_pa": 41300.0, "trial": 1, "motion": "step",

@@ -2,7 +2,7 @@ import ezc3d
 import numpy as np
 import pytest
 
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 
 def write_c3d(path, markers_m, *, unit="mm", labels=None, analogs=None):

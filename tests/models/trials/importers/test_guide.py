@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from models.trials.importers.mapping import read_mapping
-from models.trials.trial_files import read_trial, write_trial
+from models.trials.files import read_trial, write_trial
+from models.trials.recordings.mapping import read_mapping
 
 GUIDE = Path("docs/trials.md").read_text(encoding="utf-8")
 CONDITIONS, *MAPS = re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)

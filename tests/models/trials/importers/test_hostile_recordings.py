@@ -18,8 +18,8 @@ from firmware_py.errors import InputError
 from firmware_py.files import guarded_call
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
-from models.trials.importers import matlab_file
-from models.trials.importers.matlab_file import matlab_variables
+from models.trials.recordings import matlab_file
+from models.trials.recordings.table import matlab_variables
 from tests.fuzz import valid_files
 
 COLUMNS, MAP = valid_files.table()

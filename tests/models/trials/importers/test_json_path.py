@@ -8,8 +8,8 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from models.plant.plant import read_plant
-from models.trials.importers.json_path import json_values
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
+from models.trials.recordings.table import json_values
 
 LOG = {
     "rig": {"load": {"force": [1.0, 2.0, 3.0], "mass_g": 250.0}, "name": "press"},

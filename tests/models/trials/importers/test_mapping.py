@@ -5,7 +5,7 @@ import pytest
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import LinkDescription
 from firmware_py.link.link_file import link_toml
-from models.trials.importers.mapping import read_mapping
+from models.trials.recordings.mapping import read_mapping
 
 TRIAL = """
 [trial]

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 
 def write_motive(path, time_s, markers_m, *, version="1.23", units="Meters", space="Global"):

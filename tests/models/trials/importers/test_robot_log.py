@@ -14,9 +14,9 @@ from firmware_py.log.recording import read_recording
 from firmware_py.log.sinks import McapSink, TickEncoder
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
-from models.trials.importers import robot_log
-from models.trials.importers.mapping import RecordingMap
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
+from models.trials.recordings import robot_log
+from models.trials.recordings.mapping import RecordingMap
 
 MAP = """
 [trial]

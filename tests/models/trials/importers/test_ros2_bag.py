@@ -3,7 +3,7 @@ import pytest
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from models.trials.trial_files import read_trial
+from models.trials.files import read_trial
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types

@@ -6,11 +6,11 @@ from hypothesis.extra.numpy import arrays
 
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
-from models.trials.importers.assembly import resample
-from models.trials.importers.series import Series, marker_columns
-from models.trials.importers.synchronisation import shift_clock, synchronise
+from models.trials.clock import shift_clock, synchronise
+from models.trials.files import read_trial
+from models.trials.recordings.assembly import resample
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
-from models.trials.trial_files import read_trial
 
 
 def servo_series(session, path):

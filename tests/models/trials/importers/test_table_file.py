@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import scipy.io
 
-from models.trials.importers.mapping import read_mapping
-from models.trials.importers.table_file import read_columns, read_table
-from models.trials.trial_files import read_trial, write_trial
+from models.trials.files import read_trial, write_trial
+from models.trials.recordings.mapping import read_mapping
+from models.trials.recordings.table import read_columns, read_table
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.trial_directories import refuse_unusable
-from models.trials.verdict.trial_check import check_trial
-from models.trials.verdict.whole_run.condition_findings import judge_conditions
+from models.trials.checks.payloads import judge_conditions
+from models.trials.checks.trials import check_trial, refuse_unusable
 
 G = 9.81
 MOUNTINGS = {

@@ -4,11 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.trials.importers.mapping import MocapFrame, RecordingMap
-from models.trials.importers.mocap_frame import nominal_markers_m, to_world
+from models.trials.checks.pose import judge_pose, rest_pose
+from models.trials.recordings.frame import nominal_markers_m, to_world
+from models.trials.recordings.mapping import MocapFrame, RecordingMap
 from models.trials.trial import TrialMeta
-from models.trials.verdict.pose_findings import judge_pose
-from models.trials.verdict.rest_pose import rest_pose
 
 META = TrialMeta(
     dof=1, payload_kg=1.0, trial=1, motion="step", source="measured", period_s=1.0,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import KINDS, Motion
-from models.trials.verdict.trial_check import check_trial
-from models.trials.verdict.whole_run.goal_findings import judge_goals
+from models.trials.checks.goals import judge_goals
+from models.trials.checks.trials import check_trial
 
 REST, STEP_S = 60, 0.017
 CAUSES = ("goal", "gap", "period", "motion", "amplitude")

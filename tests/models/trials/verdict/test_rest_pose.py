@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from firmware_py.link.marker_layout import square_layout
-from models.trials.importers.mapping import MocapFrame, RecordingMap
-from models.trials.importers.mocap_frame import nominal_markers_m
-from models.trials.importers.series import Series, marker_columns
+from models.trials.checks.markers import judge_markers
+from models.trials.checks.pose import judge_base, judge_pose, nominal_sag_m, rest_pose
+from models.trials.recordings.frame import nominal_markers_m
+from models.trials.recordings.mapping import MocapFrame, RecordingMap
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
-from models.trials.verdict.completeness import judge_markers
-from models.trials.verdict.pose_findings import judge_base, judge_pose
-from models.trials.verdict.rest_pose import rest_pose
-from models.trials.verdict.sag import nominal_sag_m
 
 META = TrialMeta(
     dof=1, payload_kg=1.0, trial=1, motion="step", source="measured", period_s=1.0,

@@ -9,10 +9,9 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from models.shared.kinematics import base_rotation
-from models.trials.trial_directories import refuse_unusable
-from models.trials.trial_files import write_trial
-from models.trials.verdict.trial_check import check_trial
-from models.trials.verdict.whole_run.tip_findings import judge_tip
+from models.trials.checks.markers import judge_tip
+from models.trials.checks.trials import check_trial, refuse_unusable
+from models.trials.files import write_trial
 
 TIP = ("tip_x_m", "tip_y_m", "tip_z_m")
 LAST_ROW = ("m13", "m14", "m15", "m16")

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.trials.clock.offset_fit import ClockDrift
-from models.trials.importers.mapping import RecordingMap
-from models.trials.importers.series import Series, marker_columns
-from models.trials.importers.synchronisation import Synchronisation, synchronise
+from models.trials.checks.signals import judge_shared_signals, judge_steps
+from models.trials.checks.verdict import ImportVerdict
+from models.trials.clock import ClockDrift, Synchronisation, synchronise
+from models.trials.pipeline import Source, inspect_import
+from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
-from models.trials.verdict.import_verdict import ImportVerdict
-from models.trials.verdict.inspected_import import Source, inspect_import
-from models.trials.verdict.signal_findings import judge_shared_signals, judge_steps
 
 META = TrialMeta(
     dof=1, payload_kg=0.0, trial=1, motion="sinusoid", source="measured", period_s=4.0,

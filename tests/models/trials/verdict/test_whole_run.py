@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.trials.verdict.trial_check import check_trial
+from models.trials.checks.trials import check_trial
 
 OF_THE_RUN = ("zeros", "held", "swapped", "place", "spike", "wrap", "phase")
 ROWS = slice(60, 120)

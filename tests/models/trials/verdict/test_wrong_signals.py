@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import Motion
-from models.rig.rig_parameters import read_parameters
-from models.rig.study_protocol import run_case
+from models.rig.parameters import read_parameters
+from models.rig.protocol import run_case
 from models.rig.trial_case import TrialCase
+from models.trials.checks.trials import check_trial, check_trials, judge_doubled
 from models.trials.trial import Trial, TrialMeta, TrialSet
-from models.trials.verdict.trial_check import check_trial, check_trials, judge_doubled
 
 STEP_S, REST = 0.017, 60
 KG_A = 2.0

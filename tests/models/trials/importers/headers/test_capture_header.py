@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.importers.mapping import RecordingMap
-from models.trials.importers.table_file import read_table
-from models.trials.importers.text_columns import read_text_columns
+from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.table import read_table
+from models.trials.recordings.text import read_text_columns
 
 PLACES_MM = np.arange(18.0).reshape(3, 2, 3) + 0.25
 """Of two markers in three samples."""

@@ -1,0 +1,1 @@
+"""Bundle: the directory that `train` writes and the robot loads."""

@@ -1,1 +1,0 @@
-"""Learning: polynomial predictors, the lagged DI regressor and their export to ONNX."""

@@ -1,1 +1,0 @@
-"""Feedback of the estimated tip: linearised twin, shaped loops, margins, slopes by stiffness."""

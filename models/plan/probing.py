@@ -1,0 +1,204 @@
+"""Probing motion of a plan: its goals, and the features of its currents that depend on stiffness
+and payload.
+
+The motion has four tones around the first mode of the link with the heaviest payload. Below the
+mode a stiffer link needs the current of a lighter payload; around it the two differ. The twin
+predicts the currents over a grid of stiffness and payload. They are reduced to a few features
+(principal components of the whitened currents). The noise includes what the plant does not know:
+friction, damping, hysteresis, creep, the servo's inertia, gain and timing. So the features are
+those in which stiffness and payload stand out from all of that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.goals.probe_design import ProbeDesign
+from firmware_py.goals.tip_plan import as_columns
+from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.safety.limits import Limits
+from models.plan.tip_twin import TipTwin
+from models.plant.linear_twin import STIFFNESS, LinearTwins, modes
+from models.plant.plant import Plant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tone:
+    """Tone of the motion, with an amplitude that rises and falls."""
+
+    over_mode: float  # Frequency over that of the first mode with the heaviest payload
+    amplitude_rad: float
+    begin: float
+    end: float
+
+
+TONES: Final = (
+    Tone(0.54, 0.030, 0.0, 1.0),
+    Tone(1.08, 0.012, 0.0, 0.67),
+    Tone(1.62, 0.012, 0.25, 0.92),
+    Tone(2.20, 0.010, 0.5, 1.0),
+)
+"""The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
+have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
+stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
+motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
+PERIODS: Final = 4.44
+REST_PERIODS: Final = 3.0
+"""Duration of the tones and of the rest after them in periods of the first mode with the heaviest
+payload: 3 s and 2 s for the link of the study and 2 kg."""
+STIFFER: Final = 0.3
+STIFFNESS_STEP: Final = 0.05
+PAYLOAD_STEP_KG: Final = 0.125
+"""Range and steps of the grid [assumed]; its payloads are those of the plan and a step more. The
+step is that of the study's link, scaled to the largest payload of another link."""
+FEATURES: Final = 14
+"""Number of features: further ones add at most 0.3 standard deviations on the grid."""
+NOISE_A: Final = 0.055
+CORRELATION: Final = 0.9
+"""Deviation of a current's sample from the twin, and its correlation from sample to sample, as
+measured on the rig (`firmware_py.goals.stiffness_estimate`)."""
+RESTING_A: Final = 0.3
+"""Deviation at the joint rate `MOVING_RAD_S`, more below it, where dry friction can take any value
+[assumed]."""
+MOVING_RAD_S: Final = 0.1
+UNKNOWN: Final = {
+    "coulomb_friction_": 0.3, "viscous_friction_": 0.3, "load_dependent_friction_": 0.3,
+    "rotor_inertia_": 0.02, "position_gain_": 0.02, "root_damping": 0.3, "span_damping": 0.3,
+    "hysteresis_share": 0.3, "creep_share": 0.3, "directional_stiffness": 0.3,
+}  # fmt: skip
+"""Relative standard deviations of uncertain plant parameters, by prefix; names that end in `_` have
+one value for each joint [assumed]."""
+UNKNOWN_DELAY_S: Final = 0.002
+UNKNOWN_BIAS_A: Final = 0.05
+"""The same for the timing of the currents and a constant offset of each [assumed]."""
+ROOM: Final = 0.9
+"""Part of the limits of current and following error that the predicted motion may use [assumed]."""
+
+
+def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
+    """Goals of a probing motion, shape (n, dof), from rest to rest at zero.
+
+    The second joint moves a quarter of a period later.
+    """
+    period_rows = 2.0 * np.pi / mode_rad_s / period_s
+    rows, still = (round(n * period_rows) for n in (PERIODS, REST_PERIODS))
+    angle, part = mode_rad_s * period_s * np.arange(rows), np.arange(rows) / (rows - 1)
+    goals = np.zeros((rows + still, dof))
+    for k, tone in enumerate(TONES):
+        inside = np.clip((part - tone.begin) / (tone.end - tone.begin), 0.0, 1.0)
+        size = tone.amplitude_rad * np.sin(np.pi * inside) ** 2
+        for j in range(dof):
+            goals[:rows, j] += size * np.sin(tone.over_mode * angle + 0.5 * np.pi * j + k)
+    return goals
+
+
+def design_probe(
+    plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
+) -> ProbeDesign:
+    linear = LinearTwins(plant, twin.dof, twin.period_s).at(payloads_kg[-1])
+    light = [m.frequency_rad_s for m in modes(linear) if m.damping < 0.3]
+    if not light or light[0] * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
+        raise InputError("--probe", "finds no slow mode of the link", "leave it out")
+    goals = probe_goals(light[0], twin.dof, twin.period_s)
+    over_study = (plant.link or STUDY_LINK).payload_kg / STUDY_LINK.payload_kg
+    step_kg = PAYLOAD_STEP_KG * (over_study or 1.0)
+    low = max(0.0, payloads_kg[0] - step_kg)
+    masses = low + step_kg * np.arange(np.ceil((payloads_kg[-1] - low) / step_kg - 1e-9) + 2)
+    changes = STIFFNESS_STEP * np.arange(-6, 7)
+    values = {n: p.value for n, p in plant.parameters.items()}
+    stiff = [n for n in values if n.startswith(STIFFNESS)]
+    currents = []
+    for change in changes:
+        other = twin.changed({n: (1.0 + change) * values[n] for n in stiff})
+        for mass in masses:
+            y = other.run(goals, mass)
+            _check(other, goals, y, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
+            currents.append(other.current_a(y).T.ravel())
+    factor = np.linalg.cholesky(_noise(twin, values, goals, payloads_kg))
+    seen = np.linalg.solve(factor, np.transpose(currents)).T
+    mean = seen.mean(axis=0)
+    _, _, directions = np.linalg.svd(seen - mean, full_matrices=False)
+    kept = directions[:FEATURES]
+    weights = np.linalg.solve(factor.T, kept.T).T.reshape(len(kept), twin.dof, len(goals))
+    expected = (seen @ kept.T).reshape(len(changes), len(masses), -1)
+    return ProbeDesign(
+        goals_rad=as_columns(goals, 7),
+        weights=tuple(as_columns(w.T, 5) for w in weights),
+        stiffness=tuple(np.round(changes, 6).tolist()),
+        payloads_kg=tuple(np.round(masses, 6).tolist()),
+        expected=tuple(tuple(tuple(f) for f in own) for own in np.round(expected, 4).tolist()),
+    )
+
+
+def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = False) -> float:
+    """Expected standard deviation of the relative stiffness after the motion.
+
+    `known`: whether the payload is known.
+    """
+    p, masses = np.array(probe.expected), np.array(probe.payloads_kg)
+    i = int(np.argmin(np.abs(probe.stiffness)))
+    j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)
+    by_k = (p[i + 1, j] - p[i - 1, j]) / (probe.stiffness[i + 1] - probe.stiffness[i - 1])
+    by_m = (p[i, j + 1] - p[i, j - 1]) / (masses[j + 1] - masses[j - 1])
+    told = by_k @ by_k - (0.0 if known else (by_k @ by_m) ** 2 / (by_m @ by_m))
+    return float(1.0 / np.sqrt(max(told, 1e-12)))
+
+
+def _noise(
+    twin: TipTwin, values: dict[str, float], goals: Array, payloads_kg: Sequence[float]
+) -> Array:
+    """Covariance of the currents about the twin, joint after joint, uncertain parameters included.
+
+    Slopes by the parameters differ with the payload: those of the lightest, middle and heaviest
+    payload each have a third of the variance.
+    """
+    rows, dof = len(goals), twin.dof
+    lag = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+    total = np.kron(np.eye(dof), NOISE_A**2 * CORRELATION**lag)
+    masses = payloads_kg[0], 0.5 * (payloads_kg[0] + payloads_kg[-1]), payloads_kg[-1]
+    slopes, slowest = [], np.full((rows, dof), np.inf)
+    for mass in masses:
+        y = twin.run(goals, mass)
+        current = twin.current_a(y)
+        slowest = np.minimum(slowest, np.abs(np.gradient(twin.angle_rad(y), twin.period_s, axis=0)))
+        for beginning, deviation in UNKNOWN.items():
+            own = [n for n in values if n.startswith(beginning)]
+            groups = [[n] for n in own] if beginning.endswith("_") else [own] if own else []
+            step = min(0.05, 0.1 * deviation)
+            for group in groups:
+                other = twin.changed({n: (1.0 + step) * values[n] for n in group})
+                slopes.append(
+                    deviation / step * (other.current_a(other.run(goals, mass)) - current)
+                )
+        late = UNKNOWN_DELAY_S * np.gradient(current, twin.period_s, axis=0)
+        slopes += [late * unit for unit in np.eye(dof)]
+    resting = RESTING_A**2 * MOVING_RAD_S**2 / np.maximum(slowest**2, 1e-4)
+    total += np.diag(np.minimum(resting, 1.0).T.ravel())
+    flat = np.array([s.T.ravel() for s in slopes]) / np.sqrt(len(masses))
+    total += flat.T @ flat
+    return np.asarray(total + np.kron(np.eye(dof), np.full((rows, rows), UNKNOWN_BIAS_A**2)))
+
+
+def _check(twin: TipTwin, goals: Array, outputs: Array, limits: Limits, whose: str) -> None:
+    """Refuse a motion whose predicted currents or angles come near the limits."""
+    current = float(np.max(np.abs(twin.current_a(outputs))))
+    if current > ROOM * limits.current_a:
+        raise InputError(
+            "--probe", f"takes {current:.2f} A with {whose}, {ROOM:.0%} of limits.current_a are "
+            f"{ROOM * limits.current_a:.2f} A", "leave it out, or widen the limit",
+        )  # fmt: skip
+    away = float(np.max(np.abs(twin.angle_rad(outputs)[1:] - goals[:-1])))
+    if away > ROOM * limits.following_error_rad:
+        raise InputError(
+            "--probe", f"leaves joints {away:.3f} rad from their goals with {whose}, {ROOM:.0%} of "
+            f"limits.following_error_rad are {ROOM * limits.following_error_rad:.3f} rad",
+            "leave it out, or widen the limit",
+        )  # fmt: skip

@@ -1,0 +1,187 @@
+"""Drive with a position loop and a velocity loop: the cascade of a Dynamixel PRO."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import casadi as ca
+
+from firmware_py.link.link_description import STUDY_LINK
+from models.plant.components.drive import current_limit, friction_speed_parameter
+from models.plant.components.goal import (
+    above_end,
+    above_mean,
+    declare_goal_rate_change,
+    declare_shaped_goal,
+    declare_step_length,
+    goal_rate,
+    goal_rate_change,
+    goal_shape_parameters,
+    sampling_phase,
+    staircase_in_current,
+)
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+_SERVO: Final = STUDY_LINK.preset
+
+FEEDFORWARD: Final = "velocity_feedforward_{j}"
+POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
+SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
+"""Parameters of extensions of the cascade that some servos have."""
+
+
+def extension_parameters(joint: int) -> list[Parameter]:
+    """Rate feed-forward, position integral and set-point weight; absent by default."""
+    source = 'docs/sources.md, "Control tables": {}; 0 is none'
+    return [
+        Parameter(name=FEEDFORWARD.format(j=joint), unit="1", value=0.0, low=0.0, high=1.5,
+                  description="share of the goal's rate in the rate that is asked",
+                  source=source.format("feed-forward 1st gain"), prior_deviation=0.5),
+        Parameter(name=POSITION_INTEGRAL.format(j=joint), unit="1/s2", value=0.0, low=0.0,
+                  high=200.0, description="rate asked per integral of the position error",
+                  source=source.format("position I gain"), prior_deviation=10.0),
+        Parameter(name=SETPOINT_WEIGHT.format(j=joint), unit="1", value=1.0, low=0.0, high=1.5,
+                  description="weight of the asked rate in the velocity loop's proportional part",
+                  source="assumed: a loop on the error of the rate", prior_deviation=0.3),
+    ]  # fmt: skip
+
+
+class Cascade:
+    """P position → PI velocity → current, as the Dynamixel PRO runs it.
+
+    docs/sources.md, "The servo". The set-point of the rate is w = k_p (goal − q) + k_i S + k_f ġ,
+    with Ṡ = goal − q and ġ the rate of the goal::
+
+        i = k_v (b w − q̇ + I / T_i),   İ = w − q̇,   τ = k_t i
+
+    The current is clipped to its limit, and back-calculation limits I meanwhile. The sample of the
+    current within a step is clipped to the same limit. A servo without feed-forward, position
+    integral and set-point weight has k_f = k_i = 0 and b = 1. A servo with a derivative of the
+    position error, or with a PID from position to current, has the same law with other gains
+    (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
+    """
+
+    kind: ClassVar[str] = "cascade"
+    features: ClassVar[tuple[str, ...]] = (
+        "current", "current limit", "goal shape", "position gain", "smooth friction",
+    )  # fmt: skip
+    has_presliding: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Return gains, torque constant, inertia and limit of each joint."""
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
+                          high=60.0, role="nuisance", description="position loop: rate per error",
+                          source='docs/sources.md, "The servo"'),
+                Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
+                          high=60.0, role="nuisance", description="current per rate error",
+                          source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
+                Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
+                          high=5.0, role="nuisance", description="integral time of the rate error",
+                          source="assumed: slower than the position loop"),
+                *extension_parameters(j),
+                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A",
+                          value=_SERVO.torque_constant_nm_a, low=2.0, high=15.0,
+                          description="torque at the output per ampere",
+                          source='docs/sources.md, "The servo"'),
+                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2",
+                          value=_SERVO.rotor_inertia_kg_m2, low=0.4, high=2.0,
+                          role="nuisance", description="rotor inertia at the output",
+                          source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
+                Parameter(name=f"current_limit_{j}_a", unit="A",
+                          value=_SERVO.current_limit_a, low=0.5, high=50.0,
+                          description="rated current limit", source='docs/sources.md, "The servo"'),
+                friction_speed_parameter(scope, j),
+                *goal_shape_parameters(j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Add shaped goals, and the integral of the velocity error as a state."""
+        for j in scope.joints:
+            declare_shaped_goal(scope, j)
+            scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
+            if FEEDFORWARD.format(j=j) not in scope.absent:
+                declare_goal_rate_change(scope, j)
+            if POSITION_INTEGRAL.format(j=j) not in scope.absent:
+                scope.state(Variable(f"position_integral_{j}_rad_s", "rad.s", nominal=0.01))
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set the torque by both loops, and the current as it is sampled."""
+        for j in scope.joints:
+            integral = scope.states[f"velocity_integral_{j}_rad"]
+            gain = scope.p("velocity_gain_{j}_a_s_rad", j)
+            held = scope.holding_torque[j] / self.torque_constant(scope, j)
+            integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
+            limit = current_limit(scope, j)
+            asked, measured = self._asked_rate(scope, j), scope.measured_rate(j)
+            gathered = integral.symbol / scope.p("velocity_integral_time_{j}_s", j)
+            weight = scope.p(SETPOINT_WEIGHT, j)
+            wanted = gain * (weight * asked - measured + gathered)
+            current = ca.fmin(ca.fmax(wanted, -limit), limit)
+            integral.rate = asked - measured - (wanted - current) / gain
+            scope.motor_torque[j] = self.torque_constant(scope, j) * current
+            per_goal = gain * weight * self._position_gain(scope, j)
+            at_once = 1 - scope.p("goal_interpolation_{j}", j)
+            scope.current_jump_per_rate[j] = per_goal * declare_step_length(scope)
+            staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
+            scope.sampled_above[j] = per_goal * at_once * staircase
+            if FEEDFORWARD.format(j=j) not in scope.absent:
+                jump = gain * weight * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
+                scope.sampled_above[j] += jump * above_end(scope, j, self._decay_s(scope, j))
+            scope.current[j] = current
+
+    def _asked_rate(self, scope: Scope, joint: int) -> Expr:
+        """Set-point of the rate, from the position loop."""
+        lag = scope.goal[joint] - scope.measured_angle(joint)
+        asked = self._position_gain(scope, joint) * lag
+        if FEEDFORWARD.format(j=joint) not in scope.absent:
+            asked += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
+        if POSITION_INTEGRAL.format(j=joint) not in scope.absent:
+            integral = scope.states[f"position_integral_{joint}_rad_s"]
+            integral.rate = lag
+            asked += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
+        return asked
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """Return the rotor inertia times gear ratio squared."""
+        return scope.p("rotor_inertia_{j}_kg_m2", joint)
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Return the torque constant at the output."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Return the current as it is sampled; a goal in steps gives it a saw-tooth.
+
+        The goal jumps by (1 − λ) ġh in each step. The joint lags the goal by
+        k_p (goal − q) = q̇ − k_f ġ, so ġ = q̇ + (1 − k_f) q̈ / k_p. A held goal is late by half a
+        step, and its last jump by one and a half. At the end of the step the current is below its
+        mean in proportion to ġ, like negative viscous friction and inertia. Feed-forward jumps by
+        k_f g̈h, whatever the goal does within the step. The position integral is too slow to matter.
+        """
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint) * scope.p(SETPOINT_WEIGHT, joint)
+        follow_per_s = self._position_gain(scope, joint)
+        forward = scope.p(FEEDFORWARD, joint)
+        lead_s = (1 - forward) / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
+        followed = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
+        jump = gain * follow_per_s * step_s * followed
+        held = 1 - scope.p("goal_interpolation_{j}", joint)
+        forward_jump = gain * forward * step_s * scope.mean_acceleration[joint]
+        phase = sampling_phase(scope, joint, step_s)
+        return scope.current[joint] + (held * jump + forward_jump) * above_mean(
+            phase, step_s, self._decay_s(scope, joint)
+        )
+
+    def _position_gain(self, scope: Scope, joint: int) -> Expr:
+        """Set-point of the rate per position error."""
+        return scope.position_gain_scale[joint] * scope.p("position_gain_{j}_per_s", joint)
+
+    def _decay_s(self, scope: Scope, joint: int) -> Expr:
+        """Time constant of the velocity loop."""
+        gain = scope.p("velocity_gain_{j}_a_s_rad", joint)
+        return self.reflected_inertia(scope, joint) / (self.torque_constant(scope, joint) * gain)

@@ -1,0 +1,146 @@
+"""Interface of a drive: torque on a joint and motor current from a goal or a command.
+
+Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
+of drive, but each has its own parameters.
+
+Presliding of dry friction in a drive with a small gear.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final, Protocol
+
+import casadi as ca
+
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
+
+
+class Drive(Protocol):
+    """Drive of the joints: control law, motor and reflected inertia.
+
+    Attributes
+    ----------
+    kind : str
+        Name in a plant document.
+    features : tuple of str
+        Features that effects may need (`models.plant.effects.Need`).
+    has_presliding : bool
+        Whether dry friction has bristles and depends on the drive's torque on the gear.
+    """
+
+    kind: ClassVar[str]
+    features: ClassVar[tuple[str, ...]]
+    has_presliding: ClassVar[bool]
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Return the parameters for the joints of `scope`."""
+        ...
+
+    def declare(self, scope: Scope) -> None:
+        """Add inputs and states; set `goal` and `start`."""
+        ...
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set `current` and `motor_torque` by the control law."""
+        ...
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """Return the inertia of the drive, reflected to the joint."""
+        ...
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Return the torque at the joint per ampere."""
+        ...
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Return the current at the end of a step whose mean current is `scope.current`.
+
+        Parameters
+        ----------
+        scope : Scope
+            Symbols of the composition, with `current` set.
+        joint : int
+            Number of the joint.
+        step_s : SX
+            Length of the step.
+        """
+        ...
+
+
+def current_limit(scope: Scope, joint: int) -> Expr:
+    """Current limit of a drive, reduced by effects."""
+    return scope.p("current_limit_{j}_a", joint) - scope.current_limit_reduction[joint]
+
+
+def declare_goal(scope: Scope, joint: int) -> None:
+    """Add the goal of a joint as an input; set `goal` and `start`."""
+    angle = scope.suffix["angle"]
+    goal = scope.input(
+        Variable(
+            f"goal_{joint}_{angle}", SI_UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
+        )
+    )
+    scope.goal[joint] = goal
+    scope.start[joint] = scope.true_angle(joint, goal)
+
+
+def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
+    """Offset of the first position, for a joint without a stiff position loop."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
+        value=0.0, low=-10.0, high=10.0,
+        description="first position, from the first goal or from zero; of a trial, as measured",
+        source="at the goal",
+    )  # fmt: skip
+
+
+def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
+    """Rate at the start, for a joint whose trial may begin in motion."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"start_joint_rate_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
+        value=0.0, low=-100.0, high=100.0,
+        description="rate at the start; of a trial, as measured", source="at rest",
+    )  # fmt: skip
+
+
+def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
+    """Speed that regularises the dry friction of a drive."""
+    angle = scope.suffix["angle"]
+    return Parameter(
+        name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
+        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
+        description="speed below which dry friction is linear in the rate",
+        source="numerical: 3 % of the study's peak rate",
+    )  # fmt: skip
+
+
+BRISTLE_DAMPING_S: Final = 5e-3
+"""Damping time of the bristles: a sticking joint oscillates for a few periods only."""
+
+BRISTLE_REVERSAL_S: Final = 5e-4
+"""Shortest time in which the bristles reverse: half an internal step."""
+
+
+def declare_presliding(scope: Scope, joint: int) -> None:
+    """Add the torque of the drive on a small gear and the presliding of its friction.
+
+    The drive loads the teeth like the load does (BAM), so friction depends on the drive's torque.
+    Dry friction holds a joint at rest by bristles that bend before they slide (Dahl 1968)::
+
+        ż = (q̇ − |q̇| z) / (δ + |q̇| T),   direction = z + T_d ż
+
+    z reaches sign(q̇) within the distance δ and is constant at rest; a smooth sign of the rate alone
+    would let the joint creep. T bounds the rate of change for the integrator.
+    """
+    scope.gear_drive_torque[joint] = ca.SX.sym(f"drive_torque_{joint}")
+    z = scope.state(Variable(f"bristle_{joint}", "1"))
+    speed = ca.fabs(scope.rate[joint])
+    reach = scope.p("presliding_{j}_{angle}", joint) + speed * BRISTLE_REVERSAL_S
+    scope.states[z.name()].rate = (scope.rate[joint] - speed * z) / reach
+    scope.friction_direction[joint] = z + BRISTLE_DAMPING_S * scope.states[z.name()].rate

@@ -1,1 +1,0 @@
-"""Drives: one file for each, their interface and their registry."""

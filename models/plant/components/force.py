@@ -1,0 +1,69 @@
+"""Drive with a force in proportion to a commanded voltage."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import casadi as ca
+
+from models.plant.components.drive import (
+    SI_UNIT_OF,
+    friction_speed_parameter,
+    start_offset_parameter,
+    start_rate_parameter,
+)
+from models.plant.parameter import NO_DEFAULT, Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+
+class Force:
+    """Force proportional to a commanded voltage: F = k u.
+
+    Source: EMPS (docs/sources.md, "Real recordings").
+    """
+
+    kind: ClassVar[str] = "force"
+    features: ClassVar[tuple[str, ...]] = ("smooth friction",)
+    has_presliding: ClassVar[bool] = False
+
+    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
+        """Return force (or torque) per volt of each joint, and the motion at the start."""
+        torque = scope.suffix["torque"]
+        result: list[Parameter] = []
+        for j in scope.joints:
+            result += [
+                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
+                          value=NO_DEFAULT, low=0.01, high=1e3,
+                          description="force per volt of command",
+                          source="data sheet of the drive"),
+                start_offset_parameter(scope, j),
+                start_rate_parameter(scope, j),
+                friction_speed_parameter(scope, j),
+            ]  # fmt: skip
+        return tuple(result)
+
+    def declare(self, scope: Scope) -> None:
+        """Add the command voltage as an input."""
+        for j in scope.joints:
+            scope.goal[j] = scope.input(
+                Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
+            )
+            scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
+
+    def apply_control(self, scope: Scope) -> None:
+        """Set the force; there is no measured current."""
+        for j in scope.joints:
+            scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
+
+    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
+        """Return zero: the moving mass is the load's."""
+        return ca.SX(0)
+
+    def torque_constant(self, scope: Scope, joint: int) -> Expr:
+        """Return the force per volt: the command replaces the current."""
+        return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
+
+    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
+        """Return the mean current of the step: without a velocity loop there is no saw-tooth."""
+        return scope.current[joint]

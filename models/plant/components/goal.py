@@ -1,0 +1,208 @@
+"""Trapezoidal profile of a goal: one step of the set-point, limited in speed and acceleration.
+
+A profiling servo accelerates its set-point to the speed limit, holds that speed, and decelerates so
+that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans again when the next
+goal arrives. With the remaining distance e, the speed v towards the goal and the acceleration a,
+the set-point accelerates until v² = 2 a (remaining distance): up to the speed √(v²/2 + a e), or to
+the limit. A goal that moves at the speed v is followed v / 2a late.
+
+Shape of the goal within a step: held, interpolated or profiled; and its effect on the current.
+
+A servo receives a goal once a step. With w(s) the fraction of the change that has taken effect at
+the phase s of the step, 0 to 1::
+
+    g(s) = g_before + Δ w(s),   w(s) = 1 − λ + λ s
+
+λ = 0 holds the goal (a staircase). λ = 1 interpolates linearly from the previous goal, which delays
+it by half a step more than holding it. Δ is the whole change, or the part that a profile of limited
+speed and acceleration completes in one step (`models.plant.components.goal`); the
+rest follows in the next steps. A profile that ends within the step has a λ between 0 and 1.
+
+The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which decays with the velocity loop,
+τ = J / (k_t k_v). In a steady motion the jumps of the earlier steps add up. Sampled at the phase φ,
+the current is above its value at the end of the step by the jump times (e^{−φh/τ} − r) / (1 − r),
+and above its mean by the jump times e^{−φh/τ} / (1 − r) − τ/h, with r = e^{−h/τ}.
+
+A dead time of the goal moves the jumps within the step, and hardly any filter delays a staircase
+without smoothing it. So the goal is delayed without its staircase, and the saw-tooth is added to
+the mean current (`DelayedStaircase`).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import casadi as ca
+
+from models.plant.components.drive import SI_UNIT_OF, declare_goal
+from models.plant.parameter import Parameter
+from models.plant.scope import Expr, Scope
+from models.plant.step_model import Variable
+
+NO_ACCELERATION_LIMIT: Final = 1e6
+"""Acceleration in rad/s² that counts as no limit: a change of 10 rad takes 6 ms."""
+
+LEAST_SQUARED_SPEED: Final = 1e-12
+"""Added below the root, in (rad/s)²: keeps its derivative finite at rest."""
+
+
+def profiled_change(
+    left: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
+) -> tuple[Expr, Expr]:
+    """Change of the set-point in one step, and its final rate; `left` is the distance to go."""
+    towards = ca.if_else(left >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
+    way, begun = towards * left, towards * rate
+    squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED
+    top = ca.fmin(ca.sqrt(squared), speed)
+    rise_s, fall_s = (top - begun) / acceleration, top / acceleration
+    level = way - (top + begun) / 2 * rise_s - top / 2 * fall_s
+    level_s = ca.fmax(level, 0) / top
+    rising_s = ca.fmin(rise_s, step_s)
+    levelling_s = ca.fmin(ca.fmax(step_s - rise_s, 0), level_s)
+    falling_s = ca.fmin(ca.fmax(step_s - rise_s - level_s, 0), fall_s)
+    change = (
+        (begun + acceleration / 2 * rising_s) * rising_s
+        + top * levelling_s
+        + (top - acceleration / 2 * falling_s) * falling_s
+    )
+    arrived = step_s >= rise_s + level_s + fall_s
+    ended = begun + acceleration * (rising_s - falling_s)
+    return towards * ca.if_else(arrived, way, change), towards * ca.if_else(arrived, 0, ended)
+
+
+PHASE_STATE = "step_phase"
+"""State that holds the phase of the step, 0 to 1."""
+
+STEP_STATE = "step_s"
+"""State that holds the length of the step, for outputs and rates."""
+
+
+def goal_shape_parameters(joint: int) -> list[Parameter]:
+    """Interpolation, delay and profile of the goal, and the phase of the current's sample."""
+    j = joint
+    return [
+        Parameter(name=f"goal_interpolation_{j}", unit="1", value=0.0, low=0.0, high=1.0,
+                  role="nuisance", description="0 holds the goal of a step, 1 interpolates it",
+                  source="assumed held", prior_deviation=1.0),
+        Parameter(name=f"current_phase_{j}", unit="1", value=1.0, low=0.02, high=1.0,
+                  role="nuisance", description="phase of the step at which the current is sampled",
+                  source="assumed: read before the next goal is sent", prior_deviation=1.0),
+        Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
+                  role="nuisance", description="time after which a goal takes effect",
+                  source='assumed at once; docs/sources.md, "Control tables": line time, '
+                         "1 to 26 ms",
+                  prior_deviation=0.004),
+        Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
+                  description="speed limit of the goal's profile; 100 is none",
+                  source='docs/sources.md, "Control tables": profile velocity, 0 is none'),
+        Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
+                  value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
+                  description="acceleration limit of the goal's profile; 1e6 is none",
+                  source='docs/sources.md, "Control tables": profile acceleration, 0 is none'),
+    ]  # fmt: skip
+
+
+def declare_step_length(scope: Scope) -> Expr:
+    """Add the length of the step as a state if there is none yet; return its symbol."""
+    if STEP_STATE not in scope.states:
+        symbol = scope.state(Variable(STEP_STATE, "s", nominal=0.017), 1.0)
+        scope.states[STEP_STATE].begin = scope.step_s
+        return symbol
+    return scope.states[STEP_STATE].symbol
+
+
+def declare_shaped_goal(scope: Scope, joint: int) -> None:
+    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`."""
+    declare_goal(scope, joint)
+    sent, angle = scope.goal[joint], scope.suffix["angle"]
+    unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
+    held = 1 - scope.p("goal_interpolation_{j}", joint)
+    shaped = scope.state(Variable(f"shaped_goal_{joint}_{angle}", unit, nominal=0.5), sent)
+    change = scope.state(Variable(f"goal_change_{joint}_{angle}", unit, nominal=0.01))
+    rate = scope.state(Variable(f"goal_rate_{joint}_{angle}_s", f"{unit}/s", nominal=0.5))
+    wanted, scope.states[rate.name()].begin = profiled_change(
+        sent - shaped,
+        rate,
+        scope.p("profile_speed_{j}_rad_s", joint),
+        scope.p("profile_acceleration_{j}_rad_s2", joint),
+        scope.step_s,
+    )
+    scope.states[change.name()].begin = wanted
+    scope.states[shaped.name()].begin = shaped + held * wanted
+    scope.states[shaped.name()].rate = (1 - held) * change / step_s
+    scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
+    scope.goal_change[joint] = change
+    scope.goal_without_staircase[joint] = lambda: _without_staircase(scope, joint)
+
+
+def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
+    """Change of the goal in a step times the current's sample above the twin's, per jump."""
+    step_s = declare_step_length(scope)
+    phase = sampling_phase(scope, joint, step_s)
+    at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
+    if joint not in scope.delayed_staircase:
+        return at_once
+    late = scope.delayed_staircase[joint]
+    late_phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
+    delayed = late.rate * step_s * above_mean(late_phase, step_s, decay_s)
+    return at_once + late.share * (delayed - at_once)
+
+
+def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
+    """Sampled current minus that at the end of the step, per jump of the current."""
+    step_s = declare_step_length(scope)
+    phase = sampling_phase(scope, joint, step_s)
+    return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
+
+
+def declare_goal_rate_change(scope: Scope, joint: int) -> None:
+    """Add the goal's change of rate since the previous step as a state, for `goal_rate_change`."""
+    angle = scope.suffix["angle"]
+    name = f"goal_rate_change_{joint}_{angle}_s"
+    scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
+    change = scope.states[f"goal_change_{joint}_{angle}"]
+    scope.states[name].begin = (change.begin - change.symbol) / scope.step_s
+
+
+def goal_rate_change(scope: Scope, joint: int) -> Expr:
+    """Change of the goal's rate at the begin of the step."""
+    return scope.states[f"goal_rate_change_{joint}_{scope.suffix['angle']}_s"].symbol
+
+
+def goal_rate(scope: Scope, joint: int) -> Expr:
+    """Rate of the goal in this step, after the command port."""
+    sent = scope.goal_change[joint] / declare_step_length(scope)
+    if joint not in scope.delayed_staircase:
+        return sent
+    late = scope.delayed_staircase[joint]
+    return sent + late.share * (late.rate - sent)
+
+
+def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
+    """Phase in (0, 1] of the current's sample, counted from the last jump of the goal.
+
+    A sample taken before the delayed jump follows the jump of the previous step.
+    """
+    delay_s = scope.p("goal_delay_{j}_s", joint)
+    phase = scope.p("current_phase_{j}", joint) - delay_s / step_s
+    return phase - ca.ceil(phase) + 1.0
+
+
+def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
+    """Difference of the current at a phase of the step from its mean, per jump of the current.
+
+    `decay_s` is the time constant of the velocity loop.
+    """
+    left = ca.exp(-step_s / decay_s)
+    return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
+
+
+def _without_staircase(scope: Scope, joint: int) -> Expr:
+    """Goal that follows the line through the middles of its steps instead of the staircase."""
+    if PHASE_STATE not in scope.states:
+        scope.state(Variable(PHASE_STATE, "1"), 0.0)
+        scope.states[PHASE_STATE].begin = ca.SX(0.0)
+        scope.states[PHASE_STATE].rate = 1 / declare_step_length(scope)
+    held = 1 - scope.p("goal_interpolation_{j}", joint)
+    phase = scope.states[PHASE_STATE].symbol
+    return scope.goal[joint] + held * scope.goal_change[joint] * (phase - 0.5)

@@ -1,0 +1,257 @@
+"""Value and rate of a measured column at the start of a trial that may begin in motion.
+
+C code of the functions of a `StepModel`.
+
+Compiled form of a `StepModel`: C code that runs a whole trial in one call.
+
+The compiled run equals the interpreted `StepModel.simulate` to rounding (CasADi generates the same
+operations; docs/sources.md, "FMI"). Libraries are cached by content, so a plant is compiled once.
+
+Simulation of a plant from arrays of inputs to arrays of signals.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from firmware_py.errors import InputError
+from firmware_py.signals import PERIOD_S
+from models.plant.plant import Plant
+from models.plant.step_model import StepModel, names
+from models.shared.c_compiler import load_library
+from models.trials.trial import Trial
+
+LONGEST_START_S: Final = 0.05
+"""Longest window at the start: a quarter of a period at 5 Hz."""
+
+LEAST_ROWS: Final = 5
+"""Rows of the shortest window."""
+
+CONFIDENCE_SD: Final = 2.0
+"""Half-width of a rate's confidence interval in standard deviations [Katkovnik 1999: 1.5 to 3]."""
+
+
+def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
+    """Value and rate of a column at the first row, by a parabola through its first rows.
+
+    A long window averages noise, a short one follows a jerk. The longest window is used whose rate
+    agrees with that of every shorter one: intersection of confidence intervals [Goldenshluger &
+    Nemirovski 1997; Katkovnik 1999]. The noise is estimated from the third differences, which a
+    smooth motion hardly has.
+    """
+    longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
+    time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]
+    seen = np.isfinite(values)
+    time_s, values = time_s[seen], values[seen]
+    if len(values) < LEAST_ROWS:
+        return 0.0, 0.0
+    noise = float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20))  # 1 + 9 + 9 + 1
+    low, high, chosen = -np.inf, np.inf, (0.0, 0.0)
+    for rows in range(LEAST_ROWS, len(values) + 1):
+        powers = np.vander(time_s[:rows] / time_s[rows - 1], 3, increasing=True)
+        inverse = np.linalg.pinv(powers)
+        value, slope, _ = inverse @ values[:rows]
+        rate = slope / time_s[rows - 1]
+        error = CONFIDENCE_SD * noise * float(np.linalg.norm(inverse[1])) / time_s[rows - 1]
+        low, high = max(low, rate - error), min(high, rate + error)
+        if low > high:
+            break
+        chosen = float(value), float(rate)
+    return chosen
+
+
+FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
+
+
+def write_model_c(
+    model: StepModel, directory: Path, further: Mapping[str, ca.Function] | None = None
+) -> Path:
+    """Write `model.c` and `model.h` with model_initial, model_begin, …; return the C file.
+
+    Arguments and results are dense vectors, even if CasADi finds them sparse.
+    """
+    generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
+    functions = {name: getattr(model, name) for name in FUNCTIONS} | dict(further or {})
+    for name, function in functions.items():
+        generator.add(_dense(function, f"model_{name}"))
+    generator.generate(f"{directory}/")
+    return directory / "model.c"
+
+
+def _dense(function: ca.Function, name: str) -> ca.Function:
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    return ca.Function(name, arguments, [ca.densify(function(*arguments))])
+
+
+Array = NDArray[np.float64]
+_DRIVER: Final = Path(__file__).with_name("run_trial.c")
+_POINTER: Final = ctypes.POINTER(ctypes.c_double)
+
+
+class CompiledModel:
+    """A `StepModel` compiled to run whole trials."""
+
+    def __init__(self, model: StepModel) -> None:
+        self.model = model
+        sizes = {"N_X": len(model.states), "N_U": len(model.inputs), "N_Y": len(model.outputs)}
+        self._library = load_library(
+            lambda directory: [write_model_c(model, directory), _DRIVER],
+            flags=[f"-D{name}={size}" for name, size in sizes.items()],
+        )
+
+    def start(self, u: Array, p: Array) -> Array:
+        """Initial state under inputs u of shape (len(inputs),) and parameters p."""
+        x = np.empty(len(self.model.states))
+        self._call("start", np.ascontiguousarray(u, dtype=np.float64), p, x)
+        return x
+
+    def simulate(
+        self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
+    ) -> Array:
+        """Outputs at the start and after each step, shape (n + 1, len(outputs)).
+
+        Row k is the output at k * step_s.
+        """
+        u = np.ascontiguousarray(u, dtype=np.float64)
+        p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
+        x = self.start(u[0], p) if x is None else np.array(x, dtype=np.float64)
+        y = np.empty((len(u) + 1, len(self.model.outputs)))
+        times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
+        self._call("run", u, p, x, y, before=(ctypes.c_long(len(u)), *times))
+        return y
+
+    def _call(self, function: str, *arrays: Array, before: tuple[Any, ...] = ()) -> None:
+        pointers = [a.ctypes.data_as(_POINTER) for a in arrays]
+        if getattr(self._library, function)(*before, *pointers):
+            raise MemoryError(f"{self.model.name}: {function}")
+
+
+def trial_parameters(model: StepModel, trial: Trial) -> Array:
+    """Parameter vector: the plant's values, with the trial's geometry, conditions and start."""
+    dimensions = ("base_offset_m", "link_length_m", "link_width_m")
+    own = {n: getattr(trial.meta, n) for n in dimensions if trial.meta.link_length_m}
+    own |= trial.meta.conditions
+    for j in range(1, trial.meta.dof + 1):
+        for position, angle in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
+            if position in trial.columns:
+                goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
+                own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
+                own[f"start_joint_rate_{j}_{angle}_s"] = start_of_motion(trial, position)[1]
+        deflection = f"deflection_{j}_rad"
+        if deflection in trial.columns:
+            start, rate = start_of_motion(trial, deflection)
+            own |= {f"start_{deflection}": start, f"start_deflection_rate_{j}_rad_s": rate}
+    known = set(names(model.parameters))
+    return model.parameter_values({n: v for n, v in own.items() if n in known})
+
+
+def model_inputs(model: StepModel, trial: Trial) -> Array:
+    """Inputs of a model from a trial's columns, shape (n, len(inputs)).
+
+    The payload is the declared one. A drive is enabled unless a column says otherwise.
+    """
+    columns = dict(trial.columns)
+    for j in range(1, trial.meta.dof + 1):
+        columns.setdefault(f"enabled_{j}", np.ones(len(trial)))
+    columns.setdefault("payload_kg", np.full(len(trial), trial.meta.payload_kg))
+    for name in names(model.inputs):
+        if name not in columns:
+            raise InputError(
+                trial.path, f"column {name} is missing, which the plant takes as an input",
+                "use a trial of the plant's kind",
+            )  # fmt: skip
+    return np.column_stack([columns[name] for name in names(model.inputs)])
+
+
+def trial_inputs(model: StepModel, trial: Trial) -> tuple[Array, Array]:
+    """Inputs at the start (len(inputs),) and of each step between two rows (n - 1, len(inputs)).
+
+    A twin is driven by the goal that was sent after a row, until the next one. A model driven by
+    measurements uses the sample at the end of each step.
+    """
+    u = model_inputs(model, trial)
+    return u[0], u[1:] if model.inputs_at_end else u[:-1]
+
+
+def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> Array:
+    """Outputs of a model at every row of a trial, shape (n, len(outputs)); see `trial_inputs`."""
+    first, u = trial_inputs(compiled.model, trial)
+    p = trial_parameters(compiled.model, trial) if p is None else p
+    return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))
+
+
+def simulate_plant(
+    plant: Plant, inputs: Mapping[str, ArrayLike], step_s: float = PERIOD_S, dof: int = 1
+) -> dict[str, Array]:
+    """Simulate the twin of a plant from rest.
+
+    Parameters
+    ----------
+    plant : Plant
+        Plant to simulate.
+    inputs : mapping of str to array_like, shape (n,) or ()
+        Inputs of the twin by name, in SI units; a single number is constant. Row k acts from
+        `k * step_s` on. By default `payload_kg` is 0 and `enabled_j` is 1.
+    step_s : float
+        Time between two rows in s.
+    dof : int
+        Number of joints, 1 or 2.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,)
+        Time, inputs and outputs by name; row k at `k * step_s`.
+
+    Raises
+    ------
+    InputError
+        If an input is missing, unknown or of another length, or the simulation does not stay
+        finite.
+
+    Examples
+    --------
+    >>> from firmware_py.motion import Motion
+    >>> from models.plant.plant import read_plant
+    >>> goal_rad = Motion(period_s=2.0).table_rad()[:, 0]
+    >>> run = simulate_plant(read_plant(), {"goal_1_rad": goal_rad, "payload_kg": 1.0})
+    >>> list(run)[:4], len(run["tip_x_m"]) == len(goal_rad)
+    (['time_s', 'goal_1_rad', 'payload_kg', 'angle_1_rad'], True)
+    """
+    model = plant.step_model(dof, "twin")
+    given = _rows(names(model.inputs), inputs, dof)
+    u = np.column_stack([*given.values()])
+    y = CompiledModel(model).simulate(u[:-1], step_s)
+    if not np.isfinite(y).all():
+        raise InputError(
+            f"plant {plant.name!r}", "does not stay finite", "give inputs that it can follow"
+        )
+    time_s: Array = step_s * np.arange(len(u), dtype=np.float64)
+    outputs = {name: np.ascontiguousarray(y[:, k]) for k, name in enumerate(names(model.outputs))}
+    return {"time_s": time_s, **given, **outputs}
+
+
+def _rows(wanted: Sequence[str], inputs: Mapping[str, ArrayLike], dof: int) -> dict[str, Array]:
+    """Inputs in the order of the model, all of one length."""
+    usual = {"payload_kg": 0.0} | {f"enabled_{j}": 1.0 for j in range(1, dof + 1)}
+    inputs = {name: value for name, value in usual.items() if name in wanted} | dict(inputs)
+    for name in sorted({*wanted} ^ inputs.keys()):
+        raise InputError(
+            name, "is missing" if name in wanted else "is no input of this plant",
+            "give " + ", ".join(wanted),
+        )  # fmt: skip
+    given = {name: np.asarray(inputs[name], dtype=np.float64) for name in wanted}
+    count = max((len(a) for a in given.values() if a.ndim == 1), default=0)
+    for name, array in given.items():
+        if array.shape not in ((), (count,)) or count < 2:
+            raise InputError(
+                name, f"has the shape {array.shape}", "give two rows or more, all of one length"
+            )
+    return {name: np.broadcast_to(array, count).copy() for name, array in given.items()}

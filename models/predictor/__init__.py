@@ -1,0 +1,1 @@
+"""Predictors of the tip: candidates, intervals, training, and their ONNX graphs."""

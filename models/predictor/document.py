@@ -1,0 +1,111 @@
+"""Predictors document (`predictors.json`): comparison of candidates for the robot's tip predictor.
+
+Distances and widths are in m; coverage and fractions are dimensionless.
+
+Latency of a prediction, warm in a hot loop and cold as in the robot's loop.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, ClassVar, Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.documents import Document, read_document, write_document
+from firmware_py.inference.file_content import FileContent
+from firmware_py.inference.predictor import OnnxGraph
+from firmware_py.signals import PERIOD_S
+
+Test = str
+Part = str
+
+
+class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Errors of a predictor on some rows."""
+
+    rows: int
+    mean_m: float  # Mean Euclidean distance of predicted and measured tip
+    p95_m: float  # 95 % quantile of this distance
+    max_m: float  # Largest distance
+    coverage: float  # Fraction of rows inside the 95 % interval, mean over the axes that move
+    half_width_m: float  # Mean half width over rows and axes
+    in_range: float  # Fraction of rows in range
+    max_in_range_m: float  # Largest distance among the rows in range
+    coverage_least: float  # Coverage on the worst of the axes that move
+
+
+class Latency(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Median duration of a call on the machine that made the bundle."""
+
+    warm_s: float  # In a hot loop
+    cold_s: float  # With a control period before each call, as in the robot's loop
+
+
+class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Candidate with its scores."""
+
+    summary: str
+    variant: int  # Variant, for example a degree, chosen on all training rows
+    nested: TipScore  # Score in nested cross-validation: payloads and motions left out
+    # Scores on trials that nothing was trained on: "all" rows, "rest", "motion". The test
+    # "stiffness_x_0.8" and similar ones are all these trials with an observer whose plant is wrong
+    tests: dict[Test, dict[Part, TipScore]]
+    graph_bytes: int  # Size of its ONNX graph
+    latency: Latency  # Latency of its graph in onnxruntime
+
+
+class PredictorsDocument(Document, frozen=True, kw_only=True):
+    """Content of `predictors.json`."""
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "dropstitch train"
+
+    dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
+    chosen: str  # Candidate that the robot gets
+    reason: str  # Reason for the choice, in one sentence
+    trials: tuple[str, ...]
+    motions: tuple[str, ...]
+    payload_kg: tuple[float, ...]
+    candidates: dict[str, CandidateEntry]  # Candidates in the order of comparison, simplest first
+    askew_rad: float  # Angle by which the link may be mounted askew, which the interval covers
+    # Observer and predictor together, by runtime; added with the observer
+    runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
+
+
+def read_predictors(path: Path) -> PredictorsDocument:
+    return read_document(path, PredictorsDocument)
+
+
+def write_predictors(path: Path, document: PredictorsDocument) -> None:
+    write_document(path, document)
+
+
+WARM_CALLS: Final = 200
+COLD_CALLS: Final = 25
+"""Calls of which the median is taken; a cold one waits for a control period first."""
+OUTPUTS: Final = (("tip_m", 3), ("in_range", 1), ("half_width_m", 3))
+
+
+def measure_latency(call: Callable[[], object]) -> Latency:
+    """Median duration of a call in a hot loop, and with a control period before each call."""
+    return Latency(_median_s(call, WARM_CALLS, 0.0), _median_s(call, COLD_CALLS, PERIOD_S))
+
+
+def _median_s(call: Callable[[], object], count: int, pause_s: float) -> float:
+    taken_ns = []
+    for _ in range(count):
+        if pause_s:
+            time.sleep(pause_s)
+        start_ns = time.perf_counter_ns()
+        call()
+        taken_ns.append(time.perf_counter_ns() - start_ns)
+    return float(np.median(taken_ns)) * 1e-9
+
+
+def graph_latency(data: bytes) -> Latency:
+    """Latency of a predictor's graph in onnxruntime."""
+    return measure_latency(OnnxGraph(FileContent(Path("graph"), data), None, OUTPUTS).run)

@@ -1,0 +1,303 @@
+"""Choice of the robot's tip predictor by nested cross-validation over payloads and motions.
+
+Each outer fold leaves out one payload or one motion. Within it the variant of a candidate, such as
+its degree, is chosen on the rest alone, by leaving out payloads and motions again; the interval is
+calibrated on these inner rows. So the error on the outer fold is that on a robot: at another
+payload or motion than any used for training or choice.
+
+Training of the robot's tip predictor: rows of all training motions, choice, tests, document.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.display_units import FRACTION, LENGTH
+from models.plant.simulation.runner import CompiledModel
+from models.predictor.candidates import TipPredictor
+from models.predictor.document import CandidateEntry, PredictorsDocument, TipScore, graph_latency
+from models.predictor.guarded_tip import GuardedTip
+from models.predictor.interval import TipInterval
+from models.predictor.learners import CANDIDATES
+from models.predictor.observed_trials import (
+    ASKEW_RAD,
+    WRONG_STIFFNESS,
+    TipRows,
+    askew_shifts_m,
+    collect_rows,
+    observe,
+    wrong_stiffness,
+)
+from models.predictor.onnx_graphs import to_onnx
+from models.predictor.polynomials import Array, Fold
+from models.predictor.validation import axis_coverage, euclidean_distance_m
+from models.trials.trial import Trial, TrialSet
+
+STRIDE: Final = 8
+"""Distance between the rows of a cross-validation: 0.14 s, because neighbours are nearly equal."""
+TOLERANCE: Final = 0.03
+"""Relative gain in mean error that a candidate needs over a simpler one [assumed]."""
+INNER_GROUPS: Final = 3
+"""Number of groups of payloads in an inner cross-validation."""
+WORSE: Final = 1.1
+"""Ratio of mean errors above which further, less simple variants are not tried."""
+
+
+@dataclass(frozen=True)
+class CandidateResult:
+    """Candidate in the nested cross-validation."""
+
+    name: str
+    summary: str
+    variant: int  # Variant chosen on all training rows
+    nested: TipScore  # Score on the rows that the outer folds left out
+    predictor: GuardedTip  # Fitted on all training rows
+
+
+@dataclass(frozen=True)
+class TipChoice:
+    """Chosen candidate, and all that were compared."""
+
+    chosen: CandidateResult
+    candidates: tuple[CandidateResult, ...]  # All candidates, in the order of the list
+
+
+def choose_tip_predictor(
+    rows: TipRows,
+    disturbed: Sequence[TipRows],
+    candidates: Sequence[type[TipPredictor]] = CANDIDATES,
+    progress: Callable[[str], None] = lambda detail: None,
+    askew_rad: float = ASKEW_RAD,
+) -> TipChoice:
+    """Compare candidates and fit each on all rows.
+
+    `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
+    by which the link may be mounted askew, which the interval covers.
+    """
+    few = rows.take(slice(None, None, STRIDE))
+    others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
+    results = []
+    for candidate in candidates:
+        nested, left_out_m = _outer(candidate, few, others, askew_rad)
+        variant = _best_variant(candidate, few)
+        fitted = candidate(variant).fit(rows)
+        interval = _interval(fitted, few, left_out_m, others, askew_rad)
+        results.append(
+            CandidateResult(
+                candidate.name, candidate.summary, variant, nested,
+                GuardedTip.of(rows, fitted, interval),
+            )
+        )  # fmt: skip
+        progress(candidate.name)
+    chosen = results[0]
+    for result in results[1:]:
+        if result.nested.mean_m < (1.0 - TOLERANCE) * chosen.nested.mean_m:
+            chosen = result
+    return TipChoice(chosen, tuple(results))
+
+
+def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
+    """One fold for each payload and each motion that it leaves out.
+
+    With one payload and one motion, trials are left out. `most`: largest number of groups of
+    payloads; neighbours are in different groups.
+    """
+    folds = []
+    payload = np.unique(rows.payload_kg, return_inverse=True)[1]
+    for groups in (payload % most if most else payload, rows.motion):
+        values = np.unique(groups)
+        for value in values if len(values) > 1 else ():
+            folds.append((np.flatnonzero(groups != value), np.flatnonzero(groups == value)))
+    if not folds:
+        folds = [
+            (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
+            for run in np.unique(rows.run)
+        ]
+    return [fold for fold in folds if len(fold[0])] or [(np.arange(len(rows)),) * 2]
+
+
+def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
+    """Errors of a predictor on rows."""
+    return _score(
+        rows.tip_m - predictor.predict(rows.inputs),
+        predictor.half_width(rows.inputs),
+        predictor.in_range(rows.inputs),
+        rows.dof,
+    )
+
+
+def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
+    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
+    distance_m = euclidean_distance_m(error_m, np.zeros_like(error_m))
+    return TipScore(
+        rows=len(error_m),
+        mean_m=float(distance_m.mean()),
+        p95_m=float(np.quantile(distance_m, 0.95)),
+        max_m=float(distance_m.max()),
+        coverage=coverage.mean,
+        half_width_m=float(half_width_m.mean()),
+        in_range=float(in_range.mean()),
+        max_in_range_m=float(distance_m[in_range].max(initial=0.0)),
+        coverage_least=coverage.least,
+    )
+
+
+def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]], dof: int) -> TipScore:
+    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
+    return _score(error_m, half_width_m, in_range, dof)
+
+
+def _outer(
+    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows], askew_rad: float
+) -> tuple[TipScore, Array]:
+    """Score on the rows that outer folds leave out, and the mean error of each row there.
+
+    The interval of a fold is calibrated on the errors of the other folds on its training rows
+    (cross-conformal prediction).
+    """
+    folds, fitted = group_folds(rows), []
+    total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 1))
+    for train, test in folds:
+        seen = rows.take(train)
+        fitted.append(candidate(_best_variant(candidate, seen)).fit(seen))
+        total[test] += rows.tip_m[test] - fitted[-1].predict(rows.inputs[test])
+        count[test] += 1
+    left_out_m = total / count
+    parts = []
+    for (train, test), predictor in zip(folds, fitted, strict=True):
+        seen, inputs = rows.take(train), rows.inputs[test]
+        wrong = [other.take(train) for other in disturbed]
+        interval = _interval(predictor, seen, left_out_m[train], wrong, askew_rad)
+        guarded = GuardedTip.of(seen, predictor, interval)
+        parts.append((
+            rows.tip_m[test] - guarded.predict(inputs), guarded.half_width(inputs),
+            guarded.in_range(inputs),
+        ))  # fmt: skip
+    return _joined(parts, rows.dof), left_out_m
+
+
+def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
+    """Variant with the least mean error on held-out rows; a simpler one if it hardly differs."""
+    first, *others = candidate.variants
+    if not others:
+        return first
+    folds = group_folds(rows, INNER_GROUPS)
+    best, least_m = first, _mean_error_m(candidate(first), rows, folds)
+    for variant in others:
+        mean_m = _mean_error_m(candidate(variant), rows, folds)
+        if mean_m > WORSE * least_m:
+            break
+        if mean_m < (1.0 - TOLERANCE) * least_m:
+            best, least_m = variant, mean_m
+    return best
+
+
+def _mean_error_m(predictor: TipPredictor, rows: TipRows, folds: Sequence[Fold]) -> float:
+    distances = []
+    for train, test in folds:
+        predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
+        distances.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
+    return float(np.mean(np.concatenate(distances)))
+
+
+def _interval(
+    fitted: TipPredictor,
+    rows: TipRows,
+    left_out_m: Array,
+    disturbed: Sequence[TipRows],
+    askew_rad: float,
+) -> TipInterval:
+    wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
+    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows, askew_rad)]
+    return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)
+
+
+@dataclass(frozen=True)
+class TipTraining:
+    """Fitted predictor of the robot, its training rows, and the comparison of candidates."""
+
+    predictor: GuardedTip
+    rows: TipRows
+    document: PredictorsDocument
+
+
+def train_tip(
+    training: Sequence[Trial],
+    tests: Mapping[str, TrialSet],
+    observer: CompiledModel,
+    candidates: Sequence[type[TipPredictor]] = CANDIDATES,
+    progress: Callable[[str], None] = lambda detail: None,
+    askew_rad: float = ASKEW_RAD,
+) -> TipTraining:
+    """Choose, fit and test the robot's tip predictor.
+
+    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
+    """
+    rows = collect_rows(observe(observer, training))
+    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
+    wrong = {factor: changes for factor, changes in changed.items() if changes}
+    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
+    choice = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
+    seen = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
+    if together := [trial for trials in tests.values() for trial in trials]:
+        seen |= {
+            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
+            for factor, changes in wrong.items()
+        }
+    document = PredictorsDocument(
+        schema=PredictorsDocument.VERSION,
+        dof=rows.dof,
+        chosen=choice.chosen.name,
+        reason=_reason(choice),
+        trials=tuple(t.name for t in training),
+        motions=tuple(sorted({t.meta.motion for t in training})),
+        payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
+        askew_rad=askew_rad,
+        candidates={result.name: _entry(result, seen) for result in choice.candidates},
+    )
+    return TipTraining(choice.chosen.predictor, rows, document)
+
+
+def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
+    graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
+    return CandidateEntry(
+        summary=result.summary,
+        variant=result.variant,
+        nested=result.nested,
+        tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
+        graph_bytes=len(graph),
+        latency=graph_latency(graph),
+    )
+
+
+def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
+    scores = {"all": score_tip(predictor, rows)}
+    for part in ("rest", "motion"):
+        if (own := rows.part == part).any():
+            scores[part] = score_tip(predictor, rows.take(own))
+    return scores
+
+
+def _covered(score: TipScore) -> str:
+    mean = f"{FRACTION.number(score.coverage, 1)} %"
+    return f"{mean} ({FRACTION.number(score.coverage_least, 1)} % on the worst axis)"
+
+
+def _reason(choice: TipChoice) -> str:
+    chosen = choice.chosen
+    others = ", ".join(
+        f"{result.name} {LENGTH.number(result.nested.mean_m, 2)}"
+        for result in choice.candidates
+        if result is not chosen
+    )
+    return (
+        f"On payloads and motions left out {chosen.summary} is off by "
+        f"{LENGTH.number(chosen.nested.mean_m, 2)} mm on average and its interval covers "
+        f"{_covered(chosen.nested)}; no candidate that is less simple is "
+        f"better by more than 3 % ({others} mm)."
+    )

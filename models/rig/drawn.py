@@ -1,0 +1,161 @@
+"""Rigs drawn at random: structure and values.
+
+A simulation of a robot is wrong in form and in numbers. Rigs of drawn form represent that. Numbers
+of the gap workflow are tuned on rigs with numbers below `FIRST_TEST_NUMBER` only (`rig_purpose`).
+Some forms are never drawn, only named structures for testing have them: Dahl's hysteresis, the
+low-pass filter of a live capture, 5 or 17 hinges, the rod.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import msgspec
+import numpy as np
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_toml
+from firmware_py.link.link_description import describes_link, read_link
+from models.rig.parameters import RigParameters, read_rig, rig_of_link
+from models.rig.structure import RigStructure, named_structures
+
+PREFIX: Final = "drawn_"
+"""Prefix of the name of a drawn rig, before its number."""
+
+SEED: Final = 9000
+"""Seed of the drawn rigs that have names."""
+
+FIRST_TEST_NUMBER: Final = 900
+"""Drawn rigs from this number on are for testing."""
+
+
+class Range(NamedTuple):
+    """Range in which a value is drawn uniformly."""
+
+    low: float
+    high: float
+
+
+DRAWN: Final[dict[str, Range | tuple[str | int, ...]]] = {
+    "sensor.current_phase": Range(0.2, 1.0),
+    "stiffness.directional_share": Range(0.0, 0.3),
+    "stiffness.prebend_rad": Range(-0.02, 0.02),
+    "hinges": (6, 8, 10, 13),
+    "limit": ("tanh", "wrinkling"),
+    "hysteresis": ("bouc_wen", "maxwell_slip"),
+    "creep": ("branches", "power_law"),
+    "friction": ("lugre", "smooth"),
+    "play": ("gear", "markers"),
+    "goal": ("held", "interpolated", "profile"),
+    "current_sampling": ("tick", "phase", "mean"),
+    "mocap_filter": ("none", "zero_phase"),
+    "rate_sensor": ("motor", "encoder"),
+    "position_loop": ("proportional", "proportional", "feedforward"),
+    "servo.velocity_feedforward": Range(0.1, 0.9),
+    "servo.position_integral_per_s2": Range(0.0, 5.0),
+    "stribeck": ("gaussian", "rational"),
+}
+"""Values and forms (choices of `RigStructure`) that are drawn uniformly, in this order: another
+order would change every drawn rig."""
+
+LOG_DEVIATION: Final = {
+    "stiffness.bending_n_m2": 0.25, "stiffness.root_nm_rad": 0.25, "stiffness.wall_shear_n": 0.3,
+    "stiffness.root_limit_nm": 0.2, "stiffness.span_limit_nm": 0.2, "stiffness.damping_s": 0.3,
+    "link.mass_kg": 0.15, "link.tip_mass_kg": 0.15,
+    "memory.relaxing_share": 0.3, "memory.relaxation_1_s": 0.4, "memory.relaxation_2_s": 0.4,
+    "memory.power_exponent": 0.2, "memory.hysteresis_share": 0.3, "memory.root_yield_rad": 0.3,
+    "memory.span_yield_rad": 0.3,
+    "servo.coulomb_friction_nm": 0.2, "servo.viscous_friction_nm_s_rad": 0.3,
+    "servo.load_friction_share": 0.2, "servo.position_gain_per_s": 0.15,
+    "servo.inertia_kg_m2": 0.1, "servo.smooth_rate_rad_s": 0.4, "servo.backlash_rad": 0.3,
+    "sensor.mocap_cutoff_hz": 0.2,
+}  # fmt: skip
+"""Standard deviation of the logarithm of a value between makes of link and servo [assumed]."""
+
+LINK_DEVIATION: Final = {
+    "stiffness.bending_n_m2": 0.1, "stiffness.root_nm_rad": 0.1, "link.mass_kg": 0.1,
+    "stiffness.damping_s": 0.2,
+}  # fmt: skip
+"""Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
+
+NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
+"""Parameters of the sensors' noise."""
+
+
+def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
+    """Draw a rig around the values of `make`, by default the study's."""
+    rig = read_rig("default") if make is None else make
+    values = {
+        n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
+    }
+    forms: dict[str, str | int] = {}
+    for name, among in DRAWN.items():
+        if isinstance(among, Range):
+            values[name] = float(rng.uniform(among.low, among.high))
+        else:
+            forms[name] = among[int(rng.integers(len(among)))]
+    return replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
+
+
+def without_scatter(rig: RigParameters) -> RigParameters:
+    """Rig whose trials have neither noise nor variation: they show the rig's own behaviour."""
+    return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
+
+
+def rig_named(name: str) -> RigParameters:
+    """Return a rig by name, also drawn rigs and rigs of described links.
+
+    Parameters
+    ----------
+    name : str
+        Name or file for `models.rig.parameters.read_rig`; `drawn_K` for the K-th drawn rig; or
+        the file of a link (`firmware_py.link.link_description`).
+
+    Raises
+    ------
+    InputError
+        If K is not a number, or `read_rig` fails.
+
+    Examples
+    --------
+    >>> rig_named("drawn_3").structure == rig_named("drawn_4").structure
+    False
+    """
+    if not name.startswith(PREFIX):
+        path = Path(name)
+        if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
+            return rig_of_link(read_link(path), path)
+        return read_rig(name)
+    return draw_rig(np.random.default_rng([SEED, _drawn_number(name)]))
+
+
+def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
+    """Drawn rig with one of its links; link 0 is the rig's own."""
+    rig = draw_rig(np.random.default_rng([SEED, number]), make)
+    if not link:
+        return rig
+    rng = np.random.default_rng([SEED, number, link])
+    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
+    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()})
+
+
+def rig_purpose(name: str) -> Literal["tuning", "test"]:
+    """Purpose of a rig: "tuning" if numbers of the workflow may be set on it, else "test".
+
+    A named structure states its own (`models.rig.structure.NamedStructure`). `drawn_K` is for
+    tests from K = 900 on; nothing of the workflow is set on such a rig. Any other rig, like that of
+    a described link, counts as one for tuning, because what was set on it is unknown.
+    """
+    if name.startswith(PREFIX):
+        return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"
+    named = named_structures()
+    return named[name].purpose if name in named else "tuning"
+
+
+def _drawn_number(name: str) -> int:
+    number = name.removeprefix(PREFIX)
+    if not number.isdecimal():
+        raise InputError(name, "is no drawn rig", f"give a number, as in {PREFIX}3")
+    return int(number)

@@ -1,1 +1,0 @@
-"""Forms of a rig's parts: one module for each choice of its structure."""

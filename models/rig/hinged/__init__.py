@@ -1,1 +1,0 @@
-"""Rig on MuJoCo: a link of hinge and shear pairs, and its bending law."""

@@ -1,0 +1,307 @@
+"""Parameters of the rig: a TOML file with value, unit and source of each.
+
+Rig of a described link: the study's parameters, scaled by size, pressure and servo.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from firmware_py.bus.servo_models import model_named
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from models.rig.structure import (
+    DEFAULT_STRUCTURE,
+    STRUCTURES,
+    RigStructure,
+    named_structures,
+    structure_of,
+)
+from models.shared.catalogue import CATALOGUE, effect_and_joint
+from models.shared.link_scale import LinkScale
+
+RIG_TOML: Final = Path(__file__).with_name("rig.toml")
+
+
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One parameter, as a table of the TOML file."""
+
+    value: float
+    unit: str  # SI unit; "1" if dimensionless
+    source: str  # Where the value comes from
+    effect: str = ""  # Effect of the catalogue that adds its strength to the value; empty for none
+    in_one_joint: bool = False  # Whether the effect may be hidden in a single joint
+    minimum: float = -math.inf  # Lower bound of the value, with all strengths added
+    maximum: float = math.inf
+
+
+@dataclass(frozen=True)
+class RigParameters(Mapping[str, float]):
+    """Parameters of a rig: values by name, like `parameters["servo.coulomb_friction_nm"]`.
+
+    Attributes
+    ----------
+    entries : dict of str to Entry
+        Value, unit, source and bounds by `group.name`.
+    path : Path
+        File that the parameters were read from.
+    structure : RigStructure
+        Forms of the equations that the values belong to.
+    link : LinkDescription or None
+        Link that the values were scaled to (`models.rig.parameters`); None for the study's.
+    added_in_joint : dict of int to dict of str to float
+        Additions to values of a single joint, by joint and parameter name.
+    """
+
+    entries: dict[str, Entry]
+    path: Path
+    structure: RigStructure = DEFAULT_STRUCTURE
+    link: LinkDescription | None = None
+    added_in_joint: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> float:
+        return self.entries[name].value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @property
+    def layout(self) -> MarkerLayout:
+        """Layout of the markers on the link."""
+        if self.link is not None:
+            return self.link.layout
+        return square_layout(self["link.length_m"], self["link.width_m"])
+
+    def changed(self, **values: float) -> RigParameters:
+        """Return the parameters with other values, by `group.name`."""
+        entries = dict(self.entries)
+        for name, value in values.items():
+            entries[name] = msgspec.structs.replace(entries[name], value=value)
+        return replace(self, entries=entries)
+
+    def scaled(self, names: Iterable[str], factor: float) -> RigParameters:
+        """Return the parameters with some values multiplied, also additions in a single joint."""
+        chosen = set(names)
+        added = {
+            joint: {n: more * (factor if n in chosen else 1.0) for n, more in own.items()}
+            for joint, own in self.added_in_joint.items()
+        }
+        values = {name: self[name] * factor for name in chosen}
+        return replace(self.changed(**values), added_in_joint=added)
+
+    def of_joint(self, joint: int) -> RigParameters:
+        """Return the parameters of one joint, 1 or 2, with what is added in it."""
+        added = self.added_in_joint.get(joint, {})
+        if not added:
+            return self
+        return self.changed(**{name: self[name] + more for name, more in added.items()})
+
+    def sha256(self) -> str:
+        """Return the hash of structure, values and described link, for provenance."""
+        content: list[Any] = [self.structure, dict(self), *([self.link] if self.link else [])]
+        content += [self.added_in_joint] if self.added_in_joint else []
+        return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
+
+    def effects(self) -> dict[str, str]:
+        """Return the effects that this rig can hide, each with its parameter's name."""
+        return {entry.effect: name for name, entry in self.entries.items() if entry.effect}
+
+    def hide(self, strengths: Mapping[str, float]) -> RigParameters:
+        """Return the rig with effects of the catalogue added to its defaults.
+
+        Parameters
+        ----------
+        strengths : mapping of str to float
+            Strength by EFFECT, or by EFFECT:JOINT for a single joint, in the effect's unit in
+            `models.shared.catalogue`.
+
+        Raises
+        ------
+        InputError
+            If the rig lacks an effect, cannot hide it in a single joint, or the sum leaves the
+            parameter's bounds.
+        """
+        result = self
+        for hidden, strength in sorted(strengths.items(), key=lambda item: ":" in item[0]):
+            result = result._with(hidden, strength)
+        return result
+
+    def _with(self, hidden: str, strength: float) -> RigParameters:
+        names, option = self.effects(), f"--hide {hidden}={strength:g}"
+        effect, joint = effect_and_joint(hidden)
+        if effect not in names:
+            raise InputError(option, "has no place in this rig", "choose from " + ", ".join(names))
+        name = names[effect]
+        entry = self.entries[name]
+        if joint is not None and not entry.in_one_joint:
+            raise InputError(option, f"{effect} is not of one joint alone", "leave the joint out")
+        value = entry.value + strength
+        if not entry.minimum <= value <= entry.maximum:
+            raise InputError(
+                option,
+                f"makes {name} {value:g} {entry.unit}, outside {entry.minimum:g} "
+                f"to {entry.maximum:g}",
+                f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
+            )
+        if joint is None:
+            return self.changed(**{name: value})
+        own = {**self.added_in_joint.get(joint, {}), name: strength}
+        return replace(self, added_in_joint={**self.added_in_joint, joint: own})
+
+
+def read_rig(rig: str) -> RigParameters:
+    """Read a rig by the name of its structure, or from a file."""
+    named = STRUCTURES / f"{rig}.toml"
+    return read_parameters(named if named.is_file() else Path(rig))
+
+
+def read_parameters(path: Path = RIG_TOML) -> RigParameters:
+    """Read the parameters of a rig, by default the project's; missing ones keep its values.
+
+    A file with a table `structure` may change only structure and values: effects keep their
+    parameters.
+    """
+    document = _read_document(path)
+    structure = DEFAULT_STRUCTURE
+    entries = _entries(document, path)
+    if path != RIG_TOML:
+        own = _entries(_read_document(RIG_TOML), RIG_TOML)
+        _check_names(entries, own, path)
+        if "structure" in document:
+            structure = structure_of(document, path).structure
+            entries = {name: _revalued(own[name], entry) for name, entry in entries.items()}
+        entries = own | entries
+    for name, entry in entries.items():
+        if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
+            raise InputError(path, f"{name} is {entry.value}", "keep it within its bounds")
+        if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
+            raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
+    return RigParameters(entries, path, structure)
+
+
+def _revalued(own: Entry, entry: Entry) -> Entry:
+    return msgspec.structs.replace(own, value=entry.value, source=entry.source)
+
+
+def _check_names(entries: dict[str, Entry], own: dict[str, Entry], path: Path) -> None:
+    for name, entry in entries.items():
+        if name not in own:
+            raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
+        if entry.unit != own[name].unit:
+            raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {own[name].unit}")
+
+
+def _read_document(path: Path) -> dict[str, Any]:
+    names = ", ".join(named_structures())
+    return read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
+
+
+def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
+    entries = {}
+    groups = {g: t for g, t in document.items() if isinstance(t, dict) and g != "structure"}
+    for group, tables in groups.items():
+        for key, table in tables.items():
+            name = f"{group}.{key}"
+            entry = convert(table, Entry, path, name, "give value, unit and source")
+            if entry.effect and entry.effect not in CATALOGUE:
+                raise InputError(
+                    path, f"{name}: {entry.effect!r} is no effect", "see models/shared/catalogue.py"
+                )
+            entries[name] = entry
+    return entries
+
+
+def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
+    own = read_parameters()
+    ratios = _ratios(LinkScale(link))
+    entries = {
+        name: msgspec.structs.replace(
+            entry, value=entry.value * ratios.get(name, 1.0),
+            minimum=entry.minimum * ratios.get(name, 1.0),
+            maximum=entry.maximum * ratios.get(name, 1.0),
+        )
+        for name, entry in own.entries.items()
+    }  # fmt: skip
+    rig = replace(own, entries=entries, path=path, link=link)
+    return rig.changed(**_values(link, own))
+
+
+def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
+    """Values that the description states directly."""
+    model, preset = model_named(link.servo.model), link.preset
+    scale, study = LinkScale(link), LinkScale(STUDY_LINK)
+    # The rig adds p h² to the wall's shear; for a round section that is too much.
+    excess_n = link.pressure_pa * (link.width_m**2 - scale.area_m2)
+    wall = own["stiffness.wall_shear_n"] * (scale.wall_shear_n / study.wall_shear_n)
+    return {
+        "link.length_m": link.length_m,
+        "link.width_m": link.width_m,
+        "link.base_offset_m": link.base_offset_m,
+        "stiffness.pressure_pa": link.pressure_pa,
+        "stiffness.wall_shear_n": wall - excess_n,
+        "servo.profile_velocity_rad_s": min(
+            own["servo.profile_velocity_rad_s"], preset.speed_limit_rad_s
+        ),
+        "sensor.pulses_per_turn": float(model.pulses_per_turn),
+        "sensor.current_step_a": model.current_a_per_lsb,
+        "world.gravity_m_s2": link.gravity.size_m_s2,
+    }
+
+
+def _ratios(scale: LinkScale) -> dict[str, float]:
+    """Factors on the study's values and bounds, by parameter."""
+    servo, over = scale.servo_ratios, scale.over_study
+    width = scale.link.width_m / STUDY_LINK.width_m
+    length = scale.link.length_m / STUDY_LINK.length_m
+    pressure = over("pressure_ratio")  # the rig already multiplies by it
+    torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
+    coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
+    return {
+        "link.mass_kg": over("mass_kg"),
+        "link.tip_mass_kg": over("tip_mass_kg"),
+        "link.payload_size_m": width,
+        "link.plate_mass_kg": over("plate_m2"),
+        "link.yoke_mass_kg": servo["mass_kg"],
+        "link.frame_inertia_kg_m2": over("plate_m2") ** 2,
+        "stiffness.bending_n_m2": over("bending_n_m2") / pressure,
+        "stiffness.root_nm_rad": over("root_nm_rad") / pressure,
+        "stiffness.root_limit_nm": over("limit_moment_nm") / pressure,
+        "stiffness.span_limit_nm": over("limit_moment_nm") / pressure,
+        "stiffness.damping_s": 1 / over("first_mode_rad_s"),
+        "servo.speed_limit_rad_s": servo["speed_limit_rad_s"],
+        "servo.inertia_kg_m2": inertia,
+        "servo.torque_constant_nm_a": servo["torque_constant_nm_a"],
+        "servo.current_limit_a": current,
+        "servo.current_limit_reduction_a": current,
+        "servo.coulomb_friction_nm": coulomb,
+        "servo.viscous_friction_nm_s_rad": servo["viscous_friction_nm_s_rad"],
+        "servo.stribeck_friction_nm": coulomb,
+        "servo.load_friction_share": servo["load_friction"],
+        "servo.breakaway_friction_nm": coulomb,
+        "servo.cogging_nm": torque,
+        # Presliding over the same angle, with the same damping ratio against the rotor.
+        "servo.bristle_stiffness_nm_rad": coulomb,
+        "servo.bristle_damping_nm_s_rad": math.sqrt(coulomb * inertia),
+        "servo.backlash_rad": servo["backlash_rad"],
+        "servo.play_torque_nm": torque,
+        # The rotor swings on the gear at the same frequency.
+        "servo.gear_compliance_rad_nm": 1 / inertia,
+        "servo.gear_damping_nm_s_rad": inertia,
+        "servo.load_offset_nm": torque,
+        "sensor.current_noise_a": current,
+        "sensor.current_bias_a": current,
+        "variation.eccentricity_m": width,
+        "world.drag_nm": width * length**4,
+    }

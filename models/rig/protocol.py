@@ -1,0 +1,271 @@
+"""Record of the conditions under which the rig ran each trial of a directory.
+
+The record lies beside the trials. Only `refuse_other_conditions` reads it, so that hidden effects
+stay out of the trials themselves; pages read the name of the rig (`models.trials.origin`).
+
+Protocol of the study: settle, warm-up run (discarded), settle, rest, recorded run.
+
+Runner of many trials in several processes; a result depends on its case only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar, Final
+
+import msgspec
+import numpy as np
+
+from firmware_py.documents import Document, read_document, write_document
+from firmware_py.errors import InputError
+from firmware_py.link.marker_layout import square_layout
+from firmware_py.motion import GLIDE_S
+from firmware_py.signals import PERIOD_S, trial_signals
+from models.rig.parameters import RigParameters
+from models.rig.rig import Rig, build_rig
+from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
+from models.rig.structure import RigStructure
+from models.rig.trial_case import TrialCase
+from models.shared.kinematics import Array
+from models.shared.worker_pool import worker_pool
+from models.trials.files import write_trial
+from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
+
+CONDITIONS_FILE: Final = "rig_conditions.json"
+
+
+class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Conditions of a trial that its own files do not contain."""
+
+    seed: int  # Seed of variation and noise
+    hidden: dict[str, float]  # Strength of each hidden effect, in its unit
+    rig_sha256: str  # Hash of the rig's structure and parameters, hidden effects included
+    rig: str  # Name of the rig, or its file
+    structure: RigStructure  # Forms of the rig's equations
+
+
+class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Conditions of simulated trials."""
+
+    MADE_BY: ClassVar[str] = "dropstitch simulate"
+
+    trials: dict[str, RigConditions]  # Conditions by name of the trial
+
+
+def refuse_other_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Refuse to overwrite a trial that was measured or simulated under other conditions."""
+    recorded = _read_trials(directory)
+    for case in cases:
+        path = directory / f"{case.name}.csv"
+        if path.exists() and recorded.get(case.name) != conditions:
+            raise InputError(
+                path,
+                "holds a trial that was run under other conditions",
+                "choose another --out, or remove it",
+            )
+
+
+def record_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Add the conditions of these trials to the directory's record, before they are simulated."""
+    directory.mkdir(parents=True, exist_ok=True)
+    trials = _read_trials(directory) | {case.name: conditions for case in cases}
+    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
+    write_document(directory / CONDITIONS_FILE, record)
+
+
+def _read_trials(directory: Path) -> dict[str, RigConditions]:
+    path = directory / CONDITIONS_FILE
+    return read_document(path, ConditionsRecord).trials if path.exists() else {}
+
+
+REST_SAMPLES: Final = 60
+"""Rows at rest before the motion, the reference of the Deformation Index."""
+
+_MARGIN: Final = 6
+"""Ticks logged before and after the recorded run, for delay and resampling of the markers."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Deviation of one trial from the nominal rig."""
+
+    parameters: RigParameters  # With pressure, friction and synchronisation of this trial
+    eccentricity_m: tuple[float, float]  # Offset of the payload towards +x and +y
+    frame_shift_m: Array  # Shift of the motion capture's frame, (3,)
+
+
+def draw_variation(
+    parameters: RigParameters, case: TrialCase, rng: np.random.Generator
+) -> Variation:
+    """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
+    p = parameters
+    pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
+    values = {
+        "stiffness.pressure_pa": case.pressure_pa
+        * (1.0 + p["variation.pressure_share"] * pressure),
+        "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
+    }
+    scale = max(1.0 + p["variation.friction_share"] * friction, 0.0)
+    frictions = [name for name in p if name.startswith("servo.") and "_friction_" in name]
+    eccentricity = p["variation.eccentricity_m"]
+    return Variation(
+        parameters=p.scaled(frictions, scale).changed(**values),
+        eccentricity_m=(eccentricity * x, eccentricity * y),
+        frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
+    )
+
+
+def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
+    """Simulate one trial.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Parameters of the rig, with hidden effects.
+    case : TrialCase
+        Conditions of the trial.
+
+    Raises
+    ------
+    InputError
+        If the payload is negative or not finite, the link folds, the simulation becomes unstable,
+        or the integration step does not divide the control period.
+    """
+    if not 0.0 <= case.payload_kg < math.inf:
+        raise InputError("payload_kg", f"is {case.payload_kg:g}", "give 0 or more")
+    rng = case.rng()
+    variation = draw_variation(parameters, case, rng)
+    p = variation.parameters
+    rig = build_rig(p, case.motion.dof, case.payload_kg, variation.eccentricity_m, case.gravity)
+    substeps = round(PERIOD_S / rig.step_s)
+    if abs(substeps * rig.step_s - PERIOD_S) > 1e-9:
+        raise InputError(
+            p.path, f"world.step_s is {rig.step_s}", f"choose a whole fraction of {PERIOD_S} s"
+        )
+
+    # A motion rests before its start and returns to rest after its end, so one run is the warm-up.
+    warm_up_s = np.arange(
+        -p["world.settle_s"], case.motion.duration_s + GLIDE_S + p["world.pause_s"], PERIOD_S
+    )
+    before = case.motion.goal_rad(warm_up_s)
+    goals = case.motion.table_rad(rest_samples=REST_SAMPLES)
+    after = np.repeat(goals[-1:], _MARGIN, axis=0)
+    first, last = len(before), len(before) + len(goals)
+
+    encoder_rad, current_a = np.empty_like(goals), np.empty_like(goals)
+    log = []
+    for tick, goal in enumerate(np.concatenate([before, goals, after])):
+        if tick == first:
+            rig.start_leak()
+        if first <= tick < last:
+            encoder_rad[tick - first] = [s.encoder_rad for s in rig.servos]
+            current_a[tick - first] = [s.sampled_current_a for s in rig.servos]
+        rig.send(goal)
+        for _ in range(substeps):
+            rig.step()
+            if tick >= first - _MARGIN:
+                log.append(rig.markers_m.copy())
+        check_link_state(rig, case.name, p)
+
+    time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
+    markers_m = read_markers(
+        p, MarkerLog(-_MARGIN * PERIOD_S, rig.step_s, np.array(log)), time_s,
+        variation.frame_shift_m, rng,
+    )  # fmt: skip
+    angle_rad = read_encoder(p, encoder_rad)
+    current_a = read_current(p, current_a, rng)
+    return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
+
+
+def check_link_state(rig: Rig, where: str, parameters: RigParameters) -> None:
+    """Refuse a link that has folded, or a simulation that has become unstable."""
+    state = rig.look()
+    if state == "folded":
+        raise InputError(
+            where, f"the link folds {rig.time_s:.1f} s after power-up",
+            "choose a smaller payload, amplitude or strength, or a longer period",
+        )  # fmt: skip
+    if state == "unstable":
+        raise InputError(
+            where, f"the simulation is unstable {rig.time_s:.1f} s after power-up: its step of "
+            f"{parameters['world.step_s']:g} s is too long for parts as light and stiff as these",
+            "check masses, stiffness, gear and rotor inertia of link or rig",
+        )  # fmt: skip
+
+
+def _trial(
+    case: TrialCase, p: RigParameters, time_s: Array, goal_rad: Array, angle_rad: Array,
+    current_a: Array, markers_m: Array,
+) -> Trial:  # fmt: skip
+    joints = np.stack([goal_rad, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
+    tip_m = markers_m[:, p.layout.tip_row].mean(axis=1)
+    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
+    motion, size_m = case.motion, (p["link.length_m"], p["link.width_m"])
+    meta = TrialMeta(
+        dof=motion.dof,
+        payload_kg=case.payload_kg,
+        pressure_pa=case.pressure_pa,
+        trial=case.trial,
+        motion=motion.name,
+        source="rig",
+        period_s=motion.period_s,
+        amplitude_rad=motion.amplitude_rad,
+        phase_2_rad=motion.phase_2_rad if motion.dof == 2 else 0.0,
+        base_offset_m=p["link.base_offset_m"],
+        link_length_m=p["link.length_m"],
+        link_width_m=p["link.width_m"],
+        gravity_m_s2=_gravity_m_s2(case, p),
+        markers=p.layout if p.layout != square_layout(*size_m) else None,
+        rest_samples=REST_SAMPLES,
+    )
+    names = [s.name for s in trial_signals(motion.dof, p.layout.count)]
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
+    return Trial(case.name, meta, columns)
+
+
+def _gravity_m_s2(case: TrialCase, p: RigParameters) -> tuple[float, float, float] | None:
+    """Gravity in the link's frame; None if it is that of an upright link."""
+    x, y, z = case.gravity
+    size = p["world.gravity_m_s2"] / math.hypot(x, y, z)
+    vector = (x * size, y * size, z * size)
+    return None if vector == UPRIGHT_M_S2 else vector
+
+
+def run_trial_cases(
+    cases: Sequence[TrialCase],
+    parameters: RigParameters,
+    directory: Path,
+    workers: int,
+    on_done: Callable[[str], None],
+) -> list[Path]:
+    """Simulate and write every case; return the CSV files in the order of the cases.
+
+    `on_done` is called with the name of each trial after it is written.
+    """
+    paths = {}
+    if workers == 1 or len(cases) == 1:
+        for case in cases:
+            paths[case.name] = _run_and_write(parameters, case, directory)
+            on_done(case.name)
+    else:
+        with worker_pool(min(workers, len(cases))) as pool:
+            futures = {
+                pool.submit(_run_and_write, parameters, case, directory): case.name
+                for case in cases
+            }
+            for future in as_completed(futures):
+                paths[futures[future]] = future.result()
+                on_done(futures[future])
+    return [paths[case.name] for case in cases]
+
+
+def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
+    return write_trial(run_case(parameters, case), directory)

@@ -1,0 +1,610 @@
+"""Section law of the rod: wrinkling, Zener damping, logarithmic creep and Jenkins friction.
+
+It shares the numbers of `rig.toml` with the MuJoCo link's law, not its equations. Row 0 is the root
+patch, the other rows are sections of the span. Every part is a moment m against a measure of bend
+u, with tau = (du/dphi)^T m, so no part can create energy:
+
+* an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
+  hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
+  sum of a constant part of the wall and a part proportional to pressure;
+* a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
+  Kelvin-Voigt damper of the same viscosity;
+* relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
+  close to a logarithm of time;
+* four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (Iwan, 1966
+  [recalled]), with vector sliders for both planes.
+
+The forms and their constants are [assumed] (docs/sources.md, "The link").
+
+Cosserat rod of the link (PyElastica): geometry, inertia, tip, section law and markers.
+
+The rod lies along +z. Its first element is a stub inside the plate, which the base joints move; the
+root patch is the joint between the stub and the link. The elements of the link are as long as a
+section, the first and the last one half as long, so sections are in the middle of equal parts.
+PyElastica computes internal forces and moments from strains. All that is not elastic enters as rest
+strains and tangent stiffness, updated in every step of the rig.
+
+Base joints of the rod: yoke and plate on one or two driven joints, with the rod's reaction.
+
+Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal inertia
+about all axes; the plate's mass and the rod's first node are at one point above the axes, so that
+
+    M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
+
+with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
+
+Rig on a Cosserat rod: servos, base joints and rod, stepped together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Final
+
+import numpy as np
+from elastica.rod.cosserat_rod import CosseratRod
+from elastica.rod.data_structures import overload_operator_kinematic_numba
+
+from firmware_py.errors import InputError
+from models.rig.forms import MarkerPlay
+from models.rig.parameters import RigParameters
+from models.rig.servo import RigServo
+from models.rig.structure import DEFAULT_STRUCTURE
+from models.rig.trial_case import DOWN, LinkState, state_of_link
+from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
+from models.shared.kinematics import Array
+
+WALL_FRACTION: Final = 0.3
+"""Fraction of the bending stiffness that does not depend on pressure [assumed]."""
+
+WRINKLE_FRACTION: Final = 0.5
+"""Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
+2/3 for a box (docs/sources.md, "The link") [assumed]."""
+
+ZENER_FRACTION: Final = 0.5
+"""Stiffness of the damping branch, relative to the elastic one [assumed]."""
+
+CREEP_BRANCHES: Final = 6
+CREEP_REACH: Final = 3.0
+"""Factor by which creep extends below the first and above the last relaxation time."""
+
+SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
+"""Yield bends of the sliders, relative to the yield bend; their mean is one."""
+
+
+def stiffness_factor(parameters: RigParameters) -> float:
+    """Stiffness of wall and pressure at the rig's pressure, relative to that at the reference."""
+    p = parameters
+    pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+    return WALL_FRACTION + (1.0 - WALL_FRACTION) * pressure
+
+
+class SectionLaw:
+    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
+
+    def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
+        p = parameters
+        pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+        self._each = np.array([1.0, *[1.0 / sections] * sections])
+        span = p["stiffness.bending_n_m2"] / p["link.length_m"]
+        self.stiffness_nm_rad = (
+            stiffness_factor(p)
+            * np.array([p["stiffness.root_nm_rad"], *[span] * sections])
+            / self._each
+        )
+        limits = [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * sections]
+        self._limit_nm = pressure * np.array(limits)
+        self._wrinkle_nm = WRINKLE_FRACTION * self._limit_nm
+        self._wrinkle_rad = self._wrinkle_nm / self.stiffness_nm_rad
+        per_reference = 1.0 / (REFERENCE_BEND_RAD * self._each) ** 2
+        soft = p["stiffness.softening_share"]
+        self._soft = (1.0 / (1.0 - soft) ** 2 - 1.0) * per_reference
+        self._hard = p["stiffness.hardening_share"] * per_reference
+        self._bend_dependent = bool(self._soft.any() or self._hard.any())
+        self._rest_rad = np.zeros((sections + 1, 2))
+        self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / sections
+
+        yields = [p["memory.root_yield_rad"], *[p["memory.span_yield_rad"]] * sections]
+        yield_rad = (np.array(yields) * self._each)[:, None]
+        self._skew = 0.5 * p["stiffness.directional_share"]
+        self._rounding_rad = p["stiffness.directional_rounding"] * yield_rad
+        coupling = 0.5 * p["stiffness.coupling_share"]
+        self._mix = np.array([[1.0, coupling], [coupling, 1.0]])
+        self._coupled = coupling != 0.0
+        self._kept_fraction = 1.0 - p["stiffness.leak_share"]
+
+        self._set_branches(p, step_s)
+        self._slider_rad = SLIDER_FRACTIONS[:, None, None] * yield_rad
+        self._slider_nm_rad = (
+            p["memory.hysteresis_share"] / len(SLIDER_FRACTIONS) * self.stiffness_nm_rad[:, None]
+        )
+        self._stretch_rad = np.zeros((len(SLIDER_FRACTIONS), sections + 1, 2))
+        self._attached = (
+            self._branch_nm_rad.sum(axis=0)[:, 0]
+            + len(SLIDER_FRACTIONS) * self._slider_nm_rad[:, 0]
+        )
+        self.stiffest_nm_rad = (1.0 + abs(self._skew) + abs(coupling)) ** 2 * (
+            self.stiffness_nm_rad + self._attached
+        )
+        self._bend, _ = self._measure(np.zeros((sections + 1, 2)))
+
+    def _set_branches(self, p: RigParameters, step_s: float) -> None:
+        first, last = p["memory.relaxation_1_s"], p["memory.relaxation_3_s"]
+        creep_s = np.geomspace(first / CREEP_REACH, last * CREEP_REACH, CREEP_BRANCHES)
+        damping_s = p["stiffness.damping_s"] / ZENER_FRACTION
+        times_s = np.array([max(damping_s, 1e-9), *creep_s])
+        creep = p["memory.relaxing_share"] / CREEP_BRANCHES
+        zener = ZENER_FRACTION if damping_s > 0.0 else 0.0
+        fractions = np.array([zener, *[creep] * CREEP_BRANCHES])
+        self._decay = np.exp(-step_s / times_s)[:, None, None]
+        # Exact for a bend that grows at a constant rate over the step.
+        held = times_s * -np.expm1(-step_s / times_s) / step_s
+        self._branch_nm_rad = (fractions[:, None] * self.stiffness_nm_rad)[:, :, None]
+        self._held_nm_rad = held[:, None, None] * self._branch_nm_rad
+        self._branch_nm = np.zeros((len(times_s), len(self.stiffness_nm_rad), 2))
+
+    def _measure(self, angle_rad: Array) -> tuple[Array, Array]:
+        """Measure of bend u and the diagonal of its derivative before coupling, (n, 2) each."""
+        phi = angle_rad - self._rest_rad
+        if not self._skew:
+            return self._mixed(phi), np.ones_like(phi)
+        scaled = phi / self._rounding_rad
+        size = np.abs(scaled)
+        log_cosh = size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)
+        skewed = phi + self._skew * self._rounding_rad * log_cosh
+        return self._mixed(skewed), 1.0 + self._skew * np.tanh(scaled)
+
+    def _mixed(self, planes: Array) -> Array:
+        """Couple both planes; shape (n, 2)."""
+        return planes @ self._mix if self._coupled else planes
+
+    def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
+        """Elastic moment and its derivative, each of shape (sections + 1,), as `size_rad`."""
+        stiffness = self.stiffness_nm_rad
+        room = self._limit_nm - self._wrinkle_nm
+        beyond = np.maximum(size_rad - self._wrinkle_rad, 0.0)
+        given = room / (room + stiffness * beyond)
+        moment = stiffness * (np.minimum(size_rad, self._wrinkle_rad) + beyond * given)
+        tangent = stiffness * given * given
+        if self._bend_dependent:
+            square = size_rad * size_rad
+            soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
+            factor = hard / np.sqrt(soft)
+            slope = size_rad * (2.0 * self._hard - hard * self._soft / soft) / np.sqrt(soft)
+            tangent = tangent * factor + moment * slope
+            moment = moment * factor
+        return moment, tangent
+
+    def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
+        """Advance the memory to these bends; return moments and their tangent stiffness.
+
+        `angle_rad` (sections + 1, 2) are the bends towards +x and +y, one step after the last call.
+        Moments have the shape (sections + 1, 2), the tangent stiffness (sections + 1, 2, 2); it is
+        valid for bends until the next call.
+        """
+        u, slope = self._measure(angle_rad)
+        du = u - self._bend
+        self._bend = u
+        branch_nm = self._branch_nm
+        branch_nm *= self._decay
+        branch_nm += self._held_nm_rad * du
+        stretch = self._stretch_rad
+        stretch += du
+        length = np.sqrt(np.einsum("ijk,ijk->ij", stretch, stretch))[:, :, None]
+        stretch *= np.minimum(1.0, self._slider_rad / np.maximum(length, 1e-30))
+
+        size = np.sqrt(u[:, 0] ** 2 + u[:, 1] ** 2) + 1e-12
+        elastic, along = self.elastic_nm(size)
+        secant = elastic / size
+        moment = secant[:, None] * u + branch_nm.sum(axis=0)
+        moment += self._slider_nm_rad * stretch.sum(axis=0)
+        direction = u / size[:, None]
+        across = secant + self._attached
+        tangent = (along - secant)[:, None, None] * direction[:, :, None] * direction[:, None, :]
+        tangent[:, 0, 0] += across
+        tangent[:, 1, 1] += across
+
+        kept = self._kept_fraction ** (leaking_s / LEAK_TIME_S) if leaking_s else 1.0
+        moment = kept * slope * self._mixed(moment)
+        if self._coupled:
+            tangent = self._mix @ tangent @ self._mix
+        tangent = slope[:, :, None] * tangent * slope[:, None, :]
+        return moment, kept * tangent
+
+
+ROOT_TWIST_NM_RAD: Final = 200.0
+"""Torsional stiffness of the root patch [assumed]; the MuJoCo link does not twist."""
+
+SMOOTHING_S: Final = 2e-4
+"""Kelvin-Voigt time of bending that damps the fastest rotations of elements, which the law, updated
+once per step, would excite [numerical]; it damps the first mode by less than 0.2 %."""
+
+COURANT: Final = 1.8
+"""Highest rate of the rod times its time step; the position Verlet method is stable below 2."""
+
+
+MOST_SPLITS: Final = 20
+"""Most splits of a substep; above, the link is about to fold or its state is not finite."""
+
+
+@dataclass(frozen=True)
+class TipLoad:
+    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
+
+    mass_kg: float = 0.0
+    offset_x_m: float = 0.0
+    offset_y_m: float = 0.0
+
+
+class RodLink:
+    """Link on a plate whose pose and velocity are prescribed."""
+
+    def __init__(
+        self, parameters: RigParameters, load: TipLoad, gravity_m_s2: Array, sections: int
+    ) -> None:
+        p = parameters
+        length, piece = p["link.length_m"], p["link.length_m"] / sections
+        self._sections, self._half_m = sections, 0.5 * p["link.width_m"]
+        self._layout = p.layout
+        # Element of each row, and the place in it from 0 to 1; elements join in mid-piece.
+        places = [h / length * sections + 0.5 for h in p.layout.rows_m]
+        self._row_places = [(min(int(at), sections), at - min(int(at), sections)) for at in places]
+        self.law = SectionLaw(p, p["world.step_s"], sections)
+        lengths = np.array([0.5 * piece, 0.5 * piece, *[piece] * (sections - 1), 0.5 * piece])
+        heights = p["link.base_offset_m"] - lengths[0] + np.concatenate([[0.0], np.cumsum(lengths)])
+        position = np.zeros((3, len(heights)))
+        position[2] = heights
+        self.rod = CosseratRod.straight_rod(
+            len(lengths), position[:, 0].copy(), np.array([0.0, 0.0, 1.0]),
+            np.array([1.0, 0.0, 0.0]), float(length + lengths[0]), self._half_m, 1.0,
+            youngs_modulus=1.0, position=position,
+        )  # fmt: skip
+        self._set_mass(p, lengths, load)
+        self._set_stiffness(p, lengths)
+        self._weight_n = gravity_m_s2[:, None] * self.rod.mass
+        self._weight_n[:, :2] = 0.0  # these nodes are on the plate
+        self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
+        self.splits = 1
+        self._keep_pose()
+
+    def _set_mass(self, p: RigParameters, lengths: Array, load: TipLoad) -> None:
+        rod, width = self.rod, p["link.width_m"]
+        element_kg = p["link.mass_kg"] / p["link.length_m"] * lengths
+        element_kg[0] = 0.0  # the stub is part of the plate
+        self._link_kg = 0.5 * (np.append(element_kg, 0.0) + np.insert(element_kg, 0, 0.0))
+        self.root_mass_kg = float(self._link_kg[1])
+        rod.mass[:] = self._link_kg
+        rod.mass[:2] = 1e9  # moved by the plate, not by forces
+        inertia = rod.mass_second_moment_of_inertia
+        inertia[:] = 0.0
+        for axis, share in enumerate((1.0 / 12.0, 1.0 / 12.0, 1.0 / 6.0)):
+            inertia[axis, axis] = share * width**2 * element_kg
+        tip_kg = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
+        rod.mass[-1] += tip_kg + load.mass_kg
+        inertia[:, :, -1] += np.eye(3) * (
+            tip_kg * width**2 / 12.0 + load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0
+        )
+        # The payload is fixed to the last element at an offset. Eliminating the acceleration of the
+        # node leaves the payload's reduced mass in the element's inertia.
+        offset = np.array([load.offset_x_m, load.offset_y_m, 0.0])
+        self._payload_share = load.mass_kg / rod.mass[-1]
+        reduced_kg = load.mass_kg * (1.0 - self._payload_share)
+        inertia[:, :, -1] += reduced_kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        self._offset_m = (load.offset_x_m, load.offset_y_m)
+        self._eccentric = bool(load.mass_kg > 0.0 and offset.any())
+        inverse = rod.inv_mass_second_moment_of_inertia
+        inverse[:] = 0.0
+        inverse[:, :, 1:] = np.linalg.inv(np.moveaxis(inertia[:, :, 1:], 2, 0)).transpose(1, 2, 0)
+
+    def _set_stiffness(self, p: RigParameters, lengths: Array) -> None:
+        """Set shear, stretch and twist, linear with a Zener branch; set the number of substeps."""
+        rod, law, width = self.rod, self.law, p["link.width_m"]
+        factor, step_s = stiffness_factor(p), p["world.step_s"]
+        # Et of the walls from E I = Et 2/3 h^3, Gt from the wall's shear 5/6 2 h Gt; four walls
+        # stretch, and twist by Bredt's formula.
+        wall_n_m = factor * p["stiffness.bending_n_m2"] * 1.5 / width**3
+        twist_n_m2 = p["stiffness.wall_shear_n"] / (5.0 / 3.0 * width) * width**3
+        shear_n = p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2
+        damping_s = p["stiffness.damping_s"] / ZENER_FRACTION
+        whole = 1.0 + (ZENER_FRACTION if damping_s > 0.0 else 0.0)
+        self._zener = 1.0 - 1.0 / whole
+        self._relaxed = -np.expm1(-step_s / max(damping_s, 1e-9))
+        rod.shear_matrix[:] = 0.0
+        for axis, force_n in enumerate((shear_n, shear_n, 4.0 * width * wall_n_m)):
+            rod.shear_matrix[axis, axis] = whole * force_n
+        self._voronoi_m = rod.rest_voronoi_lengths
+        rod.bend_matrix[:] = 0.0
+        twist = twist_n_m2 * self._sections / p["link.length_m"]
+        twist_nm_rad = np.array([ROOT_TWIST_NM_RAD, *[twist] * self._sections])
+        rod.bend_matrix[2, 2] = whole * twist_nm_rad * self._voronoi_m
+        self._sigma_creep = np.zeros_like(rod.sigma)
+        self._twist_creep = np.zeros(self._sections + 1)
+
+        self._set_smoothing(step_s)
+        across = np.diagonal(rod.inv_mass_second_moment_of_inertia, axis1=0, axis2=1)[1:].max(1)
+        bend = law.stiffest_nm_rad
+        stiffness = np.diag(bend + np.append(bend[1:], 0.0) + whole * shear_n * lengths[1:])
+        stiffness -= np.diag(bend[1:], 1) + np.diag(bend[1:], -1)
+        rate = np.linalg.eigvalsh(stiffness * np.sqrt(np.outer(across, across))).max()
+        stretch = 4.0 * rod.shear_matrix[2, 2, 1] / lengths[1] / rod.mass[2:].min()
+        fastest_rad_s = np.sqrt(max(rate, stretch))
+        self.substeps = max(int(np.ceil(step_s * fastest_rad_s / COURANT)), 1)
+
+    def _set_smoothing(self, step_s: float) -> None:
+        """Set the implicit step of viscous moments between adjacent elements, about both axes."""
+        damping = step_s * SMOOTHING_S * self.law.stiffness_nm_rad
+        matrix = np.diag(damping + np.append(damping[1:], 0.0))
+        matrix -= np.diag(damping[1:], 1) + np.diag(damping[1:], -1)
+        inertia = np.diagonal(self.rod.mass_second_moment_of_inertia, axis1=0, axis2=1)[1:, :2]
+        self._smooth = np.array([np.linalg.inv(matrix + np.diag(i)) * i for i in inertia.T])
+        self._carried = 1.0 - self._smooth.sum(axis=2)
+
+    @property
+    def bend_rad(self) -> Array:
+        """Bend of root patch and sections towards +x and +y, shape (sections + 1, 2)."""
+        kappa = self.rod.kappa
+        bend = np.stack([kappa[1], -kappa[0]], axis=1) * self._voronoi_m[:, None]
+        return np.asarray(bend)
+
+    @property
+    def markers_m(self) -> Array:
+        """Markers in the world frame, shape (markers, 3), at the start of the last step."""
+        position, director = self._pose
+        markers = np.empty((self._layout.rows, self._layout.corners, 3))
+        corners = np.array(self._layout.corners_m)
+        last = self._layout.rows - 1
+        for row, (piece, fraction) in enumerate(self._row_places):
+            element = piece + 1
+            if row == last:
+                centre = position[:, -1]
+            elif piece == 0:  # the first element is half as long, from the plate on
+                along = 2.0 * (fraction - 0.5)
+                centre = (1 - along) * position[:, 1] + along * position[:, 2]
+            else:
+                centre = (1 - fraction) * position[:, element] + fraction * position[:, element + 1]
+            markers[row] = centre + corners @ director[:2, :, element]
+        return markers.reshape(-1, 3)
+
+    def _keep_pose(self) -> None:
+        self._pose = self.rod.position_collection.copy(), self.rod.director_collection.copy()
+
+    def begin_step(self, plate_rad_s: Array, leaking_s: float) -> None:
+        """Update the law, the drag and the markers at the start of a step of the rig.
+
+        `plate_rad_s` (2, 1) is the rate of the plate about its axes x and y.
+        """
+        rod = self.rod
+        self._keep_pose()
+        bend = self.bend_rad
+        moment, tangent = self.law.advance(bend, leaking_s)
+        xx, yy, xy = tangent[:, 0, 0], tangent[:, 1, 1], tangent[:, 0, 1]
+        excess = np.max(np.maximum(xx, yy) / self.law.stiffest_nm_rad)
+        self.splits = int(np.ceil(np.sqrt(excess))) if 1.0 < excess < MOST_SPLITS**2 else 1
+        scale = 1.0 / (xx * yy - xy * xy)
+        rest_x = bend[:, 0] - scale * (yy * moment[:, 0] - xy * moment[:, 1])
+        rest_y = bend[:, 1] - scale * (xx * moment[:, 1] - xy * moment[:, 0])
+        length = self._voronoi_m
+        # A bend towards +x turns about +y, one towards +y about -x.
+        rod.bend_matrix[1, 1], rod.bend_matrix[0, 0] = xx * length, yy * length
+        rod.bend_matrix[0, 1] = rod.bend_matrix[1, 0] = -xy * length
+        rod.rest_kappa[1], rod.rest_kappa[0] = rest_x / length, -rest_y / length
+        if self._zener:
+            self._twist_creep += self._relaxed * (rod.kappa[2] - self._twist_creep)
+            self._sigma_creep += self._relaxed * (rod.sigma - self._sigma_creep)
+            rod.rest_kappa[2] = self._zener * self._twist_creep
+            rod.rest_sigma[:] = self._zener * self._sigma_creep
+        omega = rod.omega_collection
+        turning = np.einsum("ijk,ik->ij", self._smooth, omega[:2, 1:])
+        omega[:2, 1:] = turning + self._carried * plate_rad_s
+        velocity = rod.velocity_collection
+        speed = np.sqrt(np.einsum("ij,ij->j", velocity, velocity))
+        rod.external_forces[:] = self._weight_n - self._drag * speed * velocity
+
+    def move(self, step_s: float) -> None:
+        """Advance nodes and elements with their velocities by a time."""
+        rod = self.rod
+        overload_operator_kinematic_numba(
+            step_s, rod.position_collection, rod.director_collection,
+            rod.velocity_collection, rod.omega_collection,
+        )  # fmt: skip
+
+    def accelerate(self, step_s: float) -> None:
+        """Compute forces and moments and advance the velocities by a time."""
+        rod = self.rod
+        rod.compute_internal_forces_and_torques(0.0)
+        if self._eccentric:
+            self._accelerate_eccentric()
+        else:
+            rod.update_accelerations(0.0, step_s)
+        rod.velocity_collection += step_s * rod.acceleration_collection
+        rod.omega_collection += step_s * rod.alpha_collection
+
+    def _accelerate_eccentric(self) -> None:
+        """Accelerations with a payload beside the axis, fixed to the last element.
+
+        With node force F, offset r, and payload m out of the node's mass M, in the element's frame:
+        the moment gains -(m / M) r x F, and the node the acceleration
+        -(m / M) (alpha x r + omega x (omega x r)). F does not include weight.
+        """
+        rod, share = self.rod, self._payload_share
+        x, y = self._offset_m
+        turn = rod.director_collection[:, :, -1]
+        fx, fy, fz = (turn @ rod.internal_forces[:, -1]).tolist()
+        rod.external_torques[:, -1] = (-share * y * fz, share * x * fz, share * (y * fx - x * fy))
+        rod.update_accelerations(0.0, 0.0)
+        ax, ay, az = rod.alpha_collection[:, -1].tolist()
+        wx, wy, wz = rod.omega_collection[:, -1].tolist()
+        along, square = wx * x + wy * y, wx * wx + wy * wy + wz * wz
+        arm = (
+            -az * y + wx * along - square * x, az * x + wy * along - square * y,
+            ax * y - ay * x + wz * along,
+        )  # fmt: skip
+        rod.acceleration_collection[:, -1] -= share * (np.array(arm) @ turn)
+
+
+class BaseJoints:
+    """Angles and rates of the joints, which move the stub of the rod."""
+
+    def __init__(
+        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, gravity_m_s2: Array
+    ) -> None:
+        p = parameters
+        self._rod = rod
+        self._height_m = p["link.base_offset_m"]
+        self._heights_m = rod.position_collection[2, :2].copy()
+        self._turn = 1.0, 0.0, 1.0, 0.0
+        mass_kg = p["link.plate_mass_kg"] + root_mass_kg
+        self._weight_n: list[float] = (mass_kg * gravity_m_s2).tolist()
+        self._frame = p["link.frame_inertia_kg_m2"]
+        self._point = mass_kg * self._height_m**2
+        self.angle_rad, self.rate_rad_s = [0.0, 0.0], [0.0, 0.0]
+
+    def move(self, step_s: float) -> None:
+        """Advance the joint angles with their rates by a time."""
+        self.angle_rad[0] += step_s * self.rate_rad_s[0]
+        self.angle_rad[1] += step_s * self.rate_rad_s[1]
+
+    def place_stub(self) -> None:
+        """Set the pose of the rod's first element and its nodes."""
+        rod = self._rod
+        q1, q2 = self.angle_rad
+        c1, s1, c2, s2 = self._turn = cos(q1), sin(q1), cos(q2), sin(q2)
+        pose = np.array((c1, 0.0, -s1, -s1 * s2, c2, -c1 * s2, s1 * c2, s2, c1 * c2)).reshape(3, 3)
+        rod.director_collection[:, :, 0] = pose
+        rod.position_collection[:, :2] = pose[2, :, None] * self._heights_m
+
+    @property
+    def plate_rad_s(self) -> Array:
+        """Rate of the plate about its axes x and y, shape (2, 1)."""
+        return np.array([[-self.rate_rad_s[1]], [self.rate_rad_s[0] * self._turn[2]]])
+
+    def place_stub_velocity(self) -> None:
+        """Set the velocity of the rod's first nodes, which drag and stretch rate depend on."""
+        (c1, s1, c2, s2), (w1, w2), height = self._turn, self.rate_rad_s, self._height_m
+        along, up = height * w1 * c2, -height * w2 * s2
+        self._rod.velocity_collection[:, :2] = np.array(
+            [[c1 * along + s1 * up], [height * w2 * c2], [c1 * up - s1 * along]]
+        )
+
+    def accelerate(self, torque_nm: list[float], step_s: float) -> None:
+        """Advance the rates by a time, with servo torques, weight and the rod's reaction."""
+        rod, height, point = self._rod, self._height_m, self._point
+        w1, w2 = self.rate_rad_s
+        c1, s1, c2, s2 = self._turn
+        reaction_n = rod.internal_forces[:, 1].tolist()
+        fx, fy, fz = (r + w for r, w in zip(reaction_n, self._weight_n, strict=True))
+        mx, my, mz = rod.internal_torques[:, 0].tolist()
+        # The force in the frame of the plate acts on an arm along its axis.
+        mx -= height * (-s1 * s2 * fx + c2 * fy - c1 * s2 * fz)
+        my += height * (c1 * fx - s1 * fz)
+        turn1 = torque_nm[0] + c2 * my + s2 * mz + 2.0 * point * c2 * s2 * w1 * w2
+        self.rate_rad_s[0] = w1 + step_s * turn1 / (2.0 * self._frame + point * c2 * c2)
+        if len(torque_nm) > 1:
+            turn2 = torque_nm[1] - mx - point * c2 * s2 * w1 * w1
+            self.rate_rad_s[1] = w2 + step_s * turn2 / (self._frame + point)
+
+
+SECTIONS: Final = 8
+"""Sections of the span; halving their length shifts the first mode by less than 1 %."""
+
+HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
+"""Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
+
+
+class CosseratRig:
+    """`models.rig.rig.Rig` on PyElastica; `models.rig.rig.build_rig` describes the arguments.
+
+    Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
+    the stiffest section. Section law, drag and leak are updated once per step.
+    """
+
+    def __init__(
+        self,
+        parameters: RigParameters,
+        dof: int,
+        payload_kg: float,
+        eccentricity_m: tuple[float, float] = (0.0, 0.0),
+        gravity: tuple[float, float, float] = DOWN,
+        sections: int = SECTIONS,
+    ) -> None:
+        p = parameters
+        for choice in HINGED_CHOICES:
+            chosen = getattr(p.structure, choice)
+            if chosen != getattr(DEFAULT_STRUCTURE, choice):
+                raise InputError(
+                    p.path, f"chooses {choice} = {chosen!r}, which is not the rod's", "leave it out"
+                )
+        self.step_s = p["world.step_s"]
+        down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
+        load = TipLoad(
+            payload_kg,
+            eccentricity_m[0] + p["link.payload_offset_share"] * p["link.length_m"],
+            eccentricity_m[1],
+        )
+        self.link = RodLink(p, load, down, sections)
+        self.joints = BaseJoints(p, self.link.rod, self.link.root_mass_kg, down)
+        self._substep_s = self.step_s / self.link.substeps
+        self.servos = [RigServo(p.of_joint(k + 1), self._substep_s) for k in range(dof)]
+        self._play = MarkerPlay(p, dof, self.step_s)
+        self._shown_rad = [0.0] * dof
+        self._steps, self._last_bend_rad = 0, 0.0
+        self._leak_from_s = np.inf
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start in s."""
+        return self._steps * self.step_s
+
+    @property
+    def markers_m(self) -> Array:
+        """True markers in the world frame, shape (markers, 3), at the start of the last step."""
+        if self._play.absent:
+            return self.link.markers_m
+        return self._play.shown_m(self.link.markers_m, self._shown_rad)
+
+    def look(self) -> LinkState:
+        """Whether the link is intact, has folded, or its simulation has become unstable."""
+        bend_rad = float(np.max(np.abs(self.link.bend_rad)))
+        state = state_of_link(bend_rad, self._last_bend_rad)
+        self._last_bend_rad = bend_rad
+        return state
+
+    def start_leak(self) -> None:
+        """Start the pressure leak, at the start of the recorded run."""
+        self._leak_from_s = self.time_s
+
+    def send(self, goal_rad: Array) -> None:
+        """Send goals in rad, shape (dof,), to the servos."""
+        for servo, goal in zip(self.servos, goal_rad, strict=True):
+            servo.send(float(goal), self.time_s)
+
+    def step(self) -> None:
+        """Advance by one integration step."""
+        link, joints, servos = self.link, self.joints, self.servos
+        start_s, substep_s, last = self.time_s, self._substep_s, self.link.substeps - 1
+        link.begin_step(joints.plate_rad_s, max(start_s - self._leak_from_s, 0.0))
+        if not self._play.absent:
+            self._play.advance([servo.gear_nm for servo in servos])
+            self._shown_rad = joints.angle_rad[: len(servos)]
+        splits, part_s = link.splits, substep_s / link.splits
+        link.move(0.5 * part_s)
+        joints.move(0.5 * part_s)
+        for k in range(last + 1):
+            time_s = start_s + k * substep_s
+            torque_nm = [
+                servo.step(time_s, angle, rate) + servo.load_nm
+                for servo, angle, rate in zip(
+                    servos, joints.angle_rad, joints.rate_rad_s, strict=False
+                )
+            ]
+            for part in range(splits):
+                joints.place_stub()
+                link.accelerate(part_s)
+                joints.accelerate(torque_nm, part_s)
+                onward_s = part_s if k < last or part < splits - 1 else 0.5 * part_s
+                link.move(onward_s)
+                joints.move(onward_s)
+        joints.place_stub()
+        joints.place_stub_velocity()
+        self._steps += 1

@@ -1,0 +1,136 @@
+"""Drawings from matplotlib as SVG: one style, text as text, no external resources."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import itertools
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from typing import Any, Final
+
+import matplotlib
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.rcsetup import cycler
+from matplotlib.ticker import LogLocator, NullLocator
+from numpy.typing import NDArray
+
+from models.shared.pages import Panel
+from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
+
+matplotlib.use("svg")
+
+
+SIZE_IN: Final = (4.3, 2.9)
+"""Size of a drawing: its 9 pt text is about 10 px high on a phone, about 15 px in two columns."""
+
+STYLE: Final = {
+    "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,
+    "axes.prop_cycle": cycler(color=SERIES),
+    "axes.edgecolor": MUTED, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
+    "ytick.color": INK, "xtick.labelsize": 8.5, "ytick.labelsize": 8.5, "axes.linewidth": 0.7,
+    "xtick.major.width": 0.7, "ytick.major.width": 0.7, "axes.spines.top": False,
+    "axes.spines.right": False, "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.7,
+    "axes.axisbelow": True, "lines.linewidth": 1.4, "lines.solid_capstyle": "round",
+    "figure.facecolor": "none", "axes.facecolor": "none", "path.simplify_threshold": 0.3,
+}  # fmt: skip
+"""matplotlib's settings for drawings inside a page."""
+THIN: Final = 1.1
+_WIDER: Final = 1.4
+_COINCIDENT: Final = 0.005
+"""Distance of coincident lines, relative to the axis: about a line's width."""
+_POINTS_COMPARED: Final = 200
+
+FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
+"""The same for pictures in separate files."""
+
+
+class Drawing:
+    """Axes in the style of the pages, `height_in` high, rendered at the end of the block.
+
+    ::
+
+        with Drawing() as (drawing, ax):
+            ax.plot(…)
+        panels.append(drawing.panel("1DOF", "what it shows"))
+    """
+
+    def __init__(self, height_in: float = SIZE_IN[1]) -> None:
+        self._size_in = (SIZE_IN[0], height_in)
+        self._svg = ""
+        self._stack = ExitStack()
+        self._figure: Any = None
+
+    def __enter__(self) -> tuple[Drawing, Any]:
+        self._stack.enter_context(plt.rc_context(STYLE))
+        self._figure, ax = plt.subplots(figsize=self._size_in, layout="constrained")
+        self._stack.callback(plt.close, self._figure)
+        return self, ax
+
+    def __exit__(self, kind: object, *rest: object) -> None:
+        with self._stack:
+            if kind is None:
+                self._svg = _to_svg(self._figure)
+
+    def panel(self, title: str, alt: str) -> Panel:
+        """Panel with this drawing, its title and its description."""
+        return Panel(title, alt, _with_own_ids(self._svg, title + alt))
+
+
+def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[float]:
+    """Line widths that keep curves distinguishable, in drawing order.
+
+    If each curve covers the one before over at least half of its length, every line is narrower
+    than the one beneath; otherwise all are thin. Shapes: `curves` (n, 2). `shown` is the length of
+    the longer axis, in the unit of the points.
+    """
+    thinned = [c[:: max(len(c) // _POINTS_COMPARED, 1)] for c in curves]
+    covered = [
+        np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1) < _COINCIDENT * shown
+        for lower, upper in itertools.pairwise(thinned)
+    ]
+    if not covered or min(float(np.mean(near)) for near in covered) < 0.5:
+        return [THIN] * len(curves)
+    return [round(THIN + _WIDER * k, 2) for k in reversed(range(len(curves)))]
+
+
+def log_axis(ax: Any, values: Iterable[float]) -> None:
+    """Logarithmic y axis around `values`, labelled at 1, 2 and 5 in plain figures.
+
+    With the values of every panel of a figure, its panels share one scale. Values that are not
+    positive are ignored.
+    """
+    positive = [v for v in values if v > 0]
+    ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _to_svg(figure: Any) -> str:
+    """Inline SVG that scales with its box and uses the page's font."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r"font-family: [^;\"]*;? ?", "", text)
+    text = re.sub(r"(\d+\.\d\d)\d+", r"\1", text)  # a hundredth of a point is enough
+    text = re.sub(r"\n\s*", "\n", text)
+    head, end, body = text.partition(">")
+    head = re.sub(r' (width|height|version|xmlns(:xlink)?)="[^"]*"', "", head)
+    return head + end + body.replace("xlink:href", "href")
+
+
+def _with_own_ids(svg: str, about: str) -> str:
+    """Make the ids of a drawing unique in the page.
+
+    Definitions (markers, clips) are named by their content, which another figure may share, so each
+    drawing gets a prefix. Unreferenced ids are removed.
+    """
+    prefix = hashlib.sha256((about + svg).encode()).hexdigest()[:6]
+    used = set(re.findall(r'[("]#([\w.-]+)', svg))
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{prefix}{m[1]}"' if m[1] in used else "", svg)
+    return re.sub(r'([("]#)', rf"\g<1>{prefix}", svg)

@@ -1,0 +1,193 @@
+"""Parts of a page: sections with paragraphs, tables, figures, facts and commands.
+
+Text is plain text and is escaped when the page is rendered; `Markup` is inserted as HTML.
+
+HTML pages without external files, from the parts of `page_parts` through one template.
+
+The template escapes text; drawings are inserted unchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cache
+from pathlib import Path
+from typing import ClassVar, Final, NamedTuple
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from models.shared.palette import css_variables
+
+NO_VALUE = "–"
+"""Text of a table cell without a value."""
+
+Text = str | Markup
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Running text, or a lead, a note or a line about missing inputs."""
+
+    macro: ClassVar = "paragraph"
+    text: Text
+    kind: str = ""  # "" for running text, "lead", "note" or "missing"
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Coloured line with a label, that a reader must not overlook."""
+
+    macro: ClassVar = "notice"
+    kind: str  # Selects the colour: "simulated", "measured", "mixed" or "unknown"
+    label: str  # The kind in words
+    text: Text
+
+
+@dataclass(frozen=True)
+class TableCell:
+    """Text of a cell, and whether it meets its target (None without a target)."""
+
+    text: Text
+    met: bool | None = None
+
+
+Cell = TableCell | Text
+
+
+@dataclass(frozen=True)
+class Table:
+    """Table whose first column names the rows."""
+
+    macro: ClassVar = "table"
+    title: str  # Heading; "" for none
+    header: Sequence[Text]  # Names of the columns
+    rows: Sequence[Sequence[Cell]]  # Cells, one per column
+    note: str = ""
+
+    @property
+    def cells(self) -> list[list[TableCell]]:
+        """Rows with every text as a cell."""
+        return [[c if isinstance(c, TableCell) else TableCell(c) for c in row] for row in self.rows]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Drawing in a figure."""
+
+    title: str
+    alt: str  # What the drawing shows, for readers who cannot see it
+    svg: str
+
+
+class LegendEntry(NamedTuple):
+    """Line of a legend; `dash` is "solid", "dashed" or "dotted"."""
+
+    colour: str
+    label: str
+    dash: str = "solid"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels under one heading and one legend, side by side if there is room."""
+
+    macro: ClassVar = "figure"
+    title: str  # Heading; "" for none
+    note: str  # Sentence below the heading
+    panels: Sequence[Panel]
+    paper: str = ""  # Number of the paper's figure, "" for none
+    legend: Sequence[LegendEntry] = ()  # What the colours stand for
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with short values, such as software versions."""
+
+    macro: ClassVar = "facts"
+    rows: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class CommandList:
+    """Commands in order; `folded` shows their number until the reader unfolds them."""
+
+    macro: ClassVar = "commands"
+    commands: Sequence[str]
+    folded: bool = False
+
+
+@dataclass(frozen=True)
+class ClaimCard:
+    """Claim with the findings of each study."""
+
+    claim: str
+    # Studies that agree; whether the claim holds (None if they cannot tell); the finding
+    verdicts: Sequence[tuple[Sequence[str], bool | None, str]]
+    depends_on: Sequence[str]
+
+    VERDICTS: ClassVar = {True: "comes out", False: "does not come out", None: "cannot be told"}
+
+
+@dataclass(frozen=True)
+class ClaimCards:
+    """Claim cards side by side."""
+
+    macro: ClassVar = "claims"
+    cards: Sequence[ClaimCard]
+
+
+Part = Paragraph | Notice | Table | Figure | Facts | CommandList | ClaimCards
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of a page with a heading; its parts are shown in order."""
+
+    id: str
+    title: str
+    parts: list[Part] = field(default_factory=list)
+
+
+def missing_inputs(command: str) -> Paragraph:
+    """Line that replaces a part with missing inputs, with the command that writes them."""
+    text = Markup("Not shown: the inputs are missing. To create them, run <code>{}</code>.")
+    return Paragraph(text.format(command), "missing")
+
+
+HERE: Final = Path(__file__).parent
+STYLE: Final = HERE / "style.css"
+
+
+def stylesheet() -> str:
+    """Style sheet of every page, with the colours of the palette."""
+    return css_variables() + STYLE.read_text(encoding="utf-8")
+
+
+def render_page(
+    title: str,
+    lead: Sequence[Part],
+    sections: Sequence[Section],
+    made: datetime | None = None,
+) -> str:
+    """Render a whole page, with a table of contents of its sections.
+
+    `made` is the time stamp of the page, in UTC.
+    """
+    return _environment().get_template("page.html").render(
+        title=title,
+        lead=lead,
+        sections=sections,
+        style=stylesheet(),
+        made=made.strftime("%d %B %Y, %H:%M UTC") if made else "",
+    )  # fmt: skip
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip

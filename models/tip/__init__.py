@@ -1,1 +1,0 @@
-"""Tip predictors of the robot: candidates behind one contract, their choice and their interval."""

@@ -1,1 +1,0 @@
-"""Offset between two clocks that recorded the same motion, and the times of a trial's rows."""

@@ -1,1 +1,0 @@
-"""Headers above the columns in text exports of motion capture."""

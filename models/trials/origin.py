@@ -1,0 +1,144 @@
+"""Origin of trials: simulated or measured, and on which rig.
+
+It follows from `source` of a trial's conditions; a value that the project does not write is
+"unknown". A trial does not state its rig, so that nothing can be tuned to it. The record beside the
+trial does (`models.rig.protocol`); only the name of the rig is read from it, as a label.
+
+Notice at the head of a page: whether its trials are simulated or measured, and of which rig.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Final, Literal
+
+import msgspec
+
+from firmware_py.errors import InputError
+from firmware_py.files.input_files import read_json
+from models.shared.pages import Notice
+from models.trials.trial import Trial
+
+OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
+
+SIMULATED: Final = ("rig", "sil", "simulated")
+"""Sources of simulated trials: the rig; the robot's loop with emulated servos; the twin."""
+RECORD: Final = "rig_conditions.json"
+MEASURED: Final = ("measured", "recording")
+"""Sources of measured trials: motion capture or a table; the log of a robot."""
+
+
+class _Entry(msgspec.Struct, frozen=True):
+    """Part of a trial's record that is read here."""
+
+    rig: str
+
+
+class _Record(msgspec.Struct, frozen=True):
+    """Part of a directory's record that is read here."""
+
+    trials: dict[str, _Entry]
+
+
+class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Trials of one origin, and their number."""
+
+    source: str
+    rig: str = ""  # Name of the rig; empty for a measured system or without a record
+    trials: int = 1
+
+    @property
+    def kind(self) -> OriginKind:
+        """Whether the trials were simulated or measured."""
+        if self.source in SIMULATED:
+            return "simulated"
+        return "measured" if self.source in MEASURED else "unknown"
+
+    @property
+    def words(self) -> str:
+        """Origin in words: "trials of the rig “default”"."""
+        if self.source == "rig":
+            return f"trials of the rig “{self.rig}”" if self.rig else "trials of a rig"
+        if self.source == "sil":
+            behind = f", {_behind(self.rig)} behind them" if self.rig else ""
+            return f"runs of the loop with emulated servos{behind}"
+        if self.source == "simulated":
+            return "runs of a simulated plant"
+        if self.source == "recording":
+            return "trials from logs of a robot"
+        if self.source == "measured":
+            return "trials of a measured system"
+        return "trials that state no origin" + (f" but “{self.source}”" if self.source else "")
+
+    @property
+    def counted(self) -> str:
+        """Origin in words with the number of trials."""
+        return f"{self.trials} {self.words}"
+
+
+def _behind(rig: str) -> str:
+    return "the twin" if rig == "twin" else f"the rig “{rig}”"
+
+
+def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
+    """Distinct origins of trials, in the order of their first trial."""
+    return merged_origins(TrialOrigin(t.meta.source, recorded_rig(t)) for t in trials)
+
+
+def recorded_rig(trial: Trial) -> str:
+    """Name of the rig that a trial ran on, from the record beside its file; empty without one."""
+    if trial.meta.source != "rig" or trial.path == Path():
+        return ""
+    return _rigs(trial.path.parent / RECORD).get(trial.name, "")
+
+
+def _rigs(record: Path) -> dict[str, str]:
+    """Names of rigs by trial; empty if the record is missing or damaged."""
+    try:
+        content = msgspec.convert(read_json(record, "simulate the trials again"), _Record)
+    except (InputError, msgspec.ValidationError):
+        return {}
+    return {name: Path(entry.rig).name for name, entry in content.trials.items()}
+
+
+def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
+    """Origins merged, with the numbers of equal ones added."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for origin in origins:
+        counts[origin.source, origin.rig] += origin.trials
+    return tuple(TrialOrigin(*key, count) for key, count in counts.items())
+
+
+def kind_of_origins(origins: Iterable[TrialOrigin]) -> OriginKind:
+    """Kind of a set of trials: "mixed" if it holds simulated and measured ones.
+
+    Otherwise the kind is "unknown" if the set is empty or holds an unknown origin.
+    """
+    kinds = {origin.kind for origin in origins}
+    if {"simulated", "measured"} <= kinds:
+        return "mixed"
+    return kinds.pop() if len(kinds) == 1 else "unknown"
+
+
+KIND_WORDS: Final[dict[OriginKind, str]] = {
+    "simulated": "Simulated", "measured": "Measured", "mixed": "Simulated and measured",
+    "unknown": "Origin not stated",
+}  # fmt: skip
+"""Label of a notice and, in lower case, of a badge."""
+
+_ADDED: Final[dict[OriginKind, str]] = {
+    "simulated": " No robot was measured.",
+    "measured": "",
+    "mixed": " Every table and badge says which it is of.",
+    "unknown": " Do not take them for measurements.",
+}  # fmt: skip
+
+
+def origin_notice(origins: Sequence[TrialOrigin]) -> Notice:
+    """Notice about the origins of everything that a page shows."""
+    kind = kind_of_origins(origins)
+    listed = [origin.words for origin in merged_origins(origins)]
+    joined = " and ".join(filter(None, (", ".join(listed[:-1]), listed[-1])))
+    return Notice(kind, KIND_WORDS[kind], f"This page shows {joined}.{_ADDED[kind]}")

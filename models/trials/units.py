@@ -1,0 +1,138 @@
+"""SI units: exponents of base units, factors to SI, and the check of a plant's signal units.
+
+A unit is written as FMI requires: a product and quotient of symbols, like "N.m.s/rad" or
+"rad/(N.m)"; "1" is dimensionless.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from firmware_py.errors import InputError
+from firmware_py.signals import unit_of
+from models.trials.trial import SignalRole
+
+TO_SI: Final[dict[str, tuple[str, float]]] = {
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9),
+    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", math.pi / 180),
+    "turn": ("rad", 2 * math.pi), "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", math.pi / 180),
+    "rpm": ("rad/s", math.pi / 30), "A": ("A", 1.0), "mA": ("A", 1e-3), "V": ("V", 1.0),
+    "mV": ("V", 1e-3), "m": ("m", 1.0), "cm": ("m", 1e-2), "mm": ("m", 1e-3),
+    "inch": ("m", 0.0254), "m/s": ("m/s", 1.0), "mm/s": ("m/s", 1e-3), "kg": ("kg", 1.0),
+    "g": ("kg", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3), "N.m": ("N.m", 1.0),
+    "N.mm": ("N.m", 1e-3), "Pa": ("Pa", 1.0), "kPa": ("Pa", 1e3), "bar": ("Pa", 1e5),
+    "psi": ("Pa", 6894.757), "degC": ("degC", 1.0), "Hz": ("Hz", 1.0), "W": ("W", 1.0),
+    "1": ("1", 1.0),
+}  # fmt: skip
+"""SI unit of the trial files and the factor to it, by the unit that a map may name."""
+
+_SYMBOLS: Final[dict[str, dict[str, int]]] = {
+    "1": {},
+    "kg": {"kg": 1},
+    "m": {"m": 1},
+    "s": {"s": 1},
+    "A": {"A": 1},
+    "K": {"K": 1},
+    "rad": {"rad": 1},
+    "Hz": {"s": -1},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+}
+_TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
+
+
+def base_exponents(unit: str) -> dict[str, int]:
+    """Return the exponents of kg, m, s, A, K and rad in a unit; zeros are omitted.
+
+    A unit is a product and quotient of symbols; an integer after a symbol is its power.
+    """
+    tokens = _TOKEN.findall(unit)
+    if "".join(tokens) != unit or not tokens:
+        raise ValueError(f"{unit!r} is not a unit")
+    powers, rest = _product(tokens, unit)
+    if rest:
+        raise ValueError(f"{unit!r} is not a unit: {rest[0]!r} is out of place")
+    return {symbol: power for symbol, power in powers.items() if power}
+
+
+def _product(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
+    powers, tokens = _factor(tokens, unit)
+    while tokens and tokens[0] in "./":
+        sign = 1 if tokens[0] == "." else -1
+        factor, tokens = _factor(tokens[1:], unit)
+        for symbol, power in factor.items():
+            powers[symbol] += sign * power
+    return powers, tokens
+
+
+def _factor(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
+    if not tokens:
+        raise ValueError(f"{unit!r} is not a unit: it ends early")
+    first, tokens = tokens[0], tokens[1:]
+    if first == "(":
+        powers, tokens = _product(tokens, unit)
+        if not tokens or tokens[0] != ")":
+            raise ValueError(f"{unit!r} is not a unit: a bracket stays open")
+        return powers, tokens[1:]
+    if first not in _SYMBOLS:
+        raise ValueError(f"{unit!r} is not a unit: {first!r} is unknown")
+    exponent = 1
+    if tokens and re.fullmatch(r"-?\d+", tokens[0]):
+        exponent, tokens = int(tokens[0]), tokens[1:]
+    return Counter({s: exponent * p for s, p in _SYMBOLS[first].items()}), tokens
+
+
+def check_signal_units(where: Path, signals: Mapping[str, SignalRole]) -> None:
+    """Refuse a signal of a plant's file whose unit is not that of its quantity.
+
+    The suffix of the plant's name of a signal states its unit. A condition has the unit of the
+    parameter that it replaces (`models.plant.plant.read_plant`). A condition, or a name without a
+    suffix, must have an SI unit here.
+
+    Examples
+    --------
+    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("m", "measured")})
+    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("mm", "measured")})
+    Traceback (most recent call last):
+    firmware_py.errors.InputError: car.toml: signal encoder is given in 'mm', which is no SI unit; \
+give 'm' here, the map of the import converts the recording.
+    """
+    for name, signal in signals.items():
+        own = signal.quantity or name
+        expected = None if signal.role == "condition" else unit_of(own)
+        if expected is not None and signal.unit != expected:
+            named = f"its quantity {own} in" if signal.quantity else "its name says"
+            raise other_unit(where, name, signal, f"{named} {expected!r}", expected)
+        if expected is None and not _is_si(signal.unit):
+            known = TO_SI.get(signal.unit, ("an SI unit like 'm', 'rad/s' or 'N.m'", 1.0))[0]
+            raise other_unit(where, name, signal, "which is no SI unit", known)
+
+
+def other_unit(
+    where: Path, name: str, signal: SignalRole, contrast: str, expected: str
+) -> InputError:
+    """Error of a signal with a wrong unit; `contrast` says why it is wrong."""
+    wanted = repr(expected) if " " not in expected else expected
+    return InputError(
+        where,
+        f"signal {name} is given in {signal.unit!r}, {contrast}",
+        f"give {wanted} here, the map of the import converts the recording",
+    )
+
+
+def _is_si(unit: str) -> bool:
+    """Whether a text is an SI unit; degC is accepted for temperatures."""
+    try:
+        base_exponents(unit)
+    except ValueError:
+        return unit == "degC"
+    return True
