@@ -1,7 +1,7 @@
 """Training of the predictors of one dof, their tests, and the bundle.
 
 The study compares the paper's polynomials on one motion. The robot gets the best of several
-candidates (`models.tip`), trained on the study's trials and on those of --motions and chosen by
+candidates (`models.predictor`), trained on the study's trials and on those of --motions and chosen by
 payloads and motions left out.
 
 Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)

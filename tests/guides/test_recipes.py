@@ -14,7 +14,7 @@ from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
-from models.trials import importers
+from models.trials import recordings
 from models.trials.files import read_trial
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,9 +40,9 @@ def test_the_servo_turns_angles_into_pulses_and_back():
 @pytest.fixture
 def npz_importer(monkeypatch):
     reader = code("Add an importer")["read_npz"]
-    monkeypatch.setitem(importers.READERS, "npz", reader)
+    monkeypatch.setitem(recordings.READERS, "npz", reader)
     command = importlib.import_module("models.commands.import_")
-    monkeypatch.setattr(command, "KINDS", tuple(importers.READERS))
+    monkeypatch.setattr(command, "KINDS", tuple(recordings.READERS))
 
 
 MAP = """

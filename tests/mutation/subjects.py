@@ -50,9 +50,9 @@ SUBJECTS = (
         "guard",
         ("firmware_py/inference/predictor.py", "firmware_py/inference/batch_prediction.py",
          "firmware_py/safety/estimate_trust.py", "models/predictor/guarded_tip.py",
-         "models/predictor/interval.py", "models/predictor/interval.py"),
+         "models/predictor/interval.py"),
         ("tests/firmware_py/inference", "tests/firmware_py/goals/test_tip_feedback.py",
-         "tests/models/tip"),
+         "tests/models/predictor"),
     ),
     Subject(
         "goals",
@@ -61,8 +61,8 @@ SUBJECTS = (
     ),
     Subject(
         "imports",
-        ("models/trials/verdict/**/*.py", "!models/trials/verdict/verdict_*.py"),
-        ("tests/models/trials/verdict",),
+        ("models/trials/checks/*.py", "!models/trials/checks/page.py"),
+        ("tests/models/trials/checks",),
     ),
     Subject(
         "plant",

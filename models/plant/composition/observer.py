@@ -151,7 +151,7 @@ def _state_of_the_estimate(
 ) -> dict[str, tuple[Variable, Expr]]:
     """Outputs about the motion of joint and link, and the observer's estimate of its own error.
 
-    A predictor uses them to correct the tip and to widen its interval (`models.tip`).
+    A predictor uses them to correct the tip and to widen its interval (`models.predictor`).
     """
     found: dict[str, tuple[Variable, Expr]] = {}
 

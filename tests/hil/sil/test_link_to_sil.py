@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from models.tip.candidates import candidate_list
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.servo_models import model_named
@@ -13,6 +12,7 @@ from firmware_py.log.recording import read_recording
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.timing_document import read_timing
 from models.plant.plant import read_plant
+from models.predictor import learners as candidate_list
 from models.predictor.candidates import ObserverTip, PaperPolynomial
 from models.rig.drawn import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE

@@ -16,7 +16,7 @@ from dropstitch.__main__ import main
 from models.gap import diagnosis
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import GapSettings
-from models.plant.identification import identification
+from models.plant.identification import identify as identification
 from models.trials.files import write_trial
 from tests.models.robustness.mutations import CASES, PLANT_CASES
 from tests.models.robustness.short_trials import plant_of, short_trials

@@ -7,7 +7,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.predictor.onnx_graphs import predictor_function, to_onnx
-from tests.models.learning.graph_cases import fitted_predictor, graph_outputs
+from tests.models.predictor.graph_cases import fitted_predictor, graph_outputs
 
 
 @pytest.mark.parametrize(("n", "degree"), [(3, 3), (5, 3), (5, 6)])

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from tests.models.trials.recordings.written_takes import right_cases, wrong_cases
 
 from dropstitch.__main__ import main
 from firmware_py.signals import trial_signals
 from models.shared.kinematics import base_rotation
 from models.trials.recordings.frame import nominal_markers_m
 from models.trials.trial import Trial, TrialMeta
+from tests.models.trials.recordings.written_takes import right_cases, wrong_cases
 
 REST = 60
 QUICK = (0, 2, 5, 15, 22, 26, 29, 34, 37)

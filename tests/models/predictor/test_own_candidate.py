@@ -9,7 +9,7 @@ from firmware_py.errors import InputError
 from models.predictor.candidates import own_candidate
 from models.predictor.learners import CANDIDATES
 from models.predictor.training import choose_tip_predictor
-from tests.models.tip.tip_cases import made_up_rows
+from tests.models.predictor.tip_cases import made_up_rows
 
 PAGE = Path(__file__).parents[3] / "docs" / "predictor" / "choice.md"
 [CODE] = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)

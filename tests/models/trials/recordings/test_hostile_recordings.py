@@ -18,7 +18,7 @@ from firmware_py.errors import InputError
 from firmware_py.files import guarded_call
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
-from models.trials.recordings import matlab_file
+from models.trials.recordings import table as matlab_file
 from models.trials.recordings.table import matlab_variables
 from tests.fuzz import valid_files
 

@@ -9,7 +9,7 @@ import pytest
 
 from models.predictor.onnx_graphs import PolynomialGraph, to_onnx
 from models.predictor.polynomials import polynomial_pipeline, predict
-from tests.models.learning.graph_cases import fitted_predictor, graph_outputs
+from tests.models.predictor.graph_cases import fitted_predictor, graph_outputs
 
 CASES = [(n, degree) for n in (3, 5) for degree in range(1, 7)]
 

@@ -13,7 +13,7 @@ from models.predictor.interval import TipInterval
 from models.predictor.learners import CANDIDATES, BoostedTrees
 from models.predictor.onnx_graphs import predictor_function, to_onnx
 from models.predictor.training import choose_tip_predictor
-from tests.models.tip.tip_cases import made_up_rows
+from tests.models.predictor.tip_cases import made_up_rows
 
 
 def guarded(rows, predictor):

@@ -12,7 +12,7 @@ from models.bundle.files import GATE_M, ParityError, check_parity, monomial, wri
 from models.plant.plant import read_plant
 from models.predictor.onnx_graphs import to_onnx
 from models.study.document import read_study
-from tests.models.learning.graph_cases import fitted_predictor
+from tests.models.predictor.graph_cases import fitted_predictor
 
 
 def test_gate_refuses_a_graph_that_is_off_by_a_nanometre(tmp_path):

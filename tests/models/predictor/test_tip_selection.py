@@ -9,7 +9,7 @@ from models.predictor.interval import TipInterval
 from models.predictor.learners import CANDIDATES
 from models.predictor.observed_trials import ASKEW_RAD, askew_shifts_m
 from models.predictor.training import choose_tip_predictor, group_folds
-from tests.models.tip.tip_cases import made_up_rows
+from tests.models.predictor.tip_cases import made_up_rows
 
 
 def test_folds_leave_out_each_payload_and_each_motion():

@@ -6,7 +6,7 @@ import pytest
 from models.predictor.candidates import ObserverTip
 from models.predictor.guarded_tip import GuardedTip
 from models.predictor.interval import FACTOR, InnovationBound, TipInterval
-from tests.models.tip.tip_cases import made_up_rows
+from tests.models.predictor.tip_cases import made_up_rows
 
 
 def point(rows, **changes):
