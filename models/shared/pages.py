@@ -1,10 +1,7 @@
-"""Parts of a page: sections with paragraphs, tables, figures, facts and commands.
+"""Pages as one HTML file: sections of paragraphs, tables, figures, facts and commands.
 
-Text is plain text and is escaped when the page is rendered; `Markup` is inserted as HTML.
-
-HTML pages without external files, from the parts of `page_parts` through one template.
-
-The template escapes text; drawings are inserted unchanged.
+Text is plain text and is escaped when the page is rendered; `Markup` and drawings are inserted as
+they are.
 """
 
 from __future__ import annotations
