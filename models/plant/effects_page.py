@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, get_args
 
-from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
 from models.plant.parameter import Parameter
+from models.plant.plant import scope_of
 from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 
 HEAD: Final = """# Effects

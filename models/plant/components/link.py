@@ -41,8 +41,9 @@ from typing import ClassVar, Final
 import casadi as ca
 
 from firmware_py.link.link_description import STUDY_LINK
+from models.plant.components.load import PlantLoad
 from models.plant.parameter import Parameter
-from models.plant.scope import ROTARY, Expr, Hinge, Scope
+from models.plant.scope import Expr, Hinge, Scope
 from models.plant.step_model import Variable
 
 Masses = Mapping[tuple[int, int], Expr]
@@ -112,12 +113,6 @@ def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
     return angles[0], angles[1] if len(angles) > 1 else 0
 
 
-def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
-    """Solve a symmetric positive definite system, (n, n) and (n,), by LDL decomposition."""
-    diagonal, upper, order = ca.ldl(matrix)
-    return ca.ldl_solve(right, diagonal, upper, order)
-
-
 def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
     """Rotation R_y(first) R_x(-second), like `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
@@ -138,11 +133,10 @@ def slope_fraction(position: float) -> float:
     return 2 * position - position**2
 
 
-class Link:
+class Link(PlantLoad):
     """Inflatable link on a base joint with one or two axes."""
 
     kind: ClassVar[str] = "link"
-    suffix: ClassVar[dict[str, str]] = ROTARY
     max_dof: ClassVar[int] = 2
     features: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
     hinges: ClassVar[tuple[str, ...]] = ("root", "span")
@@ -233,14 +227,6 @@ class Link:
             elastic = elastic + limit * fold[hinge] * bend
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
             scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
-
-    def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint minus torque on the root's bend.
-
-        A torque on the joint that also bends the root is in both terms and cancels out.
-        """
-        for j in scope.joints:
-            scope.transmitted_torque[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         """Return mass matrix and force over the joints' coordinates and the bends."""

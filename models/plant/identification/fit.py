@@ -46,10 +46,9 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
 from firmware_py.errors import InputError
-from models.plant.composition.compose import ModelKind
 from models.plant.effects import PULLEY_M
 from models.plant.parameter import AT_BOUND, prior_deviation_of
-from models.plant.plant import Plant
+from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.runner import (
     Array,
     CompiledModel,

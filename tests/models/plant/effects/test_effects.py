@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
-from models.plant.plant import read_plant
+from models.plant.plant import read_plant, scope_of
 from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import names
 from models.shared.catalogue import EVERY_EFFECT
