@@ -66,8 +66,8 @@ SUBJECTS = (
     ),
     Subject(
         "plant",
-        ("models/plant/composition/*.py", "models/plant/plant.py"),
-        ("tests/models/plant/test_plant.py", "tests/models/plant/composition"),
+        ("models/plant/compose.py", "models/plant/observer.py", "models/plant/plant.py"),
+        ("tests/models/plant/test_plant.py", "tests/models/plant/test_compose.py", "tests/models/plant/test_observer.py"),
         slow=True,
     ),
     Subject(

@@ -1,16 +1,14 @@
-"""Order in which the effects of one port act.
-
-The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
-`ORDER`, regardless of the order of their files, classes or entries in a plant document. The
-parameters of a composed model have the same order. An effect that is not listed acts after the
-listed ones of its port; several such effects act in the order of their names.
-
-Effects: physical effects that a plant can have beyond its nominal drive and load.
+"""Effects: what a plant can have beyond its nominal drive and load.
 
 An effect is one small class in a file of this package: its name in the catalogue, its parameters
 (the first is its strength: at zero the plant is exactly the one without it), the states that it
 adds, and the quantities of the scope that it changes at its port. A class is registered when it
 derives from `Effect`; docs/plant/add-an-effect.md has an example.
+
+The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
+`ORDER`, regardless of the order of their files, classes or entries in a plant document. The
+parameters of a composed model have the same order. An effect that is not listed acts after the
+listed ones of its port; several such effects act in the order of their names.
 """
 
 from __future__ import annotations
@@ -94,7 +92,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
-"""Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
+"""Effects by name; a class is registered by its definition."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
     "position gain", "smooth friction", "straight guide",
@@ -165,7 +163,7 @@ class Effect:
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Return the first strength to try for an effect with a dead zone; zero for all others.
+        """Return the first strength to try for an effect with a dead zone.
 
         Parameters
         ----------

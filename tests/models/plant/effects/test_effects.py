@@ -8,7 +8,7 @@ import pytest
 from firmware_py.errors import InputError
 from models.plant.effects import EFFECTS
 from models.plant.plant import read_plant, scope_of
-from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.catalogue import EVERY_EFFECT
 
@@ -115,7 +115,7 @@ def test_sensitivities_by_every_strength_at_zero(bench):
     model = plant.step_model(1)
     strengths = [s for name in ALL for s in plant.strengths(name, 1)]
     u = bench.inputs(model, 100)
-    _, slopes = SensitiveModel(model, strengths).simulate(u, bench.step_s)
+    _, slopes = CompiledModel(model, strengths).derivatives(u, bench.step_s)
     assert np.isfinite(slopes).all()
     plain = bench.compiled(ALL)
     for k, name in enumerate(strengths):
