@@ -46,6 +46,7 @@ from models.trials.origin import TrialOrigin, merged_origins, recorded_rig
 from models.trials.trial import SignalRole, Trial
 from models.trials.units import check_signal_units, other_unit
 
+
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Error of one simulated signal over all samples."""
 
