@@ -17,7 +17,8 @@ from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 from models.plant.plant import Plant
 from models.plant.simulation.model_c import write_run_c
-from models.plant.step_model import Array, StepModel, names
+from models.plant.step_model import Array as Array
+from models.plant.step_model import StepModel, names
 from models.shared.c_compiler import compiler_options, load_library
 from models.trials.trial import Trial
 
