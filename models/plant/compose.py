@@ -64,7 +64,7 @@ def compose_twin(
             declare_presliding(scope, j)
     load.declare(scope)
     apply_effects(scope, ("command",), effects)
-    _apply_load_torques(scope, load, effects)
+    apply_load_torques(scope, load, effects)
     drive.apply_control(scope)
     force = _apply_motion(scope, drive, load)
     _set_initial_equilibrium(scope, force)
@@ -149,14 +149,17 @@ def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]
                 effect.apply(scope)
 
 
-def _apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
+def apply_load_torques(scope: Scope, load: PlantLoad, effects: Sequence[Effect]) -> None:
     """Set every torque except the drive's: on the bends, on the joints and through the gears.
 
     The motion of joints and bends must be set.
     """
     apply_effects(scope, ("stiffness", "mass"), effects)
     load.apply_elastic_torques(scope)
-    apply_effects(scope, ("bend_torque", "joint_torque"), effects)
+    apply_effects(scope, ("bend_torque",), [e for e in effects if not e.beyond_limit])
+    load.apply_limit(scope)
+    apply_effects(scope, ("bend_torque",), [e for e in effects if e.beyond_limit])
+    apply_effects(scope, ("joint_torque",), effects)
     load.apply_transmitted_torque(scope)
     apply_effects(scope, ("servo_torque",), effects)
 
@@ -209,7 +212,7 @@ def apply_measured_motion(
 ) -> None:
     """Set the rates of the bends on joints that move as measured, and the current needed for it."""
     load.declare(scope)
-    _apply_load_torques(scope, load, effects)
+    apply_load_torques(scope, load, effects)
     mass, force = load.motion_equations(scope)
     count = len(scope.joints)
     base = ca.vertcat(*(scope.acceleration[j] - scope.windup_acceleration[j] for j in scope.joints))

@@ -152,6 +152,7 @@ class Scope:
     bend: dict[Hinge, Expr] = field(default_factory=dict)
     bend_rate: dict[Hinge, Expr] = field(default_factory=dict)
     stiffness: dict[Hinge, Expr] = field(default_factory=dict)
+    limit_moment: Expr = 0  # Of the root of a link
     bend_torque: dict[Hinge, Expr] = field(default_factory=dict)
     # At rest upright, for the Deformation Index
     rest_bend: dict[Hinge, Expr] = field(default_factory=dict)

@@ -51,9 +51,11 @@ class FlexibleLink(PlantLoad):
         scope.stiffness["root", 1] = scope.p("root_stiffness_1_nm_rad")
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        elastic = scope.stiffness["root", 1] * scope.bend["root", 1]
+        scope.bend_torque["root", 1] = -scope.stiffness["root", 1] * scope.bend["root", 1]
+
+    def apply_limit(self, scope: Scope) -> None:
         damping = scope.p("root_damping_1_nm_s_rad") * scope.bend_rate["root", 1]
-        scope.bend_torque["root", 1] = -elastic - damping
+        scope.bend_torque["root", 1] -= damping
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         inertia = scope.p("link_inertia_kg_m2")

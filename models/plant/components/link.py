@@ -1,14 +1,24 @@
 """Inflatable link as a pseudo-rigid body: a root hinge and a span hinge per plane.
 
-The root hinge is the glued patch, which softens towards a limit moment. The span hinge represents
-bending and shear of the span. Both bend in two planes (docs/sources.md, "The link")::
+The root hinge is the glued patch. The span hinge represents bending and shear of the span. Both
+bend in two planes. Effects add creep and hysteresis to the moment m of each (docs/sources.md, "The
+link")::
 
-    τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
-    τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
+    m_root = K φ + creep + hysteresis,   m_span = K ψ + creep
+    τ_root = m_root / √(1 + (‖m_root‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
+    τ_span = m_span + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
+
+The limit moment M_c bounds the whole moment of the root, because a pressurised panel collapses
+where pressure no longer balances it, whatever the fabric adds: it then folds like a hinge (Thomas
+and Wielgosz, *Thin-Walled Structures* 42, 2004). Air and yarns carry the viscous part [assumed].
+
+Springs and branches of creep in parallel are a spring and Kelvin elements in series,
+φ = a m + Σ b_i z_i. With F' the limit law, the energy a F(m) + Σ b_i F(z_i) grows by no more than
+the work on the root, since F is convex: without hysteresis the law is passive. With it, no closed
+path in the tests yields energy.
 
 The term in φ_f is the self-contact of the folded skin. It is below 0.5 % of M_c up to φ_f/3 and
-prevents a buckling link from turning over. Effects add hysteresis, creep and more at the port
-`bend_torque`.
+prevents a buckling link from turning over.
 
 The Deformation Index follows from the bend. The span's bend is distributed like the slope of a
 cantilever under a tip force: the fraction f(σ) = 2σ − σ² is reached at σL, so segment k between two
@@ -103,6 +113,7 @@ class Link(PlantLoad):
         return result
 
     def declare(self, scope: Scope) -> None:
+        scope.limit_moment = scope.p("root_limit_moment_nm")
         for hinge in self.hinges:
             for j in scope.joints:
                 key = (hinge, j)
@@ -113,21 +124,21 @@ class Link(PlantLoad):
                 scope.stiffness[key] = scope.p(hinge + "_stiffness_{j}_nm_rad", j)
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Set the elastic and viscous torque on each bend."""
-        moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
-        limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
-        loading = sum(m**2 for m in moments) / limit**2
-        fold = {
-            hinge: sum(scope.bend[hinge, j] ** 2 for j in scope.joints) ** 2 / fold_rad**5
-            for hinge in self.hinges
-        }
+        for key, bend in scope.bend.items():
+            scope.bend_torque[key] = -scope.stiffness[key] * bend
+
+    def apply_limit(self, scope: Scope) -> None:
+        """Bound the root's moment; add self-contact and viscous torque to each bend."""
+        limit, fold_rad = scope.limit_moment, scope.p("fold_rad")
+        loading = sum(scope.bend_torque["root", j] ** 2 for j in scope.joints) / limit**2
         for (hinge, j), bend in scope.bend.items():
-            elastic = scope.stiffness[hinge, j] * bend
+            torque = scope.bend_torque[hinge, j]
             if hinge == "root":
-                elastic = elastic / ca.sqrt(1 + loading)
-            elastic = elastic + limit * fold[hinge] * bend
+                torque = torque / ca.sqrt(1 + loading)
+            fold = sum(scope.bend[hinge, k] ** 2 for k in scope.joints) ** 2 / fold_rad**5
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
-            scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
+            torque -= limit * fold * bend + damping * scope.bend_rate[hinge, j]
+            scope.bend_torque[hinge, j] = torque
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]

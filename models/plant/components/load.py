@@ -37,7 +37,10 @@ class PlantLoad:
         """Add the states of the load, and its bends if any."""
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Set `bend_torque` to the elastic and viscous torque on each bend."""
+        """Set `bend_torque` to the elastic torque on each bend."""
+
+    def apply_limit(self, scope: Scope) -> None:
+        """Bound `bend_torque`, with what effects have added; add the viscous torque."""
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
         """Set `transmitted_torque`: other torque on each joint, less that of the load.

@@ -44,7 +44,8 @@ ORDER: Final[tuple[str, ...]] = (
     "stiffness_hardening",
     "pressure_leak",
     # bend_torque: the memory adds torque in proportion to the stiffness and the bend itself; the
-    # coupling mixes the planes of all torque on a bend, memory included, so it comes last.
+    # coupling mixes the planes of all torque on a bend, memory, limit and damping included, so it
+    # comes last.
     "hysteresis",
     "creep",
     "cross_axis_coupling",
@@ -122,6 +123,9 @@ class Effect:
         are alike in servos of one make; planes of bending differ.
     search_start : mapping of str to float
         Start values of the other parameters in a search for the strength.
+    beyond_limit : bool
+        Whether an effect of the port `bend_torque` acts on the torque after the link's limit
+        moment has bounded it. Any other effect of that port adds to the moment that is bounded.
     fitted_last : tuple of str
         Names in `per_joint` that `identify` does not fit. A search that knows the noise floor fits
         them after the others: fitted at once, with a strength far from the optimum, they lead to
@@ -136,6 +140,7 @@ class Effect:
     needs: ClassVar[tuple[Need, ...]] = ()
     of_each_joint: ClassVar[bool] = False
     search_start: ClassVar[Mapping[str, float]] = {}
+    beyond_limit: ClassVar[bool] = False
     fitted_last: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
