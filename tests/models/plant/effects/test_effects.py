@@ -1,7 +1,5 @@
 """The catalogue as a whole: complete, absent at zero, differentiable, stable, refused in place."""
 
-import functools
-
 import numpy as np
 import pytest
 
@@ -60,18 +58,6 @@ def test_a_drive_without_a_staircase_or_with_bristles_has_no_parameter_for_it(ef
     assert held - plain == {phase}
 
 
-@pytest.fixture(scope="module")
-def interpreted(bench):
-    """Function (effects, dof, unit, count) -> outputs of the interpreted model."""
-
-    @functools.cache
-    def run(effects, dof, unit, count):
-        model = bench.plant(*effects).step_model(dof, unit)
-        return model.simulate(bench.inputs(model, count), bench.step_s)
-
-    return run
-
-
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("dof", [1, 2])
 def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
@@ -79,12 +65,6 @@ def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
     holding = bench.run(ALL, dof=dof, kind=unit, count=120)
     for output, values in without.items():
         assert np.array_equal(values, holding[output]), output
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_each_effect_alone_at_zero_changes_no_bit(interpreted, name):
-    for unit in ("twin", "observer"):
-        assert np.array_equal(interpreted((), 1, unit, 12), interpreted((name,), 1, unit, 12)), unit
 
 
 def test_all_effects_at_zero_change_no_bit_of_the_nominal_plant(bench):

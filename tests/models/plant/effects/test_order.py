@@ -77,12 +77,6 @@ def test_the_ports_are_served_in_the_declared_order(shuffled_definitions, unit, 
     assert served == list(ports)
 
 
-def test_what_does_not_commute_stands_as_the_physics_asks():
-    place = ORDER.index
-    assert place("prebend") < min(place("hysteresis"), place("creep"))
-    assert place("cross_axis_coupling") > max(map(place, ("prebend", "hysteresis", "creep")))
-
-
 def test_effects_of_ones_own_act_last_by_name(shuffled_definitions):
     shuffled_definitions(4)  # so that the two below are forgotten afterwards
 
