@@ -8,8 +8,8 @@ from pathlib import Path
 
 from firmware_py.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
+from fmu.relations import SAMPLE_S, Relations
 from models.plant.simulation.model_c import FUNCTIONS, without_null_tests, write_model_c
-from models.plant.simulation.relations import SAMPLE_S, Relations
 from models.plant.step_model import StepModel
 
 
