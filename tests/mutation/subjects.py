@@ -67,7 +67,7 @@ SUBJECTS = (
     Subject(
         "plant",
         ("models/plant/compose.py", "models/plant/observer.py", "models/plant/plant.py"),
-        ("tests/models/plant/test_plant.py", "tests/models/plant/test_compose.py", "tests/models/plant/test_observer.py"),
+        tuple(f"tests/models/plant/test_{part}.py" for part in ("plant", "compose", "observer")),
         slow=True,
     ),
     Subject(

@@ -313,6 +313,17 @@ def test_two_rods_and_a_mass_are_many_points_of_the_world(joints):
         np.testing.assert_allclose(a, e, rtol=1e-4, atol=1e-5)
 
 
+def test_the_span_hinge_turns_and_moves_as_a_beam_that_bends_and_shears():
+    """Under a force at the tip, with the stiffnesses of docs/sources.md, "The link"."""
+    bending_n_m2, shear_n = 135.0, 2000.0
+    q = {n: p.value for n, p in read_plant().parameters.items()}
+    length_m, lever_m = q["link_length_m"], (1 - q["span_position"]) * q["link_length_m"]
+    slope = lever_m / q["span_stiffness_1_nm_rad"]  # per newton
+    assert slope == pytest.approx(length_m**2 / (2 * bending_n_m2), rel=2e-3)
+    deflection = length_m**3 / (3 * bending_n_m2) + length_m / shear_n
+    assert slope * lever_m == pytest.approx(deflection, rel=2e-3)
+
+
 MEMORY = {"root_limit_moment_nm": 28.9, "root_stiffness_1_nm_rad": 271.0, "creep_share_1": 0.35,
           "hysteresis_share_1": 0.3}  # fmt: skip
 
