@@ -24,7 +24,7 @@ from fmu.packaging.documentation import documentation_page
 from fmu.packaging.platforms import HOST, PLATFORMS, SOURCE_CODE, binary_files
 from fmu.packaging.source_code import source_files
 from fmu.packaging.zip_file import build_time_s, date_and_time, write_zip
-from models.plant.simulation.relations import Derivatives
+from fmu.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
 from models.shared.pages import Section

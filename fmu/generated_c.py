@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from itertools import accumulate
 from pathlib import Path
-from typing import Final
 
 from firmware_py.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
-from models.plant.simulation.relations import SAMPLE_S, Relations
-from models.plant.simulation.runner import FUNCTIONS, write_model_c
+from fmu.relations import SAMPLE_S, Relations
+from models.plant.simulation.model_c import FUNCTIONS, without_null_tests, write_model_c
 from models.plant.step_model import StepModel
 
 
@@ -19,22 +17,13 @@ def write_equations(model: StepModel, interface: Interface, directory: Path) -> 
     """Write `model.c` and `model.h`: the equations of the model and of its relations.
 
     They use the functions of `fmu_math.h` instead of the C library's sine and so on, for the same
-    bits on every platform. CasADi tests each argument and result for NULL. The core always passes
-    all of them, so these tests, a tenth of the code, are removed, unless a call between generated
-    functions omits one.
+    bits on every platform. The core passes all arguments and results, so no test for NULL is left.
     """
     model_c = write_model_c(model, directory, interface.relations.functions)
     text = model_c.read_text(encoding="utf-8")
-    if not _LEFT_OUT.search(text):
-        text = _GUARDED_RESULT.sub("", _GUARDED_ARGUMENT.sub(r"\1", text))
-    model_c.write_text(f'#include "fmu_math.h"\n{text}', encoding="utf-8", newline="\n")
+    text = f'#include "fmu_math.h"\n{without_null_tests(text)}'
+    model_c.write_text(text, encoding="utf-8", newline="\n")
     return model_c
-
-
-_GUARDED_ARGUMENT: Final = re.compile(r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0(?=;)")
-_GUARDED_RESULT: Final = re.compile(r"if \(res\[\d+\]!=0\) (?=res\[)")
-_LEFT_OUT: Final = re.compile(r"(arg|res)\d+\[\d+\]=0;")
-"""Code that CasADi 3.8 generates: accesses with a test for NULL, and an omitted pointer."""
 
 
 def write_variables(model: StepModel, interface: Interface, token: str, directory: Path) -> Path:

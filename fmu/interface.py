@@ -16,7 +16,7 @@ from typing import Literal
 import casadi as ca
 
 from firmware_py import signals
-from models.plant.simulation.relations import Derivatives, Relations, relations_of
+from fmu.relations import Derivatives, Relations, relations_of
 from models.plant.step_model import StepModel, Variable
 
 Causality = Literal["independent", "input", "parameter", "output", "local"]

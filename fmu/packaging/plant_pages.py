@@ -15,8 +15,8 @@ from firmware_py.display_units import LENGTH, symbol_of
 from firmware_py.realtime.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
 from fmu.interface import Interface
-from models.plant.composition import observer
-from models.plant.composition.compose import DRIVES, LOADS
+from models.plant import observer
+from models.plant.components import DRIVES, LOADS
 from models.plant.effects import EFFECTS, in_order
 from models.plant.plant import Plant
 from models.shared.pages import Paragraph, Part, Section, Table

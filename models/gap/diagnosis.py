@@ -38,7 +38,7 @@ from models.gap.search.refused_effect import RefusedEffect
 from models.gap.search.separate_joints import joints_differ
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.composition.compose import LOADS
+from models.plant.components import LOADS
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 

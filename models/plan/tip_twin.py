@@ -1,7 +1,7 @@
 """Twin that is run together with the exact derivatives of its tip by coefficients of the goals.
 
 The derivatives A = ∂x⁺/∂x and B = ∂x⁺/∂u of each step of the compiled twin are those of the
-discrete step (variational equation, `models.plant.simulation.sensitivity`). Along a run they give
+discrete step (variational equation, `models.plant.simulation.runner`). Along a run they give
 the derivatives of the state by the coefficients c of the goals u = b(t) c by S⁺ = A S + B b. So the
 C code does not depend on the path, and a path of any length needs no other compilation.
 """
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.plant.simulation.runner import CompiledModel
-from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import StepModel, Variable, names
 
 Array = NDArray[np.float64]
@@ -39,7 +38,7 @@ class TipTwin:
         self._tip3 = [outputs.index(f"tip_{a}_m") for a in "xyz"]
         self._current = [outputs.index(f"current_{j + 1}_a") for j in range(dof)]
         self._angle = [outputs.index(f"angle_{j + 1}_rad") for j in range(dof)]
-        self._stepper: SensitiveModel | None = None
+        self._stepper: CompiledModel | None = None
 
     def changed(self, values: Mapping[str, float]) -> TipTwin:
         """Twin with other parameter values; names that it lacks are ignored."""
@@ -101,10 +100,10 @@ class TipTwin:
         stepper, size = self._one_step(), len(self._model.states)
         x = self._plain.start(np.append(goal_rad, payload_kg), self._p)
         p = np.concatenate([self._p, x, goal_rad])
-        _, by = stepper.simulate(np.array([[payload_kg]]), self.period_s, p)
+        _, by = stepper.derivatives(np.array([[payload_kg]]), self.period_s, p)
         return by[1, :size, :size], by[1, [size + k for k in self._tip], :size]
 
-    def _one_step(self) -> SensitiveModel:
+    def _one_step(self) -> CompiledModel:
         if self._stepper is None:
             self._stepper = _step_derivatives(self._model, self.dof)
         return self._stepper
@@ -124,7 +123,7 @@ class TipTwin:
         result = np.zeros((len(goals_rad), self.dof, self.dof * count))
         for k, goal in enumerate(goals_rad[:-1]):
             p = np.concatenate([self._p, x, goal])
-            y, by = stepper.simulate(payload, self.period_s, p)
+            y, by = stepper.derivatives(payload, self.period_s, p)
             x, by_x, by_u = y[1, :sizes], by[1, :, :sizes], by[1, :, sizes:]
             moved = by_x @ slope
             for j in range(self.dof):
@@ -134,7 +133,7 @@ class TipTwin:
         return result
 
 
-def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
+def _step_derivatives(model: StepModel, dof: int) -> CompiledModel:
     """One step of a model, with its initial state and the held goals as parameters."""
     states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
     goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(dof))
@@ -152,4 +151,4 @@ def _step_derivatives(model: StepModel, dof: int) -> SensitiveModel:
         initial=ca.Function("initial", [u, p], [p[kept : kept + size]]),
         output=ca.Function("output", [x, u, p], [ca.vertcat(x, driven.output(x, u, p))]),
     )
-    return SensitiveModel(driven, names(states + goals))
+    return CompiledModel(driven, names(states + goals))

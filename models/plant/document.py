@@ -1,15 +1,11 @@
-"""Provenance of a plant: its parent, its data, and every trial that it was fitted to.
-
-The struct is the `provenance` table of a plant document. Only this module reads it.
-
-Plant document: the content of a plant file, TOML or JSON.
+"""Plant document: the content of a plant file, TOML or JSON.
 
 People write TOML; `identify` and `gap` write JSON of the same form::
 
     schema = 1
     name = "drop-stitch link"
-    drive = { kind = "cascade" }        # models.plant.composition.compose
-    load = { kind = "link" }            # models.plant.plant.LOADS
+    drive = { kind = "cascade" }        # models.plant.components.DRIVES
+    load = { kind = "link" }            # models.plant.components.LOADS
     effects = [{ name = "coulomb_friction" }, …]
     [signals.angle_1_rad]               # only for a plant that is not the link
     unit = "rad"
@@ -17,6 +13,8 @@ People write TOML; `identify` and `gap` write JSON of the same form::
     [parameters]                        # what differs from the parts; identify writes all of them
     base_mass_kg = 0.3
     link_mass_kg = { value = 0.9, unit = "kg", bounds = [0.3, 3.0], source = "weighed" }
+
+Its `provenance` table tells the plant's parent, its data, and every trial that it was fitted to.
 """
 
 from __future__ import annotations
@@ -47,8 +45,6 @@ from models.plant.parameter import Parameter, Role
 from models.trials.origin import TrialOrigin, merged_origins, recorded_rig
 from models.trials.trial import SignalRole, Trial
 from models.trials.units import check_signal_units, other_unit
-
-_WRITE_AGAIN = "write the plant again with 'dropstitch identify' or 'dropstitch gap'"
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -154,11 +150,6 @@ class Provenance(
         return trial.sha256() in {t.sha256 for t in self.fitted_trials}
 
 
-def read_provenance(where: Path | str, table: object) -> Provenance:
-    """Convert the decoded `provenance` table of a plant document."""
-    return convert(table, Provenance, where, "provenance does not fit its form", _WRITE_AGAIN)
-
-
 class PartKind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Drive or load of a plant, by its kind."""
 
@@ -207,20 +198,19 @@ def read_plant_document(path: Path) -> PlantDocument:
     table = raw.pop("provenance", {}) if isinstance(raw, dict) else {}
     check_version(path, raw, PlantDocument.VERSION, f"write it anew with {PlantDocument.MADE_BY}")
     document = convert(raw, PlantDocument, path, "is no plant document", "correct it")
-    _check_effects_single(path, document.effects)
+    for name, count in Counter(effect.name for effect in document.effects).items():
+        if count > 1:
+            raise InputError(path, f"effect {name} stands twice", "remove one")
     for name, given in document.parameters.items():
         _check_entry(path, name, given)
     check_signal_units(path, document.signals)
     if document.link is not None:
         check_link(document.link, path)
-    return msgspec.structs.replace(document, provenance=read_provenance(path, table))
-
-
-def _check_effects_single(path: Path, effects: list[EffectEntry]) -> None:
-    """Refuse an effect that is listed twice: it would act twice."""
-    for name, count in Counter(effect.name for effect in effects).items():
-        if count > 1:
-            raise InputError(path, f"effect {name} stands twice", "remove one")
+    provenance = convert(
+        table, Provenance, path, "provenance does not fit its form",
+        "write the plant again with 'dropstitch identify' or 'dropstitch gap'",
+    )  # fmt: skip
+    return msgspec.structs.replace(document, provenance=provenance)
 
 
 def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:

@@ -14,16 +14,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, get_args
 
-from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
 from models.plant.parameter import Parameter
+from models.plant.plant import scope_of
 from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 
 HEAD: Final = """# Effects
 
 What each effect of the catalogue does. The strength is its first parameter: `--hide
 EFFECT=STRENGTH` adds it to the rig, `--hide EFFECT:JOINT=STRENGTH` in one joint alone (effects of a
-servo and its sensors), and `gap.json` tells it. In the equations q is the coordinate
+servo and its sensors), and `gap.json` gives it. In the equations q is the coordinate
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
 have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
 diagnosis first fits one strength for both, since the servos are alike; offsets (encoder, load,
@@ -32,8 +32,8 @@ explains the gap, every effect has one for each joint. A payload offset is towar
 is the strength that would be noticed on the bench; the benchmark hides half to double of it, or a
 fifth ([accuracy.md](accuracy.md)). The time t begins with the first row of the trial. Root and span
 are the two hinges of the plant, one at the base and one within the link
-([../plant/link.md](../plant/link.md)). How to add an effect is told in
-[../plant/add-an-effect.md](../plant/add-an-effect.md). This page is written by
+([../plant/link.md](../plant/link.md)). [../plant/add-an-effect.md](../plant/add-an-effect.md) shows
+how to add an effect. This page is written by
 `python -m models.plant.effects_page docs/gap/effects.md`.
 """
 
@@ -66,8 +66,8 @@ def effects_page() -> str:
                 also = "; ".join(_further_parameters(name))
                 size = "" if math.isnan(row.size) else f"{row.size:g}"
                 parts.append(_row(f"`{name}`{only}", row.strength + unit, size, equation, also))
-        told = [_told(name) for name, row in EVERY_EFFECT.items() if row.port == port]
-        parts += ["", *(text for text in told if text), ""]
+        remarks = [_remarks(name) for name, row in EVERY_EFFECT.items() if row.port == port]
+        parts += ["", *(text for text in remarks if text), ""]
     return "\n".join(parts)
 
 
@@ -75,7 +75,7 @@ def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _told(effect: str) -> str:
+def _remarks(effect: str) -> str:
     """Rest of the effect's docstring after its equation, as a list entry; may be empty."""
     rest = (inspect.getdoc(EFFECTS[effect]) or "").split("\n\n")[1:]
     paragraphs = [" ".join(line.strip() for line in part.splitlines()) for part in rest]

@@ -1,17 +1,4 @@
-"""Parameter of a plant: value, bounds, unit, role and source.
-
-Values, bounds and priors of a plant's parameters for a described link.
-
-Each is that of the study's link (`read_plant()`) times the ratio of the property that it depends on
-(`models.shared.link_scale`), so the bounds keep their relative distance from the value.
-
-Physical limits: the largest payload, and sums of parameters that cannot be negative.
-
-Every parameter has bounds (`models.plant.parameter`). Two parameters within their bounds can still
-add up to something impossible: a payload of −0.2 kg on tip hardware of 0.14 kg. `LIMITS` declares
-such sums of masses, friction, stiffness and limits for all plants; a sum is ignored if the plant
-has none of its parameters.
-"""
+"""Parameter of a plant, its scaling to a described link, and sums of parameters with a limit."""
 
 from __future__ import annotations
 
@@ -121,7 +108,11 @@ _KNOWN_PAYLOAD: Final = "payload_known_kg"
 
 
 def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
-    """Parameter of the study's plant, scaled to another link."""
+    """Parameter of the study's plant, scaled to another link.
+
+    Value, bounds and prior are multiplied by the ratio of the property that the parameter depends
+    on, so the bounds keep their relative distance from the value.
+    """
     q, link = parameter, scale.link
     own = {
         "base_offset_m": link.base_offset_m,
@@ -239,8 +230,9 @@ LIMITS: Final = (
     PhysicalLimit("measured per true current of joint {j}", "1", {"current_scale_{j}": 1},
                   constant=1, may_vanish=False),
 )  # fmt: skip
-"""Sums that no real machine violates, from the meaning of their parameters
-(`models.plant.effects`)."""
+"""Sums that no real machine violates. Two parameters within their bounds can still add up to
+something impossible: a payload of −0.2 kg on tip hardware of 0.14 kg. A sum is ignored if the plant
+has none of its parameters."""
 
 
 def impossible_sums(

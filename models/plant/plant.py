@@ -1,7 +1,7 @@
 """Plant: drive, load, effects and parameters, composed into step models.
 
 Read a plant file with `read_plant` and write one with `Plant.write`; its form is
-`models.plant.document`.
+`models.plant.document`. `Plant.step_model` composes it (`models.plant.compose`).
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
-from firmware_py.link.link_description import LinkDescription, describes_link, read_link
+from firmware_py.link.link_description import (
+    STUDY_LINK,
+    LinkDescription,
+    describes_link,
+    read_link,
+)  # fmt: skip
 from firmware_py.link.link_facts import LinkFacts, facts_of_plant
-from models.plant.composition.compose import (
-    DRIVES,
-    LOADS,
-    ModelKind,
-    compose_plant,
-    declared_parameters,
-    scope_of,
-)
+from models.plant.components import DRIVES, LOADS
+from models.plant.compose import FOLLOW_RATE, compose_driven, compose_twin
 from models.plant.document import (
     EffectEntry,
     ParameterEntry,
@@ -40,14 +40,17 @@ from models.plant.document import (
     write_plant_document,
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects, in_order
+from models.plant.observer import compose_observer, observer_parameters
 from models.plant.parameter import Parameter, check_values, parameter_of_link
-from models.plant.scope import variables_of, without_values
+from models.plant.scope import Scope, variable_of, without_values
 from models.plant.step_model import StepModel
 from models.shared.link_scale import LinkScale
 from models.trials.trial import SignalRole
 
 NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
+
+ModelKind = Literal["twin", "observer", "driven"]
 
 
 @dataclass(frozen=True)
@@ -125,8 +128,9 @@ class Plant:
             )  # fmt: skip
         effects = tuple(EFFECTS[name] for name in in_order(self.effects))
         known, columns = without_values(self.parameters), tuple(self.signals)
-        model = compose_plant(self.load, self.drive, effects, known, dof, kind, columns, self.link)
-        return replace(model, parameters=variables_of(self.parameters, model.parameters))
+        model = _compose(self.load, self.drive, effects, known, dof, kind, columns, self.link)
+        values = tuple(variable_of(self.parameters[v.name]) for v in model.parameters)
+        return replace(model, parameters=values)
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]
@@ -329,3 +333,57 @@ def _complete(
     check_values(str(where), (*parameters.values(), *expected.values()))
     check_condition_units(Path(where), plant.signals, parameters)
     return replace(plant, parameters=parameters, expected=expected)
+
+
+@lru_cache(maxsize=64)  # composing an observer of two joints takes three seconds
+def _compose(
+    load: str, drive: str, effects: tuple[type[Effect], ...],
+    parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
+    columns: tuple[str, ...], link: LinkDescription | None,
+) -> StepModel:  # fmt: skip
+    """Compose a plant from hashable parts; values are arguments, so plants share a model."""
+    scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
+    known, observer = dict(parameters), kind != "twin"
+    scope.declare([known[q.name] for q in declared_parameters(scope, drive, load, held, observer)])
+    if kind == "observer":
+        compose = compose_observer
+    elif kind == "driven" or "imposed motion" in DRIVES[drive].features:
+        compose = compose_driven
+    else:
+        compose = compose_twin
+    return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
+
+
+def scope_of(
+    drive: str,
+    load: str,
+    dof: int,
+    columns: tuple[str, ...] = (),
+    link: LinkDescription | None = None,
+) -> Scope:
+    """Scope of a drive and a load, before anything is declared.
+
+    `link` sets markers, direction of gravity and largest payload; by default the study's.
+    """
+    machine = link or STUDY_LINK
+    return Scope(
+        joints=tuple(range(1, dof + 1)),
+        suffix=dict(LOADS[load].suffix),
+        columns=columns,
+        layout=None if link is None else link.layout,
+        gravity=machine.gravity.unit,
+        most_payload_kg=machine.most_payload_kg,
+        features=frozenset(DRIVES[drive].features) | frozenset(LOADS[load].features),
+    )
+
+
+def declared_parameters(
+    scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
+) -> list[Parameter]:
+    """Parameters of drive, load, effects and observer, in that order."""
+    return [
+        *DRIVES[drive]().parameters(scope),
+        *LOADS[load]().parameters(scope),
+        *(q for effect in effects for q in effect.parameters(scope)),
+        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
+    ]

@@ -66,8 +66,8 @@ SUBJECTS = (
     ),
     Subject(
         "plant",
-        ("models/plant/composition/*.py", "models/plant/plant.py"),
-        ("tests/models/plant/test_plant.py", "tests/models/plant/composition"),
+        ("models/plant/compose.py", "models/plant/observer.py", "models/plant/plant.py"),
+        tuple(f"tests/models/plant/test_{part}.py" for part in ("plant", "compose", "observer")),
         slow=True,
     ),
     Subject(

@@ -17,7 +17,6 @@ from firmware_py.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import FitParameter, moved_parameters
 from models.gap.residuals.spectrum import Array
 from models.plant.simulation.runner import CompiledModel, trial_inputs, trial_parameters
-from models.plant.simulation.sensitivity import SensitiveModel
 from models.plant.step_model import StepModel, Variable, names
 from models.trials.trial import Trial
 
@@ -32,7 +31,7 @@ class MotionTwin:
         known, outputs = names(model.parameters), names(model.outputs)
         moved = [n for n in moved_parameters(fit_parameters) if n in known]
         self.model, self.outputs = model, outputs
-        self._plain, self._sensitive = CompiledModel(model), SensitiveModel(model, moved)
+        self._plain, self._sensitive = CompiledModel(model), CompiledModel(model, moved)
         self._by_parameter = np.zeros((len(known), len(fit_parameters)))
         self._by_output = np.zeros((len(outputs), len(fit_parameters)))
         for k, q in enumerate(fit_parameters):
@@ -59,7 +58,9 @@ class MotionTwin:
     def slopes(self, trial: Trial, values: Array) -> tuple[Array, Array]:
         """Outputs, and their derivatives by the fit parameters, shape (n, outputs, p)."""
         first, u = trial_inputs(self.model, trial)
-        y, slope = self._sensitive.simulate(u, trial.step_s, self.parameters(trial, values), first)
+        y, slope = self._sensitive.derivatives(
+            u, trial.step_s, self.parameters(trial, values), first
+        )
         return y + self._by_output @ values, np.asarray(slope @ self._moved + self._by_output)
 
 
@@ -76,7 +77,7 @@ class CoefficientTwin:
         count = self.basis.shape[1]
         driven = with_coefficients(model, count, dof)
         wrt = names(driven.parameters)[len(model.parameters) :]
-        self._sensitive, self._count = SensitiveModel(driven, wrt), count
+        self._sensitive, self._count = CompiledModel(driven, wrt), count
 
     def slopes(self, payload_kg: float, p: Array, coefficients: Array) -> tuple[Array, Array]:
         """Outputs, and their derivatives by the coefficients, shape (n, outputs, coefficients).
@@ -84,7 +85,9 @@ class CoefficientTwin:
         Shapes: `coefficients` (joints * count,).
         """
         u = np.column_stack([self.basis, np.full(len(self.basis), payload_kg)])
-        return self._sensitive.simulate(u[:-1], PERIOD_S, np.concatenate([p, coefficients]), u[0])
+        return self._sensitive.derivatives(
+            u[:-1], PERIOD_S, np.concatenate([p, coefficients]), u[0]
+        )
 
 
 def with_coefficients(model: StepModel, count: int, dof: int) -> StepModel:

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from typing import Final, Literal
 
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.composition.compose import DRIVES, LOADS, scope_of
+from models.plant.components import DRIVES, LOADS
 from models.plant.effects import EFFECTS, applicable
 from models.plant.parameter import Parameter
-from models.plant.plant import Plant
+from models.plant.plant import Plant, scope_of
 from models.trials.trial import Trial
 
 Kind = Literal["nuisance", "trial", "effect"]

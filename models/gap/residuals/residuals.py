@@ -15,13 +15,13 @@ from models.gap.residuals.fit_parameters import (
     moved_parameters,
     plant_with_every_effect,
 )
-from models.gap.residuals.lockstep import LockstepRuns
 from models.gap.residuals.spectrum import (
     Array,
     coefficient_count,
     cosine_transform,
     inverse_cosine_transform,
 )
+from models.gap.residuals.trial_runs import TrialRuns
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.fit import measured_signals, row_weights, shortened
 from models.plant.plant import Plant
@@ -89,7 +89,7 @@ class Residuals:
         trials = self.trials
         self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
-        self._simulated = LockstepRuns(self.model, moved, trials)
+        self._simulated = TrialRuns(self.model, moved, trials)
         self._outputs = names(model.outputs)
         self._base = [trial_parameters(model, t) for t in trials]
         self._low = np.array([v.minimum for v in model.parameters])

@@ -7,7 +7,7 @@ from typing import ClassVar, Final
 import casadi as ca
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.plant.components.drive import current_limit, friction_speed_parameter
+from models.plant.components.drive import Drive, current_limit, friction_speed_parameter
 from models.plant.components.goal import (
     above_end,
     above_mean,
@@ -29,26 +29,13 @@ _SERVO: Final = STUDY_LINK.preset
 FEEDFORWARD: Final = "velocity_feedforward_{j}"
 POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
 SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
-"""Parameters of extensions of the cascade that some servos have."""
+"""Parameters of extensions of the cascade that some servos have; absent by default."""
 
 
-def extension_parameters(joint: int) -> list[Parameter]:
-    """Rate feed-forward, position integral and set-point weight; absent by default."""
-    source = 'docs/sources.md, "Control tables": {}; 0 is none'
-    return [
-        Parameter(name=FEEDFORWARD.format(j=joint), unit="1", value=0.0, low=0.0, high=1.5,
-                  description="share of the goal's rate in the rate that is asked",
-                  source=source.format("feed-forward 1st gain"), prior_deviation=0.5),
-        Parameter(name=POSITION_INTEGRAL.format(j=joint), unit="1/s2", value=0.0, low=0.0,
-                  high=200.0, description="rate asked per integral of the position error",
-                  source=source.format("position I gain"), prior_deviation=10.0),
-        Parameter(name=SETPOINT_WEIGHT.format(j=joint), unit="1", value=1.0, low=0.0, high=1.5,
-                  description="weight of the asked rate in the velocity loop's proportional part",
-                  source="assumed: a loop on the error of the rate", prior_deviation=0.3),
-    ]  # fmt: skip
+OPTIONAL: Final = 'docs/sources.md, "Control tables": {}; 0 is none'
 
 
-class Cascade:
+class Cascade(Drive):
     """P position → PI velocity → current, as the Dynamixel PRO runs it.
 
     docs/sources.md, "The servo". The set-point of the rate is w = k_p (goal − q) + k_i S + k_f ġ,
@@ -67,38 +54,42 @@ class Cascade:
     features: ClassVar[tuple[str, ...]] = (
         "current", "current limit", "goal shape", "position gain", "smooth friction",
     )  # fmt: skip
-    has_presliding: ClassVar[bool] = False
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return gains, torque constant, inertia and limit of each joint."""
-        result: list[Parameter] = []
-        for j in scope.joints:
-            result += [
-                Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
-                          high=60.0, role="nuisance", description="position loop: rate per error",
-                          source='docs/sources.md, "The servo"'),
-                Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
-                          high=60.0, role="nuisance", description="current per rate error",
-                          source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
-                Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
-                          high=5.0, role="nuisance", description="integral time of the rate error",
-                          source="assumed: slower than the position loop"),
-                *extension_parameters(j),
-                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A",
-                          value=_SERVO.torque_constant_nm_a, low=2.0, high=15.0,
-                          description="torque at the output per ampere",
-                          source='docs/sources.md, "The servo"'),
-                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2",
-                          value=_SERVO.rotor_inertia_kg_m2, low=0.4, high=2.0,
-                          role="nuisance", description="rotor inertia at the output",
-                          source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
-                Parameter(name=f"current_limit_{j}_a", unit="A",
-                          value=_SERVO.current_limit_a, low=0.5, high=50.0,
-                          description="rated current limit", source='docs/sources.md, "The servo"'),
-                friction_speed_parameter(scope, j),
-                *goal_shape_parameters(j),
-            ]  # fmt: skip
-        return tuple(result)
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
+        j = joint
+        return [
+            Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
+                      high=60.0, role="nuisance", description="position loop: rate per error",
+                      source='docs/sources.md, "The servo"'),
+            Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
+                      high=60.0, role="nuisance", description="current per rate error",
+                      source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
+            Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
+                      high=5.0, role="nuisance", description="integral time of the rate error",
+                      source="assumed: slower than the position loop"),
+            Parameter(name=FEEDFORWARD.format(j=j), unit="1", value=0.0, low=0.0, high=1.5,
+                      description="share of the goal's rate in the rate that is asked",
+                      source=OPTIONAL.format("feed-forward 1st gain"), prior_deviation=0.5),
+            Parameter(name=POSITION_INTEGRAL.format(j=j), unit="1/s2", value=0.0, low=0.0,
+                      high=200.0, description="rate asked per integral of the position error",
+                      source=OPTIONAL.format("position I gain"), prior_deviation=10.0),
+            Parameter(name=SETPOINT_WEIGHT.format(j=j), unit="1", value=1.0, low=0.0, high=1.5,
+                      description="weight of the asked rate in the proportional part",
+                      source="assumed: a loop on the error of the rate", prior_deviation=0.3),
+            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A",
+                      value=_SERVO.torque_constant_nm_a, low=2.0, high=15.0,
+                      description="torque at the output per ampere",
+                      source='docs/sources.md, "The servo"'),
+            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2",
+                      value=_SERVO.rotor_inertia_kg_m2, low=0.4, high=2.0,
+                      role="nuisance", description="rotor inertia at the output",
+                      source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
+            Parameter(name=f"current_limit_{j}_a", unit="A",
+                      value=_SERVO.current_limit_a, low=0.5, high=50.0,
+                      description="rated current limit", source='docs/sources.md, "The servo"'),
+            friction_speed_parameter(scope, j),
+            *goal_shape_parameters(j),
+        ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
         """Add shaped goals, and the integral of the velocity error as a state."""
@@ -127,12 +118,12 @@ class Cascade:
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
             per_goal = gain * weight * self._position_gain(scope, j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
-            scope.current_jump_per_rate[j] = per_goal * declare_step_length(scope)
+            scope.sampling[j].jump_per_rate = per_goal * declare_step_length(scope)
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
-            scope.sampled_above[j] = per_goal * at_once * staircase
+            scope.sampling[j].above_end = per_goal * at_once * staircase
             if FEEDFORWARD.format(j=j) not in scope.absent:
                 jump = gain * weight * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
-                scope.sampled_above[j] += jump * above_end(scope, j, self._decay_s(scope, j))
+                scope.sampling[j].above_end += jump * above_end(scope, j, self._decay_s(scope, j))
             scope.current[j] = current
 
     def _asked_rate(self, scope: Scope, joint: int) -> Expr:
@@ -146,14 +137,6 @@ class Cascade:
             integral.rate = lag
             asked += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
         return asked
-
-    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Return the rotor inertia times gear ratio squared."""
-        return scope.p("rotor_inertia_{j}_kg_m2", joint)
-
-    def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Return the torque constant at the output."""
-        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
         """Return the current as it is sampled; a goal in steps gives it a saw-tooth.

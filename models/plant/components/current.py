@@ -7,6 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.drive import (
+    Drive,
     friction_speed_parameter,
     start_offset_parameter,
     start_rate_parameter,
@@ -16,7 +17,7 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 
-class Current:
+class Current(Drive):
     """Motor behind a gear whose measured current is the input: τ = k_t i.
 
     The loop that commands the current is not modelled. Nothing holds the joint, so its simulated
@@ -24,50 +25,34 @@ class Current:
     """
 
     kind: ClassVar[str] = "current"
-    features: ClassVar[tuple[str, ...]] = ()
     has_presliding: ClassVar[bool] = True
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return torque constant and inertia at the output, and the motion at the start."""
-        result: list[Parameter] = []
-        for j in scope.joints:
-            result += [
-                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=NO_DEFAULT,
-                          low=1e-3, high=1e3, description="torque at the output per ampere",
-                          source="data sheet of the drive"),
-                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.01, low=0.0,
-                          high=100.0, role="nuisance", description="rotor inertia at the output",
-                          source="assumed"),
-                Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
-                          description="distance in which dry friction reverses",
-                          source="assumed"),
-                start_offset_parameter(scope, j),
-                start_rate_parameter(scope, j),
-                friction_speed_parameter(scope, j),
-            ]  # fmt: skip
-        return tuple(result)
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
+        j = joint
+        return [
+            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=NO_DEFAULT,
+                      low=1e-3, high=1e3, description="torque at the output per ampere",
+                      source="data sheet of the drive"),
+            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.01, low=0.0,
+                      high=100.0, role="nuisance", description="rotor inertia at the output",
+                      source="assumed"),
+            Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
+                      description="distance in which dry friction reverses",
+                      source="assumed"),
+            start_offset_parameter(scope, j),
+            start_rate_parameter(scope, j),
+            friction_speed_parameter(scope, j),
+        ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
-        """Add the measured current as an input."""
         for j in scope.joints:
-            scope.goal[j] = scope.input(
-                Variable(f"current_{j}_a", "A", 0.0, f"measured motor current of joint {j}")
-            )
+            measured = Variable(f"current_{j}_a", "A", 0.0, f"measured motor current of joint {j}")
+            scope.goal[j] = scope.input(measured)
             scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
     def apply_control(self, scope: Scope) -> None:
-        """Set the torque in proportion to the current."""
         for j in scope.joints:
             scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
-    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Return the rotor inertia times gear ratio squared."""
-        return scope.p("rotor_inertia_{j}_kg_m2", joint)
-
-    def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Return the torque constant at the output."""
-        return scope.p("torque_constant_{j}_nm_a", joint) * scope.torque_scale[joint]
-
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Return the measured current, the input."""
         return ca.SX(scope.goal[joint])

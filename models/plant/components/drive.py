@@ -1,14 +1,12 @@
-"""Interface of a drive: torque on a joint and motor current from a goal or a command.
+"""Base of a drive, and what several drives share: inputs, parameters, presliding of dry friction.
 
 Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
 of drive, but each has its own parameters.
-
-Presliding of dry friction in a drive with a small gear.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar, Final, Protocol
+from typing import ClassVar, Final
 
 import casadi as ca
 
@@ -19,7 +17,7 @@ from models.plant.step_model import Variable
 SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
 
 
-class Drive(Protocol):
+class Drive:
     """Drive of the joints: control law, motor and reflected inertia.
 
     Attributes
@@ -33,42 +31,37 @@ class Drive(Protocol):
     """
 
     kind: ClassVar[str]
-    features: ClassVar[tuple[str, ...]]
-    has_presliding: ClassVar[bool]
+    features: ClassVar[tuple[str, ...]] = ()
+    has_presliding: ClassVar[bool] = False
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return the parameters for the joints of `scope`."""
-        ...
+    def parameters(self, scope: Scope) -> list[Parameter]:
+        """Parameters for the joints of `scope`."""
+        return [q for j in scope.joints for q in self.joint_parameters(scope, j)]
+
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
+        """Parameters of one joint."""
+        raise NotImplementedError
 
     def declare(self, scope: Scope) -> None:
         """Add inputs and states; set `goal` and `start`."""
-        ...
 
     def apply_control(self, scope: Scope) -> None:
-        """Set `current` and `motor_torque` by the control law."""
-        ...
+        """Set `motor_torque`, and `current` if it is measured, by the control law."""
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Return the inertia of the drive, reflected to the joint."""
-        ...
+        """Rotor inertia times gear ratio squared."""
+        return scope.p("rotor_inertia_{j}_kg_m2", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Return the torque at the joint per ampere."""
-        ...
+        """Torque at the joint per ampere."""
+        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Return the current at the end of a step whose mean current is `scope.current`.
+        """Current at the end of a step whose mean is `scope.current`.
 
-        Parameters
-        ----------
-        scope : Scope
-            Symbols of the composition, with `current` set.
-        joint : int
-            Number of the joint.
-        step_s : SX
-            Length of the step.
+        Both are equal without a velocity loop, whose current is a saw-tooth.
         """
-        ...
+        return scope.current[joint]
 
 
 def current_limit(scope: Scope, joint: int) -> Expr:
@@ -79,11 +72,8 @@ def current_limit(scope: Scope, joint: int) -> Expr:
 def declare_goal(scope: Scope, joint: int) -> None:
     """Add the goal of a joint as an input; set `goal` and `start`."""
     angle = scope.suffix["angle"]
-    goal = scope.input(
-        Variable(
-            f"goal_{joint}_{angle}", SI_UNIT_OF[angle], 0.0, f"goal of joint {joint}", nominal=0.5
-        )
-    )
+    name, unit = f"goal_{joint}_{angle}", SI_UNIT_OF[angle]
+    goal = scope.input(Variable(name, unit, 0.0, f"goal of joint {joint}", nominal=0.5))
     scope.goal[joint] = goal
     scope.start[joint] = scope.true_angle(joint, goal)
 

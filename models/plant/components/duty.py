@@ -7,59 +7,55 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.drive import (
+    Drive,
     current_limit,
     declare_goal,
     start_offset_parameter,
 )
 from models.plant.parameter import NO_DEFAULT, Parameter
-from models.plant.scope import Expr, Scope
+from models.plant.scope import Scope
 from models.plant.step_model import Variable
 
 
-class Duty:
+class Duty(Drive):
     """DC motor whose duty cycle is proportional to the position error, as in small Dynamixels.
 
         d = clip(k_d (goal − q), ±1),   i = clip((d V − k_t q̇) / R, ±i_max),   τ = k_t i
 
     The supply voltage V is an input, because a voltage drop resembles friction (README of the
     data). With torque disabled (`enabled` is 0) the winding is open: no current, hence no braking.
-    Source: BAM
-    (docs/sources.md, "Real recordings").
+    Source: BAM (docs/sources.md, "Real recordings").
     """
 
     kind: ClassVar[str] = "duty"
     features: ClassVar[tuple[str, ...]] = ("current", "current limit", "position gain")
     has_presliding: ClassVar[bool] = True
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return duty per error, winding and inertia of each joint."""
-        result: list[Parameter] = []
-        for j in scope.joints:
-            result += [
-                Parameter(name=f"duty_gain_{j}", unit="1/rad", value=NO_DEFAULT, low=0.01,
-                          high=50.0, description="duty per radian of error",
-                          source="register of the servo"),
-                start_offset_parameter(scope, j),
-                Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
-                          high=50.0, role="nuisance", description="resistance of the winding",
-                          source="assumed: 1.5 A stall at 5 V"),
-                Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=0.36, low=0.01,
-                          high=10.0, role="nuisance", description="torque and back EMF constant",
-                          source="assumed: 0.52 N·m stall at 1.5 A"),
-                Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
-                          high=0.1, role="nuisance", description="rotor inertia at the output",
-                          source="assumed"),
-                Parameter(name=f"current_limit_{j}_a", unit="A", value=3.0, low=0.1, high=50.0,
-                          description="rated current limit",
-                          source="assumed: twice the stall current at 5 V"),
-                Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
-                          description="distance in which dry friction reverses",
-                          source="assumed: two steps of the encoder"),
-            ]  # fmt: skip
-        return tuple(result)
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
+        j = joint
+        return [
+            Parameter(name=f"duty_gain_{j}", unit="1/rad", value=NO_DEFAULT, low=0.01,
+                      high=50.0, description="duty per radian of error",
+                      source="register of the servo"),
+            start_offset_parameter(scope, j),
+            Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
+                      high=50.0, role="nuisance", description="resistance of the winding",
+                      source="assumed: 1.5 A stall at 5 V"),
+            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=0.36, low=0.01,
+                      high=10.0, role="nuisance", description="torque and back EMF constant",
+                      source="assumed: 0.52 N·m stall at 1.5 A"),
+            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
+                      high=0.1, role="nuisance", description="rotor inertia at the output",
+                      source="assumed"),
+            Parameter(name=f"current_limit_{j}_a", unit="A", value=3.0, low=0.1, high=50.0,
+                      description="rated current limit",
+                      source="assumed: twice the stall current at 5 V"),
+            Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
+                      description="distance in which dry friction reverses",
+                      source="assumed: two steps of the encoder"),
+        ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
-        """Add goal, supply voltage and torque enable as inputs."""
         for j in scope.joints:
             declare_goal(scope, j)
             scope.start[j] += scope.p("start_offset_{j}_{angle}", j)
@@ -67,7 +63,6 @@ class Duty:
             scope.input(Variable(f"enabled_{j}", "1", 1.0, "1 where torque is enabled", 0.0, 1.0))
 
     def apply_control(self, scope: Scope) -> None:
-        """Set the current through the winding, and its torque."""
         for j in scope.joints:
             gain = scope.position_gain_scale[j] * scope.p("duty_gain_{j}", j)
             duty = gain * (scope.goal[j] - scope.measured_angle(j))
@@ -79,15 +74,3 @@ class Duty:
             closed = scope.inputs[f"enabled_{j}"][1]
             scope.current[j] = closed * ca.fmin(ca.fmax(wanted, -limit), limit)
             scope.motor_torque[j] = constant * scope.current[j]
-
-    def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Return the rotor inertia times gear ratio squared."""
-        return scope.p("rotor_inertia_{j}_kg_m2", joint)
-
-    def torque_constant(self, scope: Scope, joint: int) -> Expr:
-        """Return the torque constant at the output."""
-        return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
-
-    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Return the mean current of the step: without a velocity loop there is no saw-tooth."""
-        return scope.current[joint]

@@ -6,27 +6,26 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.components.rigid_loads import RigidLoad
+from models.plant.components.load import PlantLoad
 from models.plant.parameter import NO_DEFAULT, Parameter
-from models.plant.scope import ROTARY, Expr, Scope
+from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 
-class FlexibleLink(RigidLoad):
+class FlexibleLink(PlantLoad):
     """Link whose tip is deflected by θ from the joint: J (q̈ + θ̈) + c θ̇ + k θ = 0.
 
     Source: the model of a link with a torsion spring at its root, from makers of such links
     [Quanser; docs/sources.md, "Real recordings"]. A trial may begin in motion: it starts with the
-    measured deflection and its rate.
+    measured deflection and its rate. The output is the deflection as a strain gauge at the root
+    measures it.
     """
 
     kind: ClassVar[str] = "flexible_link"
     features: ClassVar[tuple[str, ...]] = ("bend", "gear load")
-    suffix: ClassVar[dict[str, str]] = ROTARY
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return inertia, stiffness and damping, and the deflection at the start."""
-        return (
+    def parameters(self, scope: Scope) -> list[Parameter]:
+        return [
             Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=NO_DEFAULT, low=1e-6,
                       high=100.0, description="inertia of link and load about the joint",
                       source="data sheet of the link"),
@@ -42,10 +41,9 @@ class FlexibleLink(RigidLoad):
             Parameter(name="start_deflection_rate_1_rad_s", unit="rad/s", value=0.0, low=-100.0,
                       high=100.0, description="its rate at the start; of a trial, as measured",
                       source="at rest"),
-        )  # fmt: skip
+        ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
-        """Add deflection and its rate as states."""
         scope.bend["root", 1] = scope.state(Variable("deflection_1_rad", "rad", nominal=0.02))
         rate = scope.state(Variable("deflection_rate_1_rad_s", "rad/s", nominal=0.2))
         scope.bend_rate["root", 1] = rate
@@ -53,21 +51,16 @@ class FlexibleLink(RigidLoad):
         scope.stiffness["root", 1] = scope.p("root_stiffness_1_nm_rad")
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Set the torque of spring and damper."""
-        elastic = scope.stiffness["root", 1] * scope.bend["root", 1]
-        damping = scope.p("root_damping_1_nm_s_rad") * scope.bend_rate["root", 1]
-        scope.bend_torque["root", 1] = -elastic - damping
+        scope.bend_torque["root", 1] = -scope.stiffness["root", 1] * scope.bend["root", 1]
 
-    def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint minus that of the spring."""
-        scope.transmitted_torque[1] = scope.joint_torque[1] - scope.bend_torque["root", 1]
+    def apply_limit(self, scope: Scope) -> None:
+        damping = scope.p("root_damping_1_nm_s_rad") * scope.bend_rate["root", 1]
+        scope.bend_torque["root", 1] -= damping
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Return the inertia in both coordinates; there are no gravity and no velocity forces."""
         inertia = scope.p("link_inertia_kg_m2")
         return inertia * ca.SX.ones(2, 2), ca.SX.zeros(2, 1)
 
     def outputs(self, scope: Scope) -> dict[str, tuple[Variable, Expr]]:
-        """Return the deflection as a strain gauge at the root measures it."""
         variable = Variable("deflection_1_rad", "rad", 0.0, "measured deflection of the link")
         return {variable.name: (variable, scope.bend["root", 1])}

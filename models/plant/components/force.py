@@ -8,6 +8,7 @@ import casadi as ca
 
 from models.plant.components.drive import (
     SI_UNIT_OF,
+    Drive,
     friction_speed_parameter,
     start_offset_parameter,
     start_rate_parameter,
@@ -17,42 +18,34 @@ from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 
-class Force:
-    """Force proportional to a commanded voltage: F = k u.
+class Force(Drive):
+    """Force (or torque) in proportion to a commanded voltage, F = k u; no current is measured.
 
     Source: EMPS (docs/sources.md, "Real recordings").
     """
 
     kind: ClassVar[str] = "force"
     features: ClassVar[tuple[str, ...]] = ("smooth friction",)
-    has_presliding: ClassVar[bool] = False
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return force (or torque) per volt of each joint, and the motion at the start."""
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         torque = scope.suffix["torque"]
-        result: list[Parameter] = []
-        for j in scope.joints:
-            result += [
-                Parameter(name=f"force_constant_{j}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
-                          value=NO_DEFAULT, low=0.01, high=1e3,
-                          description="force per volt of command",
-                          source="data sheet of the drive"),
-                start_offset_parameter(scope, j),
-                start_rate_parameter(scope, j),
-                friction_speed_parameter(scope, j),
-            ]  # fmt: skip
-        return tuple(result)
+        return [
+            Parameter(name=f"force_constant_{joint}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
+                      value=NO_DEFAULT, low=0.01, high=1e3,
+                      description="force per volt of command",
+                      source="data sheet of the drive"),
+            start_offset_parameter(scope, joint),
+            start_rate_parameter(scope, joint),
+            friction_speed_parameter(scope, joint),
+        ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
-        """Add the command voltage as an input."""
         for j in scope.joints:
-            scope.goal[j] = scope.input(
-                Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
-            )
+            command = Variable(f"command_{j}_v", "V", 0.0, f"command of joint {j}")
+            scope.goal[j] = scope.input(command)
             scope.start[j] = scope.p("start_offset_{j}_{angle}", j)
 
     def apply_control(self, scope: Scope) -> None:
-        """Set the force; there is no measured current."""
         for j in scope.joints:
             scope.motor_torque[j] = self.torque_constant(scope, j) * scope.goal[j]
 
@@ -63,7 +56,3 @@ class Force:
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Return the force per volt: the command replaces the current."""
         return scope.p("force_constant_{j}_{torque}_v", joint) * scope.torque_scale[joint]
-
-    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Return the mean current of the step: without a velocity loop there is no saw-tooth."""
-        return scope.current[joint]

@@ -1,12 +1,4 @@
-"""Trapezoidal profile of a goal: one step of the set-point, limited in speed and acceleration.
-
-A profiling servo accelerates its set-point to the speed limit, holds that speed, and decelerates so
-that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans again when the next
-goal arrives. With the remaining distance e, the speed v towards the goal and the acceleration a,
-the set-point accelerates until v² = 2 a (remaining distance): up to the speed √(v²/2 + a e), or to
-the limit. A goal that moves at the speed v is followed v / 2a late.
-
-Shape of the goal within a step: held, interpolated or profiled; and its effect on the current.
+"""Shape of a goal within a step: held, interpolated or profiled; and its effect on the current.
 
 A servo receives a goal once a step. With w(s) the fraction of the change that has taken effect at
 the phase s of the step, 0 to 1::
@@ -15,8 +7,8 @@ the phase s of the step, 0 to 1::
 
 λ = 0 holds the goal (a staircase). λ = 1 interpolates linearly from the previous goal, which delays
 it by half a step more than holding it. Δ is the whole change, or the part that a profile of limited
-speed and acceleration completes in one step (`models.plant.components.goal`); the
-rest follows in the next steps. A profile that ends within the step has a λ between 0 and 1.
+speed and acceleration completes in one step (`profiled_change`); the rest follows in the next
+steps. A profile that ends within the step has a λ between 0 and 1.
 
 The jump (1 − λ) Δ makes the current jump by k_v k_p (1 − λ) Δ, which decays with the velocity loop,
 τ = J / (k_t k_v). In a steady motion the jumps of the earlier steps add up. Sampled at the phase φ,
@@ -36,7 +28,7 @@ import casadi as ca
 
 from models.plant.components.drive import SI_UNIT_OF, declare_goal
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope
+from models.plant.scope import CurrentSampling, Expr, Scope
 from models.plant.step_model import Variable
 
 NO_ACCELERATION_LIMIT: Final = 1e6
@@ -49,7 +41,14 @@ LEAST_SQUARED_SPEED: Final = 1e-12
 def profiled_change(
     left: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
 ) -> tuple[Expr, Expr]:
-    """Change of the set-point in one step, and its final rate; `left` is the distance to go."""
+    """Change of the set-point in one step, and its final rate; `left` is the distance to go.
+
+    A profiling servo accelerates its set-point to the speed limit, holds that speed, and
+    decelerates so that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans
+    again when the next goal arrives. With the distance e, the speed v towards the goal and the
+    acceleration a, the set-point accelerates up to the speed √(v²/2 + a e), or to the limit. A goal
+    that moves at the speed v is followed v / 2a late.
+    """
     towards = ca.if_else(left >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
     way, begun = towards * left, towards * rate
     squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED
@@ -112,7 +111,7 @@ def declare_step_length(scope: Scope) -> Expr:
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
-    """Add a goal as an input and its shape within the step; set `goal`, `goal_change`, `start`."""
+    """Add a goal as an input and its shape within the step; set `goal`, `sampling`, `start`."""
     declare_goal(scope, joint)
     sent, angle = scope.goal[joint], scope.suffix["angle"]
     unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
@@ -131,18 +130,18 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
     scope.states[shaped.name()].begin = shaped + held * wanted
     scope.states[shaped.name()].rate = (1 - held) * change / step_s
     scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
-    scope.goal_change[joint] = change
-    scope.goal_without_staircase[joint] = lambda: _without_staircase(scope, joint)
+    scope.sampling[joint] = CurrentSampling(change, lambda: _without_staircase(scope, joint))
 
 
 def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
     """Change of the goal in a step times the current's sample above the twin's, per jump."""
     step_s = declare_step_length(scope)
     phase = sampling_phase(scope, joint, step_s)
-    at_once = scope.goal_change[joint] * above_end(scope, joint, decay_s)
-    if joint not in scope.delayed_staircase:
+    sampling = scope.sampling[joint]
+    at_once = sampling.goal_change * above_end(scope, joint, decay_s)
+    late = sampling.delay
+    if late is None:
         return at_once
-    late = scope.delayed_staircase[joint]
     late_phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
     delayed = late.rate * step_s * above_mean(late_phase, step_s, decay_s)
     return at_once + late.share * (delayed - at_once)
@@ -171,11 +170,9 @@ def goal_rate_change(scope: Scope, joint: int) -> Expr:
 
 def goal_rate(scope: Scope, joint: int) -> Expr:
     """Rate of the goal in this step, after the command port."""
-    sent = scope.goal_change[joint] / declare_step_length(scope)
-    if joint not in scope.delayed_staircase:
-        return sent
-    late = scope.delayed_staircase[joint]
-    return sent + late.share * (late.rate - sent)
+    sampling = scope.sampling[joint]
+    sent, late = sampling.goal_change / declare_step_length(scope), sampling.delay
+    return sent if late is None else sent + late.share * (late.rate - sent)
 
 
 def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
@@ -205,4 +202,4 @@ def _without_staircase(scope: Scope, joint: int) -> Expr:
         scope.states[PHASE_STATE].rate = 1 / declare_step_length(scope)
     held = 1 - scope.p("goal_interpolation_{j}", joint)
     phase = scope.states[PHASE_STATE].symbol
-    return scope.goal[joint] + held * scope.goal_change[joint] * (phase - 0.5)
+    return scope.goal[joint] + held * scope.sampling[joint].goal_change * (phase - 0.5)

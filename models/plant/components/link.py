@@ -1,29 +1,27 @@
-"""Equations of motion of coupled point masses on a base that turns (Lagrange, second kind).
+"""Inflatable link as a pseudo-rigid body: a root hinge and a span hinge per plane.
 
-Kinetic energy T = ½ Σ mᵢⱼ vᵢ·vⱼ of the nodes' velocities v = J ċ, with accelerations J c̈ + β::
+The root hinge is the glued patch. The span hinge stands for bending and shear of the span: under a
+tip force it has the slope P L²/2EI and the deflection P L³/3EI + P L/κGA of a cantilever
+(Timoshenko) at σL with σ = 1/3 − 2 EI/(κGA L²) and K = (1 − σ) 2 EI/L. Pressure adds to the shear
+stiffness κGA (Le Van and Wielgosz, *Thin-Walled Structures* 43, 2005). Trials do not determine σ,
+so it is fixed. Both hinges bend in two planes. Effects add creep and hysteresis to the moment m of
+each (docs/sources.md, "The link")::
 
-    M(c) a + h(c, v) = tau,   M = Σ mᵢⱼ Jᵢ'Jⱼ,   h = Σ mᵢⱼ Jᵢ'(βⱼ - g)
+    m_root = K φ + creep + hysteresis,   m_span = K ψ + creep
+    τ_root = m_root / √(1 + (‖m_root‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
+    τ_span = m_span + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
 
-A point mass has the entry (i, i). A uniform slender rod between two nodes has m/3 on both and m/6
-between them, the consistent mass matrix of a bar (Przemieniecki, Theory of Matrix Structural
-Analysis, 1968, chapter 11).
+The limit moment M_c bounds the whole moment of the root, because a pressurised panel collapses
+where pressure no longer balances it, whatever the fabric adds: it then folds like a hinge (Thomas
+and Wielgosz, *Thin-Walled Structures* 42, 2004). Air and yarns carry the viscous part [assumed].
 
-All vectors are in the frame of the base, which turns with ω. A node at r has the velocity
-ω×r + ṙ and the acceleration ω̇×r + ω×(ω×r + 2ṙ) + r̈ (Goldstein, Classical Mechanics, section
-4.10). That takes half the operations of world coordinates, where the rotations of the joints
-multiply every term of a bend.
-
-Inflatable link as a pseudo-rigid body: a root hinge and a span hinge per plane.
-
-The root hinge is the glued patch, which softens towards a limit moment. The span hinge represents
-bending and shear of the span. Both bend in two planes (docs/sources.md, "The link")::
-
-    τ_root = K φ / √(1 + (‖Kφ‖/M_c)²) + M_c φ ‖φ‖⁴/φ_f⁵ + c φ̇
-    τ_span = K ψ + M_c ψ ‖ψ‖⁴/φ_f⁵ + c ψ̇
+Springs and branches of creep in parallel are a spring and Kelvin elements in series,
+φ = a m + Σ b_i z_i. With F' the limit law, the energy a F(m) + Σ b_i F(z_i) grows by no more than
+the work on the root, since F is convex: without hysteresis the law is passive. With it, no closed
+path in the tests yields energy.
 
 The term in φ_f is the self-contact of the folded skin. It is below 0.5 % of M_c up to φ_f/3 and
-prevents a buckling link from turning over. Effects add hysteresis, creep and more at the port
-`bend_torque`.
+prevents a buckling link from turning over.
 
 The Deformation Index follows from the bend. The span's bend is distributed like the slope of a
 cantilever under a tip force: the fraction f(σ) = 2σ − σ² is reached at σL, so segment k between two
@@ -41,93 +39,10 @@ from typing import ClassVar, Final
 import casadi as ca
 
 from firmware_py.link.link_description import STUDY_LINK
+from models.plant.components.load import PlantLoad
 from models.plant.parameter import Parameter
-from models.plant.scope import ROTARY, Expr, Hinge, Scope
+from models.plant.scope import Expr, Hinge, Scope
 from models.plant.step_model import Variable
-
-Masses = Mapping[tuple[int, int], Expr]
-"""Masses mᵢⱼ = mⱼᵢ in kg by pair i ≤ j of nodes; zero for a missing pair."""
-
-
-def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
-    """Add a uniform slender rod between two nodes."""
-    for pair, fraction in (((start, start), 3), ((start, end), 6), ((end, end), 3)):
-        masses[pair] = masses.get(pair, 0) + mass_kg / fraction
-
-
-def lagrange_equations(
-    nodes_m: Sequence[Expr],
-    masses: Masses,
-    joints: tuple[Sequence[Expr], Sequence[Expr]],
-    bends: tuple[Expr, Expr],
-    gravity_m_s2: Expr,
-) -> tuple[Expr, Expr]:
-    """Mass matrix (n, n) and force (n,) of velocity and gravity terms; joint angles before bends.
-
-    `nodes_m` are the positions r (3,) of the nodes in the frame of the base, as functions of the
-    bends. `joints` are angles and rates of the one or two joints (`symbolic_base_rotation`).
-    """
-    axes, turning, changing = _base_motion(*joints)
-    weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
-    jacobians, fall = [], []
-    for r in nodes_m:
-        moved = ca.jtimes(r, *bends)
-        jacobians.append(
-            ca.horzcat(*(ca.cross(axis, r) for axis in axes), ca.jacobian(r, bends[0]))
-        )
-        fall.append(
-            ca.cross(changing, r)
-            + ca.cross(turning, ca.cross(turning, r) + 2 * moved)
-            + ca.jtimes(moved, *bends)
-            - weight
-        )
-    count = len(axes) + bends[0].numel()
-    mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
-    for i, jacobian in enumerate(jacobians):
-        coupled = [
-            (masses[pair], j)
-            for j in range(len(nodes_m))
-            if (pair := (min(i, j), max(i, j))) in masses
-        ]
-        momentum = sum((m * jacobians[j] for m, j in coupled), start=ca.SX(3, count))
-        force += jacobian.T @ sum((m * fall[j] for m, j in coupled), start=ca.SX(3, 1))
-        for row in range(count):  # the matrix is symmetric
-            for column in range(row + 1):
-                mass_matrix[row, column] += ca.dot(jacobian[:, row], momentum[:, column])
-    return ca.tril2symm(ca.tril(mass_matrix)), force
-
-
-def _base_motion(angles: Sequence[Expr], rates: Sequence[Expr]) -> tuple[list[Expr], Expr, Expr]:
-    """Axes of the joints, ω, and ω̇ without the joints' accelerations, in the frame of the base."""
-    if len(angles) == 1:
-        axis = ca.SX([0, 1, 0])
-        return [axis], axis * rates[0], ca.SX(3, 1)
-    c2, s2 = ca.cos(angles[1]), ca.sin(angles[1])
-    axes = [ca.vertcat(0, c2, s2), ca.SX([-1, 0, 0])]
-    changing = ca.vertcat(0, -s2, c2) * rates[1] * rates[0]
-    return axes, axes[0] * rates[0] + axes[1] * rates[1], changing
-
-
-def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
-    return angles[0], angles[1] if len(angles) > 1 else 0
-
-
-def solve_symmetric(matrix: Expr, right: Expr) -> Expr:
-    """Solve a symmetric positive definite system, (n, n) and (n,), by LDL decomposition."""
-    diagonal, upper, order = ca.ldl(matrix)
-    return ca.ldl_solve(right, diagonal, upper, order)
-
-
-def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
-    """Rotation R_y(first) R_x(-second), like `models.shared.kinematics.base_rotation`."""
-    c1, s1 = ca.cos(about_y), ca.sin(about_y)
-    c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
-    return ca.vertcat(
-        ca.horzcat(c1, -s1 * s2, s1 * c2),
-        ca.horzcat(0, c2, s2),
-        ca.horzcat(-s1, -c1 * s2, c1 * c2),
-    )
-
 
 STUDY_FRACTIONS: Final = (0.25, 0.5, 0.75, 1.0)
 """Heights of the marker rows of the study's link, relative to its length."""
@@ -138,18 +53,16 @@ def slope_fraction(position: float) -> float:
     return 2 * position - position**2
 
 
-class Link:
+class Link(PlantLoad):
     """Inflatable link on a base joint with one or two axes."""
 
     kind: ClassVar[str] = "link"
-    suffix: ClassVar[dict[str, str]] = ROTARY
     max_dof: ClassVar[int] = 2
     features: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
     hinges: ClassVar[tuple[str, ...]] = ("root", "span")
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return geometry, masses, and stiffness and damping of each plane."""
-        shared = (
+    def parameters(self, scope: Scope) -> list[Parameter]:
+        result = [
             Parameter(name="base_offset_m", unit="m", value=STUDY_LINK.base_offset_m, low=0.0,
                       high=1.0, description="base plate above the joint axes",
                       source='docs/sources.md, "The link": assumed'),
@@ -175,25 +88,24 @@ class Link:
             Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
                       description="bend at which a folded hinge takes the limit moment",
                       source="assumed, far outside the study"),
-            Parameter(name="span_position", unit="1", value=0.333, low=0.25, high=0.45,
-                      role="nuisance", description="span hinge from the root, fraction of length",
-                      source="cantilever under a tip force: slope and sag meet at L/3"),
+            Parameter(name="span_position", unit="1", value=0.184, low=0.0, high=0.45,
+                      description="span hinge from the root, fraction of length",
+                      source="cantilever that bends and shears: slope and deflection meet there"),
             Parameter(name="edge_gain", unit="1", value=1.0, low=0.3, high=2.0,
                       role="calibration", description="edge strain per strain of a plane section",
                       source="plane sections stay plane"),
             Parameter(name="marker_noise_m", unit="m", value=0.00015, low=0.0, high=0.005,
                       role="calibration", description="standard deviation of a marker coordinate",
                       source='docs/sources.md, "The link"'),
-        )  # fmt: skip
-        result = list(shared)
+        ]  # fmt: skip
         for j in scope.joints:
             result += [
                 Parameter(name=f"root_stiffness_{j}_nm_rad", unit="N.m/rad", value=350.0, low=60.0,
                           high=1000.0, role="nuisance", description="stiffness of the root patch",
                           source='docs/sources.md, "The link": 80 to 1000 N·m/rad'),
-                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=190.0, low=60.0,
+                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=232.0, low=60.0,
                           high=1200.0, role="nuisance", description="stiffness of the span hinge",
-                          source='docs/sources.md, "The link": 4/3 EI/L, EI = 135 N·m²'),
+                          source='docs/sources.md, "The link": 0.82 · 2 EI/L, EI = 135 N·m²'),
                 Parameter(name=f"root_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=1.5, low=0.05,
                           high=5.0, role="nuisance", description="damping of the root patch",
                           source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
@@ -201,49 +113,37 @@ class Link:
                           high=5.0, role="nuisance", description="damping of the span hinge",
                           source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
             ]  # fmt: skip
-        return tuple(result)
+        return result
 
     def declare(self, scope: Scope) -> None:
-        """Add bend and bend rate of each hinge and plane as states."""
+        scope.limit_moment = scope.p("root_limit_moment_nm")
         for hinge in self.hinges:
             for j in scope.joints:
                 key = (hinge, j)
-                scope.bend[key] = scope.state(
-                    Variable(f"{hinge}_bend_{j}_rad", "rad", nominal=0.05), 0.0
-                )
-                scope.bend_rate[key] = scope.state(
-                    Variable(f"{hinge}_bend_rate_{j}_rad_s", "rad/s", nominal=0.1)
-                )
-                scope.states[f"{hinge}_bend_{j}_rad"].rate = scope.bend_rate[key]
+                bend = Variable(f"{hinge}_bend_{j}_rad", "rad", nominal=0.05)
+                rate = Variable(f"{hinge}_bend_rate_{j}_rad_s", "rad/s", nominal=0.1)
+                scope.bend[key], scope.bend_rate[key] = scope.state(bend), scope.state(rate)
+                scope.states[bend.name].rate = scope.bend_rate[key]
                 scope.stiffness[key] = scope.p(hinge + "_stiffness_{j}_nm_rad", j)
 
     def apply_elastic_torques(self, scope: Scope) -> None:
-        """Set the elastic and viscous torque on each bend."""
-        moments = [scope.stiffness["root", j] * scope.bend["root", j] for j in scope.joints]
-        limit, fold_rad = scope.p("root_limit_moment_nm"), scope.p("fold_rad")
-        loading = sum(m**2 for m in moments) / limit**2
-        fold = {
-            hinge: sum(scope.bend[hinge, j] ** 2 for j in scope.joints) ** 2 / fold_rad**5
-            for hinge in self.hinges
-        }
+        for key, bend in scope.bend.items():
+            scope.bend_torque[key] = -scope.stiffness[key] * bend
+
+    def apply_limit(self, scope: Scope) -> None:
+        """Bound the root's moment; add self-contact and viscous torque to each bend."""
+        limit, fold_rad = scope.limit_moment, scope.p("fold_rad")
+        loading = sum(scope.bend_torque["root", j] ** 2 for j in scope.joints) / limit**2
         for (hinge, j), bend in scope.bend.items():
-            elastic = scope.stiffness[hinge, j] * bend
+            torque = scope.bend_torque[hinge, j]
             if hinge == "root":
-                elastic = elastic / ca.sqrt(1 + loading)
-            elastic = elastic + limit * fold[hinge] * bend
+                torque = torque / ca.sqrt(1 + loading)
+            fold = sum(scope.bend[hinge, k] ** 2 for k in scope.joints) ** 2 / fold_rad**5
             damping = scope.p(hinge + "_damping_{j}_nm_s_rad", j)
-            scope.bend_torque[hinge, j] = -elastic - damping * scope.bend_rate[hinge, j]
-
-    def apply_transmitted_torque(self, scope: Scope) -> None:
-        """Set the torque on the gear: other torque on the joint minus torque on the root's bend.
-
-        A torque on the joint that also bends the root is in both terms and cancels out.
-        """
-        for j in scope.joints:
-            scope.transmitted_torque[j] = scope.joint_torque[j] - scope.bend_torque["root", j]
+            torque -= limit * fold * bend + damping * scope.bend_rate[hinge, j]
+            scope.bend_torque[hinge, j] = torque
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
-        """Return mass matrix and force over the joints' coordinates and the bends."""
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return lagrange_equations(
             *self._nodes(scope),
@@ -405,3 +305,96 @@ def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)
+
+
+Masses = Mapping[tuple[int, int], Expr]
+"""Masses mᵢⱼ = mⱼᵢ in kg by pair i ≤ j of nodes; zero for a missing pair."""
+
+
+def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
+    """Add a uniform slender rod between two nodes.
+
+    It has m/3 on both and m/6 between them, the consistent mass matrix of a bar (Przemieniecki,
+    Theory of Matrix Structural Analysis, 1968, chapter 11); a point mass has the entry (i, i).
+    """
+    for pair, fraction in (((start, start), 3), ((start, end), 6), ((end, end), 3)):
+        masses[pair] = masses.get(pair, 0) + mass_kg / fraction
+
+
+def lagrange_equations(
+    nodes_m: Sequence[Expr],
+    masses: Masses,
+    joints: tuple[Sequence[Expr], Sequence[Expr]],
+    bends: tuple[Expr, Expr],
+    gravity_m_s2: Expr,
+) -> tuple[Expr, Expr]:
+    """Mass matrix (n, n) and force (n,) of velocity and gravity terms; joint angles before bends.
+
+    Equations of motion of coupled point masses on a base that turns (Lagrange, second kind).
+    Kinetic energy T = ½ Σ mᵢⱼ vᵢ·vⱼ of the nodes' velocities v = J ċ, with accelerations
+    J c̈ + β::
+
+        M(c) a + h(c, v) = tau,   M = Σ mᵢⱼ Jᵢ'Jⱼ,   h = Σ mᵢⱼ Jᵢ'(βⱼ - g)
+
+    All vectors are in the frame of the base, which turns with ω. A node at r has the velocity
+    ω×r + ṙ and the acceleration ω̇×r + ω×(ω×r + 2ṙ) + r̈ (Goldstein, Classical Mechanics, section
+    4.10). That takes half the operations of world coordinates, where the rotations of the joints
+    multiply every term of a bend.
+
+    `nodes_m` are the positions r (3,) of the nodes in the frame of the base, as functions of the
+    bends. `joints` are angles and rates of the one or two joints (`symbolic_base_rotation`).
+    """
+    axes, turning, changing = _base_motion(*joints)
+    weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
+    jacobians, fall = [], []
+    for r in nodes_m:
+        moved = ca.jtimes(r, *bends)
+        jacobians.append(
+            ca.horzcat(*(ca.cross(axis, r) for axis in axes), ca.jacobian(r, bends[0]))
+        )
+        fall.append(
+            ca.cross(changing, r)
+            + ca.cross(turning, ca.cross(turning, r) + 2 * moved)
+            + ca.jtimes(moved, *bends)
+            - weight
+        )
+    count = len(axes) + bends[0].numel()
+    mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
+    for i, jacobian in enumerate(jacobians):
+        coupled = [
+            (masses[pair], j)
+            for j in range(len(nodes_m))
+            if (pair := (min(i, j), max(i, j))) in masses
+        ]
+        momentum = sum((m * jacobians[j] for m, j in coupled), start=ca.SX(3, count))
+        force += jacobian.T @ sum((m * fall[j] for m, j in coupled), start=ca.SX(3, 1))
+        for row in range(count):  # the matrix is symmetric
+            for column in range(row + 1):
+                mass_matrix[row, column] += ca.dot(jacobian[:, row], momentum[:, column])
+    return ca.tril2symm(ca.tril(mass_matrix)), force
+
+
+def _base_motion(angles: Sequence[Expr], rates: Sequence[Expr]) -> tuple[list[Expr], Expr, Expr]:
+    """Axes of the joints, ω, and ω̇ without the joints' accelerations, in the frame of the base."""
+    if len(angles) == 1:
+        axis = ca.SX([0, 1, 0])
+        return [axis], axis * rates[0], ca.SX(3, 1)
+    c2, s2 = ca.cos(angles[1]), ca.sin(angles[1])
+    axes = [ca.vertcat(0, c2, s2), ca.SX([-1, 0, 0])]
+    changing = ca.vertcat(0, -s2, c2) * rates[1] * rates[0]
+    return axes, axes[0] * rates[0] + axes[1] * rates[1], changing
+
+
+def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
+    return angles[0], angles[1] if len(angles) > 1 else 0
+
+
+def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
+    """Rotation R_y(first) R_x(-second), like `models.shared.kinematics.base_rotation`."""
+    c1, s1 = ca.cos(about_y), ca.sin(about_y)
+    c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)
+    return ca.vertcat(
+        ca.horzcat(c1, -s1 * s2, s1 * c2),
+        ca.horzcat(0, c2, s2),
+        ca.horzcat(-s1, -c1 * s2, c1 * c2),
+    )

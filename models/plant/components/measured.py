@@ -6,60 +6,45 @@ from typing import ClassVar
 
 import casadi as ca
 
-from models.plant.components.drive import (
-    friction_speed_parameter,
-    start_rate_parameter,
-)
+from models.plant.components.drive import Drive, friction_speed_parameter, start_rate_parameter
 from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 
 
-class Measured:
+class Measured(Drive):
     """Joint that moves as its encoder measures, whatever drives it.
 
     Only the load has equations of motion, so a wrong servo loop cannot hide a wrong load. The
     torque that the motion needs, with friction, is an output. The drive also describes a test bench
-    that imposes a displacement and measures force.
+    that imposes a displacement and measures force. The composition adds the coordinate as an input.
     """
 
     kind: ClassVar[str] = "measured"
     features: ClassVar[tuple[str, ...]] = ("imposed motion", "smooth friction")
-    has_presliding: ClassVar[bool] = False
 
-    def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return inertia on the joint's side, bandwidth of the motion, rate at the start."""
+    def parameters(self, scope: Scope) -> list[Parameter]:
+        follow_rate = Parameter(
+            name="follow_rate_per_s", unit="1/s", value=200.0, low=20.0, high=2000.0,
+            description="bandwidth that follows the measured coordinate",
+            source="numerical: a fifth of the internal rate",
+        )  # fmt: skip
+        return [follow_rate, *super().parameters(scope)]
+
+    def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         rotary = scope.suffix["angle"] == "rad"
-        result = [
-            Parameter(name="follow_rate_per_s", unit="1/s", value=200.0, low=20.0, high=2000.0,
-                      description="bandwidth that follows the measured coordinate",
-                      source="numerical: a fifth of the internal rate"),
+        return [
+            Parameter(name=f"rotor_inertia_{joint}_kg_m2" if rotary else f"rotor_mass_{joint}_kg",
+                      unit="kg.m2" if rotary else "kg", value=0.0, low=0.0, high=1e3,
+                      description="inertia between the force sensor and the load",
+                      source="assumed none"),
+            start_rate_parameter(scope, joint),
+            friction_speed_parameter(scope, joint),
         ]  # fmt: skip
-        for j in scope.joints:
-            inertia = f"rotor_inertia_{j}_kg_m2" if rotary else f"rotor_mass_{j}_kg"
-            result += [
-                Parameter(name=inertia, unit="kg.m2" if rotary else "kg", value=0.0, low=0.0,
-                          high=1e3, description="inertia between the force sensor and the load",
-                          source="assumed none"),
-                start_rate_parameter(scope, j),
-                friction_speed_parameter(scope, j),
-            ]  # fmt: skip
-        return tuple(result)
-
-    def declare(self, scope: Scope) -> None:
-        """Add nothing: the composition adds the coordinate as an input."""
-
-    def apply_control(self, scope: Scope) -> None:
-        """Set nothing: there is no control law."""
 
     def reflected_inertia(self, scope: Scope, joint: int) -> Expr:
-        """Return the inertia on the joint's side."""
         rotary = scope.suffix["angle"] == "rad"
         return scope.p("rotor_inertia_{j}_kg_m2" if rotary else "rotor_mass_{j}_kg", joint)
 
     def torque_constant(self, scope: Scope, joint: int) -> Expr:
         """Return one: the output is the torque itself."""
         return ca.SX(1)
-
-    def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Return the torque at the end of the step."""
-        return scope.current[joint]

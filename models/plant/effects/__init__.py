@@ -1,16 +1,14 @@
-"""Order in which the effects of one port act.
-
-The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
-`ORDER`, regardless of the order of their files, classes or entries in a plant document. The
-parameters of a composed model have the same order. An effect that is not listed acts after the
-listed ones of its port; several such effects act in the order of their names.
-
-Effects: physical effects that a plant can have beyond its nominal drive and load.
+"""Effects: what a plant can have beyond its nominal drive and load.
 
 An effect is one small class in a file of this package: its name in the catalogue, its parameters
 (the first is its strength: at zero the plant is exactly the one without it), the states that it
 adds, and the quantities of the scope that it changes at its port. A class is registered when it
 derives from `Effect`; docs/plant/add-an-effect.md has an example.
+
+The ports are applied one after the other (`PORTS`). Within a port the effects act in the order of
+`ORDER`, regardless of the order of their files, classes or entries in a plant document. The
+parameters of a composed model have the same order. An effect that is not listed acts after the
+listed ones of its port; several such effects act in the order of their names.
 """
 
 from __future__ import annotations
@@ -46,7 +44,8 @@ ORDER: Final[tuple[str, ...]] = (
     "stiffness_hardening",
     "pressure_leak",
     # bend_torque: the memory adds torque in proportion to the stiffness and the bend itself; the
-    # coupling mixes the planes of all torque on a bend, memory included, so it comes last.
+    # coupling mixes the planes of all torque on a bend, memory, limit and damping included, so it
+    # comes last.
     "hysteresis",
     "creep",
     "cross_axis_coupling",
@@ -94,7 +93,7 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
-"""Effects by name; a class is registered by its definition. `order.in_order` gives their order."""
+"""Effects by name; a class is registered by its definition."""
 
 Need = Literal["bend", "gear load", "tip", "current", "current limit", "goal shape",
     "position gain", "smooth friction", "straight guide",
@@ -124,6 +123,9 @@ class Effect:
         are alike in servos of one make; planes of bending differ.
     search_start : mapping of str to float
         Start values of the other parameters in a search for the strength.
+    beyond_limit : bool
+        Whether an effect of the port `bend_torque` acts on the torque after the link's limit
+        moment has bounded it. Any other effect of that port adds to the moment that is bounded.
     fitted_last : tuple of str
         Names in `per_joint` that `identify` does not fit. A search that knows the noise floor fits
         them after the others: fitted at once, with a strength far from the optimum, they lead to
@@ -138,6 +140,7 @@ class Effect:
     needs: ClassVar[tuple[Need, ...]] = ()
     of_each_joint: ClassVar[bool] = False
     search_start: ClassVar[Mapping[str, float]] = {}
+    beyond_limit: ClassVar[bool] = False
     fitted_last: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -165,7 +168,7 @@ class Effect:
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Return the first strength to try for an effect with a dead zone; zero for all others.
+        """Return the first strength to try for an effect with a dead zone.
 
         Parameters
         ----------

@@ -111,8 +111,11 @@ class StiffnessHardening(Effect):
 class PressureLeak(Effect):
     """Stiffness falls with a leak, K (1 − s)^(t / 10 s), from the start of the run.
 
-    Outflow through a small hole is proportional to the remaining pressure [orifice, laminar], and
-    stiffness is proportional to pressure (docs/sources.md, "The link").
+    The outflow through a small hole is proportional to the remaining pressure [orifice, laminar],
+    so what depends on pressure falls exponentially. The strength is the loss of stiffness, not of
+    pressure: pressure enters the stiffness of a link by shear and prestress alone (docs/sources.md,
+    "The link"), but woven skins also lose modulus with it. The limit moment, which pressure
+    carries, falls at the same rate.
     """
 
     name = "pressure_leak"
@@ -123,11 +126,12 @@ class PressureLeak(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness by the remaining pressure."""
+        """Scale each hinge's stiffness and the limit moment by what is left."""
         left = scope.state(Variable("pressure_left", "1"), 1.0)
         scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
         for key in scope.stiffness:
             scope.stiffness[key] *= left
+        scope.limit_moment *= left
 
 
 class Hysteresis(Effect):
@@ -135,9 +139,9 @@ class Hysteresis(Effect):
 
     ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
 
-    It is added to the elastic torque K φ.
-    Threads need a few milliseconds to slip, so r is limited below `FASTEST_SLIP_PER_S`. Then no
-    bend rate makes the equation stiff; the study's motions stay far below the limit.
+    It is added to the elastic torque K φ, below the limit moment. Threads need a few milliseconds
+    to slip, so r is limited below `FASTEST_SLIP_PER_S`. Then no bend rate makes the equation stiff;
+    the study's motions stay far below the limit.
     """
 
     name = "hysteresis"
@@ -176,9 +180,10 @@ class Creep(Effect):
 
     τ = Σ_b g/3 K (φ − ε_b),   ε̇_b = (φ − ε_b) / T_b,   T_b = T/16, T, 24 T
 
-    The torque is added to the elastic torque K φ (docs/sources.md, "The link"). Polymers relax over
-    decades of time; a single branch fits one period of motion only. A branch much slower than the
-    trials acts as stiffness, so K and g are determined better together than separately.
+    The torque is added to the elastic torque K φ, below the limit moment (docs/sources.md, "The
+    link"). Polymers relax over decades of time; a single branch fits one period of motion only. A
+    branch much slower than the trials acts as stiffness, so K and g are determined better together
+    than separately.
     """
 
     name = "creep"
@@ -218,6 +223,7 @@ class CrossAxisCoupling(Effect):
 
     name = "cross_axis_coupling"
     needs = ("bend", "tip")
+    beyond_limit = True
     shared = (
         Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
                   description="torque of one plane per other plane's", source="assumed absent"),

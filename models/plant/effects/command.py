@@ -53,9 +53,8 @@ class DeadTime(Effect):
     def apply(self, scope: Scope) -> None:
         """Replace the goal by its delayed value."""
         for j in scope.joints:
-            held = scope.goal[j]
-            smooth = scope.goal_without_staircase
-            goal = smooth[j]() if j in smooth else held
+            held, sampling = scope.goal[j], scope.sampling.get(j)
+            goal = held if sampling is None else sampling.smooth_goal()
             dead_s = scope.p("dead_time_{j}_s", j)
             delay_s = ca.sqrt(dead_s**2 + SHORTEST_S**2)
             first = scope.state(Variable(f"delayed_{j}_1", "1"), held)
@@ -71,9 +70,9 @@ class DeadTime(Effect):
             rate = (3 * (goal - first) - 0.8 * second - 0.85 * third) / delay_s
             share = dead_s / delay_s
             scope.goal[j] = held + share * (delayed - held)
-            if j in smooth:
+            if sampling is not None:
                 shift = scope.p("dead_time_phase_{j}", j)
-                scope.delayed_staircase[j] = DelayedStaircase(share, rate, shift)
+                sampling.delay = DelayedStaircase(share, rate, shift)
 
 
 class PositionGainChange(Effect):

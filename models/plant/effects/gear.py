@@ -9,7 +9,7 @@ import casadi as ca
 
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
-from models.plant.scope import Expr, Scope, substitute
+from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
 RIGID_GEAR_TIME_S: Final = 2e-3
@@ -79,22 +79,6 @@ def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
     scope.lean_acceleration[joint] += acceleration
 
 
-def open_play(scope: Scope, joint: int, half: Expr, rounding: Expr) -> None:
-    """Let the gear of a load touch only beyond its play, half of which is h.
-
-    The twist φ becomes ½ (√((φ−h)²+ε²) + φ − h) − ½ (√((φ+h)²+ε²) − φ − h), which is φ for h = 0.
-    `rounding` is ε, in the unit of the joint.
-    """
-    twist, rate = scope.bend["gear", joint], scope.bend_rate["gear", joint]
-    beyond, before = twist - half, twist + half
-    ends = [ca.sqrt(side**2 + rounding**2) for side in (beyond, before)]
-    touching = (ends[0] + beyond) / 2 - (ends[1] - before) / 2
-    slope = (beyond / ends[0] + 1) / 2 - (before / ends[1] - 1) / 2
-    scope.bend_torque["gear", joint] = substitute(
-        scope.bend_torque["gear", joint], [(twist, touching), (rate, slope * rate)]
-    )
-
-
 class JointElasticity(Effect):
     """Gear wind-up c per torque (flexible joint [Spong 1987]): w = −c τ_load.
 
@@ -125,9 +109,7 @@ class Backlash(Effect):
 
     w = −(b/2) tanh(τ_load / τ_b). The torque τ_b that closes the backlash makes the dead zone
     smooth: fits start with a wide one and reduce it. The encoder on the drive's side does not
-    measure the backlash. A load with its own gear (twist φ, torque −k_g φ − d_g φ̇) touches only
-    beyond the play: φ is replaced by its part beyond ±b/2, rounded over τ_b / k_g, and φ̇ by the
-    rate of that part. Play in the mount of a link hardly moves mass: the fraction
+    measure the backlash. Play in the mount of a link hardly moves mass: the fraction
     `backlash_mount_fraction` of the play moves the markers only.
     """
 
@@ -157,9 +139,6 @@ class Backlash(Effect):
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2
             torque = scope.p("backlash_torque_{j}_{torque}", j)
-            if ("gear", j) in scope.bend:
-                open_play(scope, j, half, torque / scope.stiffness["gear", j])
-                continue
             side = half * ca.tanh(scope.transmitted_torque[j] / torque)
             add_windup(scope, j, "play", (mount - 1) * side, half / torque)
             if "tip" in scope.features:

@@ -136,7 +136,7 @@ class SensorLag(Effect):
     """Low-pass of measured signals; the strength is that of the current, 1 / (1 + θ s).
 
     If no current is modelled or measured, the strength is that of a measured deflection, or else of
-    the joint's coordinate (`models.plant.composition.parts`). A fraction of θ may be in a
+    the joint's coordinate (`models.plant.compose`). A fraction of θ may be in a
     second stage. A low-pass also removes the saw-tooth that a held goal causes in the current. In
     trials without the low-pass, the saw-tooth and viscous friction cannot be separated, because all
     samples have one phase: the plant may have too much of one and too little of the other. So a fit

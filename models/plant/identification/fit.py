@@ -46,12 +46,15 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
 from firmware_py.errors import InputError
-from models.plant.composition.compose import ModelKind
 from models.plant.effects import PULLEY_M
 from models.plant.parameter import AT_BOUND, prior_deviation_of
-from models.plant.plant import Plant
-from models.plant.simulation.runner import Array, trial_parameters
-from models.plant.simulation.sensitivity import SensitiveModel, run_sensitive_trial
+from models.plant.plant import ModelKind, Plant
+from models.plant.simulation.runner import (
+    Array,
+    CompiledModel,
+    differentiate_trial,
+    trial_parameters,
+)  # fmt: skip
 from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
@@ -301,14 +304,16 @@ class Objective:
     ) -> None:
         self.plant, self.free = plant, tuple(free)
         self._signals, self._scale = tuple(signals), dict(scale or {})
-        self._models: dict[int, SensitiveModel] = {}
+        self._models: dict[int, CompiledModel] = {}
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
+            if max_substep_s is not None:
+                model = replace(model, max_substep_s=max_substep_s)
             same = [t for t in trials if t.meta.dof == dof]
-            used += shortened(same, model, max_substep_s or model.max_substep_s)
+            used += shortened(same, model, model.max_substep_s)
             own = [name for name in self.free if name in names(model.parameters)]
-            self._models[dof] = SensitiveModel(model, own, max_substep_s)
+            self._models[dof] = CompiledModel(model, own)
         self.trials = tuple(used)
         self._measured = [measured_signals(t) for t in used]
         chosen = [plant.parameters[name] for name in self.free]
@@ -393,7 +398,7 @@ class Objective:
         p = trial_parameters(model, trial)
         columns = [self.free.index(name) for name in own]
         p[[known.index(name) for name in own]] = values[columns]
-        y, slopes = run_sensitive_trial(compiled, trial, p)
+        y, slopes = differentiate_trial(compiled, trial, p)
         result: dict[str, tuple[Array, Array]] = {}
         for k, signal in enumerate(names(model.outputs)):
             if signal not in measured or not signal.startswith(self._signals):

@@ -44,14 +44,14 @@ from firmware_py.bus.servo_settings import GAINS, ServoGains
 from firmware_py.config import read_config
 from firmware_py.errors import InputError
 from firmware_py.log.recording import read_recording
+from models.plant.components import DRIVES, LOADS
 from models.plant.components.goal import NO_ACCELERATION_LIMIT
-from models.plant.composition.compose import DRIVES, LOADS, ModelKind, scope_of
 from models.plant.document import Evaluation, Provenance
 from models.plant.effects import EFFECTS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.identification.fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
-from models.plant.plant import Plant
+from models.plant.plant import ModelKind, Plant, scope_of
 from models.plant.simulation.runner import Array
 from models.trials.trial import Trial, TrialSet
 

@@ -1,21 +1,13 @@
-"""Value and rate of a measured column at the start of a trial that may begin in motion.
-
-C code of the functions of a `StepModel`.
-
-Compiled form of a `StepModel`: C code that runs a whole trial in one call.
-
-The compiled run equals the interpreted `StepModel.simulate` to rounding (CasADi generates the same
-operations; docs/sources.md, "FMI"). Libraries are cached by content, so a plant is compiled once.
-
-Simulation of a plant from arrays of inputs to arrays of signals.
-"""
+"""Run of a plant: compiled model, inputs and parameters from a trial, simulation from arrays."""
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 import numpy as np
@@ -24,114 +16,123 @@ from numpy.typing import ArrayLike, NDArray
 from firmware_py.errors import InputError
 from firmware_py.signals import PERIOD_S
 from models.plant.plant import Plant
+from models.plant.simulation.model_c import write_run_c
+from models.plant.step_model import Array as Array
 from models.plant.step_model import StepModel, names
-from models.shared.c_compiler import load_library
+from models.shared.c_compiler import compiler_options, load_library
 from models.trials.trial import Trial
 
-LONGEST_START_S: Final = 0.05
-"""Longest window at the start: a quarter of a period at 5 Hz."""
-
-LEAST_ROWS: Final = 5
-"""Rows of the shortest window."""
-
-CONFIDENCE_SD: Final = 2.0
-"""Half-width of a rate's confidence interval in standard deviations [Katkovnik 1999: 1.5 to 3]."""
-
-
-def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
-    """Value and rate of a column at the first row, by a parabola through its first rows.
-
-    A long window averages noise, a short one follows a jerk. The longest window is used whose rate
-    agrees with that of every shorter one: intersection of confidence intervals [Goldenshluger &
-    Nemirovski 1997; Katkovnik 1999]. The noise is estimated from the third differences, which a
-    smooth motion hardly has.
-    """
-    longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
-    time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]
-    seen = np.isfinite(values)
-    time_s, values = time_s[seen], values[seen]
-    if len(values) < LEAST_ROWS:
-        return 0.0, 0.0
-    noise = float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20))  # 1 + 9 + 9 + 1
-    low, high, chosen = -np.inf, np.inf, (0.0, 0.0)
-    for rows in range(LEAST_ROWS, len(values) + 1):
-        powers = np.vander(time_s[:rows] / time_s[rows - 1], 3, increasing=True)
-        inverse = np.linalg.pinv(powers)
-        value, slope, _ = inverse @ values[:rows]
-        rate = slope / time_s[rows - 1]
-        error = CONFIDENCE_SD * noise * float(np.linalg.norm(inverse[1])) / time_s[rows - 1]
-        low, high = max(low, rate - error), min(high, rate + error)
-        if low > high:
-            break
-        chosen = float(value), float(rate)
-    return chosen
-
-
-FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
-
-
-def write_model_c(
-    model: StepModel, directory: Path, further: Mapping[str, ca.Function] | None = None
-) -> Path:
-    """Write `model.c` and `model.h` with model_initial, model_begin, …; return the C file.
-
-    Arguments and results are dense vectors, even if CasADi finds them sparse.
-    """
-    generator = ca.CodeGenerator("model.c", {"with_header": True, "mex": False})
-    functions = {name: getattr(model, name) for name in FUNCTIONS} | dict(further or {})
-    for name, function in functions.items():
-        generator.add(_dense(function, f"model_{name}"))
-    generator.generate(f"{directory}/")
-    return directory / "model.c"
-
-
-def _dense(function: ca.Function, name: str) -> ca.Function:
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(function(*arguments))])
-
-
-Array = NDArray[np.float64]
-_DRIVER: Final = Path(__file__).with_name("run_trial.c")
+_DRIVER: Final = Path(__file__).with_name("run.c")
+_CPU_INFO: Final = Path("/proc/cpuinfo")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)
+
+_SYMBOLIC_WORK: Final = threading.Lock()
+"""CasADi marks the nodes of expressions while it sorts them, shared constants too. Two threads that
+use its functions at once may corrupt its memory. The compiler needs no lock."""
+
+_COMPILED: Final[dict[bytes, tuple[ctypes.CDLL, ca.Function]]] = {}
+"""Compiled run and function of its start (`write_run_c`), by hash of model and parameters, because
+differentiating an observer takes seconds."""
 
 
 class CompiledModel:
-    """A `StepModel` compiled to run whole trials."""
+    """A `StepModel` compiled to run whole trials, with exact derivatives by the parameters `wrt`.
 
-    def __init__(self, model: StepModel) -> None:
-        self.model = model
-        sizes = {"N_X": len(model.states), "N_U": len(model.inputs), "N_Y": len(model.outputs)}
-        self._library = load_library(
-            lambda directory: [write_model_c(model, directory), _DRIVER],
-            flags=[f"-D{name}={size}" for name, size in sizes.items()],
-        )
+    The run is that of `StepModel.simulate`. The slope S = dx/dp follows the variational equation
+    Ṡ = f_x S + f_p, integrated by the same Runge–Kutta steps. So it is the exact derivative of the
+    discrete run, not an approximation of the continuous one. Libraries are cached by content, so a
+    model is compiled once.
+    """
+
+    def __init__(self, model: StepModel, wrt: Sequence[str] = ()) -> None:
+        if model.rate is None:
+            raise ValueError(f"{model.name} has no rate")
+        self.model, self.wrt = model, tuple(wrt)
+        known = names(model.parameters)
+        self._library, self._start = _compiled(model, [known.index(n) for n in wrt])
 
     def start(self, u: Array, p: Array) -> Array:
-        """Initial state under inputs u of shape (len(inputs),) and parameters p."""
-        x = np.empty(len(self.model.states))
-        self._call("start", np.ascontiguousarray(u, dtype=np.float64), p, x)
-        return x
+        """State at rest under inputs u (len(inputs),) and parameters p (len(parameters),)."""
+        return self._started(u, p)[0]
 
     def simulate(
         self, u: Array, step_s: float, p: Array | None = None, x: Array | None = None
     ) -> Array:
         """Outputs at the start and after each step, shape (n + 1, len(outputs)).
 
-        Row k is the output at k * step_s.
+        Row k is at k * step_s, the first from the state `x`, by default at rest.
         """
-        u = np.ascontiguousarray(u, dtype=np.float64)
-        p = np.asarray(self.model.parameter_values() if p is None else p, dtype=np.float64)
-        x = self.start(u[0], p) if x is None else np.array(x, dtype=np.float64)
-        y = np.empty((len(u) + 1, len(self.model.outputs)))
-        times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
-        self._call("run", u, p, x, y, before=(ctypes.c_long(len(u)), *times))
-        return y
+        p = np.asarray(self.model.parameter_values() if p is None else p)
+        x, nothing = self.start(u[0], p) if x is None else x, np.zeros(len(self.wrt), dtype=bool)
+        return self._run(u, step_s, p, x, np.empty(0), nothing)[0]
 
-    def _call(self, function: str, *arrays: Array, before: tuple[Any, ...] = ()) -> None:
-        pointers = [a.ctypes.data_as(_POINTER) for a in arrays]
-        if getattr(self._library, function)(*before, *pointers):
-            raise MemoryError(f"{self.model.name}: {function}")
+    def derivatives(
+        self,
+        u: Array,
+        step_s: float,
+        p: Array | None = None,
+        first: Array | None = None,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> tuple[Array, Array]:
+        """Outputs as from `simulate`, and their derivatives (n + 1, len(outputs), len(wrt)).
+
+        `first` (len(inputs),) are the inputs under which the run starts at rest, by default those
+        of the first step. `wanted` (len(wrt),) selects the parameters whose derivatives are
+        computed; the others are zero.
+        """
+        p = np.asarray(self.model.parameter_values() if p is None else p)
+        x, slope = self._started(u[0] if first is None else first, p)
+        wanted = np.ones(len(self.wrt), dtype=bool) if wanted is None else wanted
+        return self._run(u, step_s, p, x, slope, wanted)
+
+    def _started(self, u: Array, p: Array) -> tuple[Array, Array]:
+        with _SYMBOLIC_WORK:
+            x, slope = (part.full() for part in self._start(u, p))
+        return x.ravel(), np.ascontiguousarray(slope)
+
+    def _run(
+        self, u: Array, step_s: float, p: Array, x: Array, x_slope: Array, wanted: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        y = np.empty((len(u) + 1, len(self.model.outputs)))
+        slope = np.empty((*y.shape, len(self.wrt)))
+        times = (ctypes.c_double(step_s), ctypes.c_double(self.model.max_substep_s))
+        arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in (u, p, x, x_slope)]
+        pointers = [a.ctypes.data_as(_POINTER) for a in (*arrays, y, slope)]
+        if self._library.run(ctypes.c_long(len(u)), *times, wanted.tobytes(), *pointers):
+            raise MemoryError(f"{self.model.name}: run")
+        return y, slope
+
+
+def _compiled(model: StepModel, index: Sequence[int]) -> tuple[ctypes.CDLL, ca.Function]:
+    """Compiled run of a model with derivatives by the parameters at these indices."""
+    flags = _vector_flags()
+    digest = hashlib.sha256(repr((list(index), flags, compiler_options())).encode())
+    with _SYMBOLIC_WORK:
+        for part in vars(model).values():
+            if isinstance(part, ca.Function):
+                digest.update(part.serialize().encode())
+    key = digest.digest()
+    if key not in _COMPILED:
+        start: list[ca.Function] = []
+
+        def write(directory: Path) -> list[Path]:
+            with _SYMBOLIC_WORK:
+                sources, initial = write_run_c(model, index, directory)
+            start.append(initial)
+            return [*sources, _DRIVER]
+
+        library = load_library(write, flags=flags, at_once=True)
+        _COMPILED[key] = library, start[0]
+    return _COMPILED[key]
+
+
+def _vector_flags() -> tuple[str, ...]:
+    """Options of the compiler for this processor's vectors; results stay bit-identical.
+
+    Without errno, the sine and the cosine of one number are one call.
+    """
+    known = _CPU_INFO.read_text(encoding="utf-8", errors="replace") if _CPU_INFO.is_file() else ""
+    return ("-fno-math-errno", *(("-mavx2",) if " avx2 " in known else ()))
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
@@ -186,6 +187,54 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     first, u = trial_inputs(compiled.model, trial)
     p = trial_parameters(compiled.model, trial) if p is None else p
     return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))
+
+
+def differentiate_trial(
+    compiled: CompiledModel, trial: Trial, p: Array | None = None
+) -> tuple[Array, Array]:
+    """Outputs as from `run_trial`, and their derivatives (n, len(outputs), len(wrt))."""
+    first, u = trial_inputs(compiled.model, trial)
+    p = trial_parameters(compiled.model, trial) if p is None else p
+    return compiled.derivatives(u, trial.step_s, p, first)
+
+
+LONGEST_START_S: Final = 0.05
+"""Longest window at the start: a quarter of a period at 5 Hz."""
+
+LEAST_ROWS: Final = 5
+"""Rows of the shortest window."""
+
+CONFIDENCE_SD: Final = 2.0
+"""Half-width of a rate's confidence interval in standard deviations [Katkovnik 1999: 1.5 to 3]."""
+
+
+def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
+    """Value and rate of a column at the first row, by a parabola through its first rows.
+
+    A long window averages noise, a short one follows a jerk. The longest window is used whose rate
+    agrees with that of every shorter one: intersection of confidence intervals [Goldenshluger &
+    Nemirovski 1997; Katkovnik 1999]. The noise is estimated from the third differences, which a
+    smooth motion hardly has.
+    """
+    longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
+    time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]
+    seen = np.isfinite(values)
+    time_s, values = time_s[seen], values[seen]
+    if len(values) < LEAST_ROWS:
+        return 0.0, 0.0
+    noise = float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20))  # 1 + 9 + 9 + 1
+    low, high, chosen = -np.inf, np.inf, (0.0, 0.0)
+    for rows in range(LEAST_ROWS, len(values) + 1):
+        powers = np.vander(time_s[:rows] / time_s[rows - 1], 3, increasing=True)
+        inverse = np.linalg.pinv(powers)
+        value, slope, _ = inverse @ values[:rows]
+        rate = slope / time_s[rows - 1]
+        error = CONFIDENCE_SD * noise * float(np.linalg.norm(inverse[1])) / time_s[rows - 1]
+        low, high = max(low, rate - error), min(high, rate + error)
+        if low > high:
+            break
+        chosen = float(value), float(rate)
+    return chosen
 
 
 def simulate_plant(

@@ -16,9 +16,8 @@ from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.null_distribution import KnownError, null_distribution_of
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
-from models.plant.plant import read_plant
+from models.plant.plant import read_plant, scope_of
 
 FRICTION_NM_S_RAD = 4.0
 

@@ -1,13 +1,23 @@
 """The link against mechanics worked out here: energy, modes, statics, marker geometry."""
 
+import itertools
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
 from scipy.stats import foldnorm
 
-from models.plant.components.link import mean_magnitude
-from models.plant.plant import read_plant
+from models.plant.components.link import (
+    Link,
+    add_rod,
+    lagrange_equations,
+    mean_magnitude,
+    symbolic_base_rotation,
+)
+from models.plant.compose import apply_load_torques, declare_measured_motion
+from models.plant.effects import EFFECTS, in_order
+from models.plant.plant import declared_parameters, read_plant, scope_of
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.kinematics import base_rotation
@@ -253,3 +263,128 @@ def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
         }
         y = compiled.simulate(u, STEP_S, model.parameter_values(changes))
         assert np.isfinite(y).all(), changes
+
+
+LENGTH_M, MASS_KG, GRAVITY_M_S2 = 0.8, 1.7, 9.81
+OBLIQUE_M_S2 = (1.0, -2.0, -9.0)
+
+
+def test_a_standing_rod_is_the_compound_pendulum():
+    angle, rate, none = ca.SX.sym("angle"), ca.SX.sym("rate"), ca.SX(0, 1)
+    nodes = [ca.SX.zeros(3), ca.SX([0, 0, LENGTH_M])]
+    masses = {}
+    add_rod(masses, ca.SX(MASS_KG), 0, 1)
+    down = ca.SX([0, 0, -GRAVITY_M_S2])
+    found = lagrange_equations(nodes, masses, ([angle], [rate]), (none, none), down)
+    mass, force = ca.Function("equations", [angle, rate], found)(0.4, 2.0)
+    assert float(mass) == pytest.approx(MASS_KG * LENGTH_M**2 / 3)
+    assert float(force) == pytest.approx(-MASS_KG * GRAVITY_M_S2 * LENGTH_M / 2 * np.sin(0.4))
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_two_rods_and_a_mass_are_many_points_of_the_world(joints):
+    c, v = ca.SX.sym("c", joints + 2), ca.SX.sym("v", joints + 2)
+    b = c[joints:]
+    elbow = ca.vertcat(ca.sin(b[0]) / 2, b[1] ** 2, LENGTH_M * ca.cos(b[0]))
+    tip = elbow + LENGTH_M * ca.vertcat(ca.sin(b[0] + b[1]), -ca.sin(b[1]), ca.cos(b[0]))
+    nodes = [ca.vertcat(0, 0, 0.1), elbow, tip]
+    masses = {(2, 2): ca.SX(0.5)}
+    add_rod(masses, ca.SX(MASS_KG), 0, 1)
+    add_rod(masses, ca.SX(MASS_KG), 1, 2)
+    ours = lagrange_equations(
+        nodes, masses, (ca.vertsplit(c[:joints]), ca.vertsplit(v[:joints])), (b, v[joints:]),
+        ca.SX(OBLIQUE_M_S2),
+    )  # fmt: skip
+
+    turn = symbolic_base_rotation(c[0], c[1] if joints > 1 else 0)
+    mass, force, cut = 0, 0, 100
+    along = [(MASS_KG / cut, p, q, (k + 0.5) / cut)
+             for p, q in itertools.pairwise(nodes) for k in range(cut)]  # fmt: skip
+    for m, p, q, s in [*along, (0.5, tip, tip, 0)]:
+        r = turn @ (p + s * (q - p))
+        jacobian = ca.jacobian(r, c)
+        mass += m * jacobian.T @ jacobian
+        fall = ca.jtimes(jacobian @ v, c, v) - ca.SX(OBLIQUE_M_S2)
+        force += m * jacobian.T @ fall
+    at = ([0.3, -0.4, 0.7, -0.2][: joints + 2], [1.1, -0.8, 0.6, 2.0][: joints + 2])
+    found = ca.Function("ours", [c, v], ours)(*at)
+    theirs = ca.Function("theirs", [c, v], [mass, force])(*at)
+    for a, e in zip(found, theirs, strict=True):
+        np.testing.assert_allclose(a, e, rtol=1e-4, atol=1e-5)
+
+
+def test_the_span_hinge_turns_and_moves_as_a_beam_that_bends_and_shears():
+    """Under a force at the tip, with the stiffnesses of docs/sources.md, "The link"."""
+    bending_n_m2, shear_n = 135.0, 2000.0
+    q = {n: p.value for n, p in read_plant().parameters.items()}
+    length_m, lever_m = q["link_length_m"], (1 - q["span_position"]) * q["link_length_m"]
+    slope = lever_m / q["span_stiffness_1_nm_rad"]  # per newton
+    assert slope == pytest.approx(length_m**2 / (2 * bending_n_m2), rel=2e-3)
+    deflection = length_m**3 / (3 * bending_n_m2) + length_m / shear_n
+    assert slope * lever_m == pytest.approx(deflection, rel=2e-3)
+
+
+MEMORY = {"root_limit_moment_nm": 28.9, "root_stiffness_1_nm_rad": 271.0, "creep_share_1": 0.35,
+          "hysteresis_share_1": 0.3}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def root_torque():
+    """Function (bends of both planes, step in s) -> torque that the root takes from them.
+
+    Viscous damping is left out; without their planes' directional stiffness the moments are those
+    of springs, creep and hysteresis.
+    """
+    plant = read_plant().with_values(MEMORY | {f"directional_stiffness_{j}": 0.0 for j in (1, 2)})
+    load, scope = Link(), scope_of(plant.drive, plant.load, 2)
+    effects = [EFFECTS[name]() for name in in_order(plant.effects)]
+    declared = declared_parameters(scope, plant.drive, plant.load, effects, observer=True)
+    scope.declare([plant.parameters[q.name] for q in declared])
+    declare_measured_motion(scope, effects)
+    load.declare(scope)
+    apply_load_torques(scope, load, effects)
+    bends = ca.vertcat(*(scope.bend["root", j] for j in (1, 2)))
+    rates = ca.vertcat(*(scope.bend_rate["root", j] for j in (1, 2)))
+    memory = [s for n, s in scope.states.items() if n.startswith(("creep_root", "hysteresis"))]
+    x, symbols = ca.vertcat(*(s.symbol for s in memory)), [s for _, s in scope.parameters.values()]
+    values = {n: 0.0 if "damping" in n else q.value for n, q in plant.parameters.items()}
+    p = [values[n] for n in scope.parameters]
+    torque = ca.vertcat(*(-scope.bend_torque["root", j] for j in (1, 2)))
+    results = [torque, ca.vertcat(*(s.rate for s in memory))]
+    law = ca.Function("law", [x, bends, rates, ca.vertcat(*symbols)], results)
+
+    def taken(path, step_s):
+        state, rows = np.zeros(x.numel()), []
+        rate = np.gradient(path, step_s, axis=0)
+        for bend, speed in zip(path, rate, strict=True):
+            torque, change = law(state, bend, speed, p)
+            rows.append(np.asarray(torque).ravel())
+            state = state + step_s * np.asarray(change).ravel()
+        return np.array(rows)
+
+    return taken
+
+
+def test_no_fast_bend_takes_more_than_the_limit_moment(root_torque):
+    """Creep and hysteresis are below the limit too: behind it they added 15 N·m to it."""
+    step_s = 1e-4
+    path = np.outer(np.linspace(0, 0.2, 500), [1.0, 0.0])  # 0.2 rad in 50 ms
+    torque = np.linalg.norm(root_torque(path, step_s), axis=1)
+    fold = 28.9 * 0.2**5 / 0.5**5
+    assert 0.8 * 28.9 < torque.max() < 28.9 + fold
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_closed_path_of_the_root_yields_energy(root_torque, seed):
+    """Cycles in both planes, up to far beyond the limit moment, after the memory has settled."""
+    rng, step_s = np.random.default_rng(seed), 1e-3
+    period_s = rng.choice([0.5, 2.0, 8.0])
+    time_s = np.arange(0, 3 * period_s, step_s)
+    phase = 2 * np.pi * time_s[:, None] / period_s
+    amplitude, at = rng.uniform(0.01, 0.15, (3, 2)), rng.uniform(0, 2 * np.pi, (3, 2))
+    path = sum(
+        a * np.sin((k + 1) * phase + b) for k, (a, b) in enumerate(zip(amplitude, at, strict=True))
+    )
+    work = np.sum(root_torque(path, step_s) * np.gradient(path, axis=0), axis=1)
+    cycle = len(time_s) // 3
+    assert work[-cycle:].sum() > 0

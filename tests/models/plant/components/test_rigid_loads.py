@@ -98,8 +98,7 @@ def test_a_constant_of_the_machine_has_no_default(plant_of):
         ("duty", "pendulum", "duty_gain_1 mass_kg arm_length_m"),
         ("cascade", "pendulum", "mass_kg arm_length_m"),
         ("current", "flexible_link", "torque_constant_1_nm_a link_inertia_kg_m2"),
-        ("force", "geared_shaft", "force_constant_1_nm_v load_inertia_1_kg_m2"),
-        ("measured", "geared_slide", "load_mass_1_kg"),
+        ("force", "flexible_link", "force_constant_1_nm_v link_inertia_kg_m2"),
         ("measured", "mass", "mass_kg"),
     ],
 )

@@ -1,15 +1,12 @@
 """The catalogue as a whole: complete, absent at zero, differentiable, stable, refused in place."""
 
-import functools
-
 import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.plant.composition.compose import scope_of
 from models.plant.effects import EFFECTS
-from models.plant.plant import read_plant
-from models.plant.simulation.sensitivity import SensitiveModel
+from models.plant.plant import read_plant, scope_of
+from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.catalogue import EVERY_EFFECT
 
@@ -61,18 +58,6 @@ def test_a_drive_without_a_staircase_or_with_bristles_has_no_parameter_for_it(ef
     assert held - plain == {phase}
 
 
-@pytest.fixture(scope="module")
-def interpreted(bench):
-    """Function (effects, dof, unit, count) -> outputs of the interpreted model."""
-
-    @functools.cache
-    def run(effects, dof, unit, count):
-        model = bench.plant(*effects).step_model(dof, unit)
-        return model.simulate(bench.inputs(model, count), bench.step_s)
-
-    return run
-
-
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("dof", [1, 2])
 def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
@@ -80,12 +65,6 @@ def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
     holding = bench.run(ALL, dof=dof, kind=unit, count=120)
     for output, values in without.items():
         assert np.array_equal(values, holding[output]), output
-
-
-@pytest.mark.parametrize("name", ALL)
-def test_each_effect_alone_at_zero_changes_no_bit(interpreted, name):
-    for unit in ("twin", "observer"):
-        assert np.array_equal(interpreted((), 1, unit, 12), interpreted((name,), 1, unit, 12)), unit
 
 
 def test_all_effects_at_zero_change_no_bit_of_the_nominal_plant(bench):
@@ -116,7 +95,7 @@ def test_sensitivities_by_every_strength_at_zero(bench):
     model = plant.step_model(1)
     strengths = [s for name in ALL for s in plant.strengths(name, 1)]
     u = bench.inputs(model, 100)
-    _, slopes = SensitiveModel(model, strengths).simulate(u, bench.step_s)
+    _, slopes = CompiledModel(model, strengths).derivatives(u, bench.step_s)
     assert np.isfinite(slopes).all()
     plain = bench.compiled(ALL)
     for k, name in enumerate(strengths):

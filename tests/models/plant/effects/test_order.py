@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from models.plant.composition.compose import compose_plant
+from models.plant import plant as plant_module
 from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
 from models.plant.plant import read_plant
 from models.plant.step_model import names
@@ -40,7 +40,7 @@ def test_the_order_of_definition_does_not_change_the_composed_model(
     shuffled_definitions, dof, unit
 ):
     before = composed(tuple(CATALOGUE), dof, unit)
-    compose_plant.cache_clear()
+    plant_module._compose.cache_clear()
     shuffled_definitions(1)
     backwards = tuple(name for name in reversed(tuple(EFFECTS)) if name in CATALOGUE)
     assert composed(backwards, dof, unit) == before
@@ -75,12 +75,6 @@ def test_the_ports_are_served_in_the_declared_order(shuffled_definitions, unit, 
         probe(port)
     read_plant().with_effects(*(f"probe_{port}" for port in PORTS)).step_model(1, unit)
     assert served == list(ports)
-
-
-def test_what_does_not_commute_stands_as_the_physics_asks():
-    place = ORDER.index
-    assert place("prebend") < min(place("hysteresis"), place("creep"))
-    assert place("cross_axis_coupling") > max(map(place, ("prebend", "hysteresis", "creep")))
 
 
 def test_effects_of_ones_own_act_last_by_name(shuffled_definitions):

@@ -60,14 +60,14 @@ PLANT = """
 schema = 1
 name = "press"
 drive = { kind = "measured" }
-load = { kind = "geared_slide" }
+load = { kind = "mass" }
 effects = []
 [signals]
 ram = { unit = "m", role = "supply", quantity = "position_1_m" }
 push = { unit = "N", role = "measured", quantity = "force_1_n" }
-moved = { unit = "kg", role = "condition", quantity = "load_mass_1_kg" }
+moved = { unit = "kg", role = "condition", quantity = "mass_kg" }
 [parameters]
-load_mass_1_kg = 1.0
+mass_kg = 1.0
 """
 MAP = """
 plant = "plant.toml"
@@ -101,7 +101,7 @@ def test_a_nested_log_with_names_of_its_own_becomes_a_trial_by_the_plants_names(
     assert "ram" in (tmp_path / "log.csv").read_text().partition("\n")[0]
     np.testing.assert_allclose(trial.columns["position_1_m"], 1e-3 * place_mm)
     np.testing.assert_allclose(trial.columns["force_1_n"], 1e3 * force_kn)
-    assert trial.meta.conditions == {"load_mass_1_kg": 0.25} and trial.meta.motion == "3"
+    assert trial.meta.conditions == {"mass_kg": 0.25} and trial.meta.motion == "3"
 
 
 def read_signals(folder):
@@ -126,7 +126,7 @@ def test_a_plant_whose_signal_is_not_in_the_unit_of_its_quantity_is_refused(tmp_
 
 def test_a_condition_in_another_unit_than_its_parameter_is_refused(tmp_path):
     (tmp_path / "plant.toml").write_text(PLANT.replace('unit = "kg",', 'unit = "N",'))
-    with pytest.raises(InputError, match=r"moved is given in 'N', parameter load_mass_1_kg in 'k"):
+    with pytest.raises(InputError, match=r"moved is given in 'N', parameter mass_kg in 'k"):
         read_plant(tmp_path / "plant.toml")
 
 

@@ -1,6 +1,6 @@
 """Observer: the link driven by the measured angle, its payload estimated from the current.
 
-The current is predicted from the motion (`models.plant.composition.driven`) for the estimated
+The current is predicted from the motion (`models.plant.compose`) for the estimated
 payload m, and for friction that deviates from the plant's by a fraction s_j. The innovation
 corrects m and s (an extended Kalman filter of constants). The bends depend on m through their whole
 past. So their sensitivity S = ∂x/∂m is integrated too, Ṡ = f_x S + f_m, and a correction Δm moves
@@ -13,23 +13,25 @@ holds no information. An innovation beyond three standard deviations counts as t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import casadi as ca
 
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.signals import PAYLOAD
+from firmware_py.signals import PAYLOAD, PERIOD_S
 from models.plant.components.drive import Drive
 from models.plant.components.load import PlantLoad
-from models.plant.composition.driven import apply_measured_motion, declare_measured_motion
-from models.plant.composition.parts import (
+from models.plant.compose import (
+    Outputs,
+    apply_measured_motion,
     build_step_model,
     current_variable,
-    is_jump,
+    declare_measured_motion,
     measured_current,
     payload_variable,
-    restart_where_impossible,
 )
 from models.plant.effects import Effect
 from models.plant.parameter import Parameter
@@ -105,7 +107,7 @@ def compose_observer(
         state.finish = None if state.finish is None else substitute(state.finish, now)
     shown = {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()}
     model = build_step_model(name, scope, shown, MAX_SUBSTEP_S, inputs_at_end=True)
-    return restart_where_impossible(model, scope, resting, is_jump(scope))
+    return _restart_where_impossible(model, scope, resting, _is_jump(scope))
 
 
 MAX_SENSITIVITY_PER_KG: Final = 20.0
@@ -146,14 +148,12 @@ class _Sensitivity:
             )
 
 
-def _state_of_the_estimate(
-    scope: Scope, outputs: Mapping[str, tuple[Variable, Expr]], sensitivity: _Sensitivity
-) -> dict[str, tuple[Variable, Expr]]:
+def _state_of_the_estimate(scope: Scope, outputs: Outputs, sensitivity: _Sensitivity) -> Outputs:
     """Outputs about the motion of joint and link, and the observer's estimate of its own error.
 
     A predictor uses them to correct the tip and to widen its interval (`models.predictor`).
     """
-    found: dict[str, tuple[Variable, Expr]] = {}
+    found: Outputs = {}
 
     def add(name: str, unit: str, description: str, value: Expr) -> None:
         found[name] = (Variable(name, unit, 0.0, description), value)
@@ -232,3 +232,75 @@ def _update_estimates(
         scope.states[deviation.name()].finish = deviation + change[1 + index]
     for (row, column), entry in entries.items():
         scope.states[entry.name()].finish = covariance[row, column]
+
+
+JUMP_RAD_S: Final = 10.0
+"""Rate above which a measured angle jumps: 13 times the peak rate of the study's
+motion, 30° at 4.352 s. [assumed]"""
+
+LARGEST_BEND_RAD: Final = math.pi
+"""Bend of a hinge at which the link lies on itself."""
+
+LARGEST_STATE: Final = 1e100
+"""Sum of the magnitudes of all states above which the next step may overflow."""
+
+
+def _restart_where_impossible(
+    model: StepModel, scope: Scope, resting: Sequence[Expr], jump: Expr
+) -> StepModel:
+    """Add restarts at samples that cannot continue the past.
+
+    Some samples follow from no motion of a servo: a start far from zero whose first angle comes
+    with the first step, or an encoder that jumps. Taken as a motion, a jump of 4 rad bends the link
+    beyond every limit, and all later steps fail. Instead, joints and load restart at rest at the
+    sample. Estimates from before the jump, such as the payload, are kept. At a state that no link
+    can have, everything restarts at the end of the step, the estimates too.
+
+    `resting` is the state at rest at the sample, in the order of the model's states. `jump` says
+    whether the sample cannot continue the past (`_is_jump`).
+    """
+    x, u, p = (
+        ca.vertcat(*(s.symbol for s in scope.states.values())),
+        ca.vertcat(*(symbol for _, symbol in scope.inputs.values())),
+        ca.vertcat(*(symbol for _, symbol in scope.parameters.values())),
+    )
+    bends = [ca.fabs(bend) <= LARGEST_BEND_RAD for bend in scope.bend.values()]
+    size = sum(ca.fabs(s.symbol) for s in scope.states.values())
+    possible = ca.Function("possible", [x], [_all([*bends, size <= LARGEST_STATE])])
+    jumps = ca.Function("jumps", [x, u, p, scope.step_s], [jump])
+    column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(value) for value in resting))))
+    rest = ca.Function("rest", [x, u, p], [column])
+
+    x, u, p = (ca.MX.sym(label, model.begin.size_in(k)) for k, label in enumerate("xup"))
+    arguments = (x, u, p, ca.MX.sym("h"))
+    labels = ["x", "u", "p", "h"]
+    # Only the chosen branch is computed, so a step without a restart costs nothing.
+    before = ca.if_else(jumps(*arguments), rest(x, u, p), x, True)
+    after = model.finish(*arguments)
+    kept = ca.if_else(possible(after), after, model.initial(u, p), True)
+    begun = model.begin(before, *arguments[1:])
+    return replace(
+        model,
+        begin=ca.Function(model.begin.name(), arguments, [begun], labels, ["result"]),
+        finish=ca.Function(model.finish.name(), arguments, [kept], labels, ["result"]),
+    )
+
+
+def _is_jump(scope: Scope) -> Expr:
+    """Whether any measured angle has changed faster than `JUMP_RAD_S` since the last sample.
+
+    In steps shorter than the control period, an angle may change as much as in a control period: a
+    host with small steps holds the robot's samples, which arrive once per period.
+    """
+    angle = scope.suffix["angle"]
+    ramps = [scope.states[f"ramp_{j}_{angle}"] for j in scope.joints]
+    limit = JUMP_RAD_S * ca.fmax(scope.step_s, PERIOD_S)
+    return 1 - _all([ca.fabs(ramp.finish - ramp.symbol) <= limit for ramp in ramps])
+
+
+def _all(conditions: Sequence[Expr]) -> Expr:
+    """1 if all conditions hold, else 0; a comparison with NaN does not hold."""
+    result: Expr = 1
+    for condition in conditions:
+        result = ca.logic_and(result, condition)
+    return result

@@ -1,4 +1,4 @@
-"""The sensitive run is the plain one, and its slopes are the derivatives of that run."""
+"""Compiled runs are the interpreted ones, and slopes are the derivatives of the run."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -7,15 +7,58 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from firmware_py.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import plant_with_every_effect
 from models.plant.plant import read_plant
-from models.plant.simulation import sensitivity
-from models.plant.simulation.runner import CompiledModel
-from models.plant.simulation.sensitivity import SensitiveModel, write_sensitivity_c
+from models.plant.simulation import runner
+from models.plant.simulation.model_c import write_run_c
+from models.plant.simulation.runner import CompiledModel, model_inputs, run_trial, simulate_plant
 from models.plant.step_model import names
 from models.shared.c_compiler import OPTIONS_VARIABLE
+from models.trials.trial import Trial, TrialMeta
 
 STEP_S = 0.017
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+def test_the_compiled_run_is_the_interpreted_one(bench, dof, unit):
+    model = read_plant().step_model(dof, unit)
+    u = bench.inputs(model, 60)
+    assert np.array_equal(CompiledModel(model).simulate(u, STEP_S), model.simulate(u, STEP_S))
+
+
+def test_a_run_goes_on_where_another_stopped(bench):
+    model = read_plant().step_model(1, "twin")
+    u, p = bench.inputs(model, 40), model.parameter_values()
+    x = np.asarray(model.initial(u[0], p)).ravel()
+    for row in u[:20]:
+        x = model.advance(x, row, p, STEP_S)
+    compiled = CompiledModel(model)
+    whole = compiled.simulate(u, STEP_S)
+    assert np.array_equal(compiled.simulate(u[20:], STEP_S, p, x)[1:], whole[21:])
+
+
+def test_the_step_length_does_not_change_the_motion(bench):
+    """But for the staircase of the goals, which is the step's: here the goal stands still."""
+    model = read_plant().step_model(1, "twin")
+    compiled = CompiledModel(model)
+    x = compiled.start(np.array([0.0, 1.0]), model.parameter_values())
+    coarse, fine = (
+        compiled.simulate(np.tile([0.3, 1.0], (count, 1)), step_s, x=x)
+        for count, step_s in ((30, 0.034), (120, 0.0085))
+    )
+    assert np.allclose(coarse, fine[::4], rtol=0, atol=2e-3)
+
+
+def test_a_trial_without_an_input_of_the_plant_is_refused(synthetic):
+    trial = synthetic(read_plant(), payload_kg=1.0, count=30)
+    del trial.columns["goal_1_rad"]
+    with pytest.raises(InputError, match="column goal_1_rad is missing"):
+        model_inputs(read_plant().step_model(1, "twin"), trial)
+
 
 CHOSEN = {
     "twin": ["velocity_gain_1_a_s_rad", "root_stiffness_1_nm_rad", "creep_time_s"],
@@ -29,8 +72,9 @@ def test_slopes_are_finite_differences_of_the_run(bench, unit):
     model = read_plant().step_model(1, unit)
     wrt = CHOSEN[unit]
     u, plain = bench.inputs(model, 80), CompiledModel(model)
-    y, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    y, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
     assert np.array_equal(y, plain.simulate(u, STEP_S))
+    assert np.array_equal(y, CompiledModel(model, wrt).simulate(u, STEP_S))
     for k, name in enumerate(wrt):
         middle = model.parameter_values()[names(model.parameters).index(name)]
         step = 1e-6 * (abs(middle) or 1.0)
@@ -46,17 +90,16 @@ def test_slopes_are_finite_differences_of_the_run(bench, unit):
 
 def test_what_is_constant_in_a_run_is_calculated_once(tmp_path):
     model = plant_with_every_effect(read_plant()).step_model(1, "twin")
-    write_sensitivity_c(model, [], tmp_path)
-    functions = (tmp_path / "sensitivity_step.c").read_text().split("\nvoid ")
-    code = {own.split("(")[0]: own for own in functions if "{" in own.splitlines()[0]}
+    write_run_c(model, [], tmp_path)
+    parts = (tmp_path / "run_step.c").read_text().split("/* run_")
+    code = {part.split(":")[0]: part for part in parts[1:]}
     # The peak of the friction near standstill is a power of parameters.
-    assert "lanes_pow(" in code["sensitivity_constants"]
-    assert "lanes_pow(" not in code["sensitivity_rate"]
+    assert "pow(" in code["constants"] and "pow(" not in code["rate"]
 
 
 def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
     model, building, at_once = read_plant().step_model(1, "observer"), [], []
-    own = sensitivity.write_sensitivity_c
+    own = runner.write_run_c
 
     def watched(*arguments):
         building.append(1)
@@ -67,11 +110,11 @@ def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
             building.pop()
 
     monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")
-    monkeypatch.setattr(sensitivity, "write_sensitivity_c", watched)
-    monkeypatch.setattr(sensitivity, "_COMPILED", {})
+    monkeypatch.setattr(runner, "write_run_c", watched)
+    monkeypatch.setattr(runner, "_COMPILED", {})
     chosen = [CHOSEN["observer"][:1], CHOSEN["observer"]]
     with ThreadPoolExecutor(2) as pool:
-        built = list(pool.map(lambda wrt: SensitiveModel(model, wrt), chosen))
+        built = list(pool.map(lambda wrt: CompiledModel(model, wrt), chosen))
     assert at_once == [1, 1]
     assert [len(b.wrt) for b in built] == [1, 2]
 
@@ -105,7 +148,7 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
     model = replace(read_plant().step_model(dof, unit), max_substep_s=STEP_S / 3)
     wrt, u, p = CHOSEN[unit], bench.inputs(model, 6), model.parameter_values()
     expected = rolled_out_jacobian(model, wrt, u, p)
-    _, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    _, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
     scale = np.abs(expected).max(axis=(0, 1))
     assert (scale > 0).all()
     assert (np.abs(slopes - expected) <= 1e-10 * scale).all()
@@ -114,9 +157,9 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
 def test_the_width_of_the_vectors_changes_no_bit(bench, monkeypatch):
     model = read_plant().step_model(1, "twin")
     u, runs = bench.inputs(model, 40), []
-    for flags in sensitivity._vector_flags(), ():
-        monkeypatch.setattr(sensitivity, "_vector_flags", lambda flags=flags: flags)
-        runs.append(SensitiveModel(model, CHOSEN["twin"]).simulate(u, STEP_S))
+    for flags in runner._vector_flags(), ():
+        monkeypatch.setattr(runner, "_vector_flags", lambda flags=flags: flags)
+        runs.append(CompiledModel(model, CHOSEN["twin"]).derivatives(u, STEP_S))
     assert np.array_equal(runs[0][0], runs[1][0]) and np.array_equal(runs[0][1], runs[1][1])
 
 
@@ -124,55 +167,57 @@ def test_the_width_of_the_vectors_changes_no_bit(bench, monkeypatch):
 def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
     model = bench.plant("current_bias").step_model(1, "twin")
     u = bench.inputs(model, 10)
-    y, slopes = SensitiveModel(model, wrt).simulate(u, STEP_S)
+    y, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
     assert slopes.shape == (*y.shape, len(wrt))
     current = names(model.outputs).index("current_1_a")
     assert (slopes[:, current] == 1).all() and (np.delete(slopes, current, axis=1) == 0).all()
 
 
-def test_another_longest_substep_is_that_of_the_run(bench):
-    model = read_plant().step_model(1, "twin")
-    u = bench.inputs(model, 10)
-    y, _ = SensitiveModel(model, [], 0.003).simulate(u, STEP_S)
-    coarse = CompiledModel(replace(model, max_substep_s=0.003))
-    assert np.array_equal(y, coarse.simulate(u, STEP_S))
-
-
 def test_a_model_without_a_rate_is_refused():
     with pytest.raises(ValueError, match="has no rate"):
-        SensitiveModel(replace(read_plant().step_model(1, "twin"), rate=None), [])
+        CompiledModel(replace(read_plant().step_model(1, "twin"), rate=None))
 
 
 def test_slopes_that_are_not_wanted_are_zero_and_the_others_keep_their_bits(bench):
     model, wrt = read_plant().step_model(1, "twin"), CHOSEN["twin"]
-    u, sensitive = bench.inputs(model, 40), SensitiveModel(model, wrt)
-    y, every = sensitive.simulate(u, STEP_S)
+    u, sensitive = bench.inputs(model, 40), CompiledModel(model, wrt)
+    y, every = sensitive.derivatives(u, STEP_S)
     wanted = np.array([False, True, False])
-    same, some = sensitive.simulate(u, STEP_S, wanted=wanted)
+    same, some = sensitive.derivatives(u, STEP_S, wanted=wanted)
     assert np.array_equal(same, y)
     assert np.array_equal(some[..., wanted], every[..., wanted])
     assert (every[..., ~wanted] != 0).any() and (some[..., ~wanted] == 0).all()
 
 
-@pytest.mark.parametrize("dof", [1, 2])
-def test_a_run_in_lockstep_has_the_bits_of_a_run_of_its_own(bench, dof):
-    model = bench.plant("cogging", "stribeck_friction", "creep").step_model(dof, "twin")
-    wrt, plain = CHOSEN["twin"], CompiledModel(model)
-    alone, several = SensitiveModel(model, wrt), SensitiveModel(model, wrt, lanes=4)
-    p = np.tile(model.parameter_values(), (3, 1))
-    p[1] *= 1.01
-    p[2, names(model.parameters).index("cogging_1_nm")] = 0.2
-    u = np.stack([scale * bench.inputs(model, 40) for scale in (1.0, 0.5, 0.8)])
-    for count in 3, 1:
-        y, slopes = several.simulate_several(u[:count], STEP_S, p[:count], u[:count, 0])
-        for k in range(count):
-            assert np.array_equal(y[k], plain.simulate(u[k], STEP_S, p[k]))
-            assert np.array_equal(slopes[k], alone.simulate(u[k], STEP_S, p[k])[1])
-    assert not np.array_equal(y[0], plain.simulate(u[0], STEP_S, p[2]))
+GOAL_RAD = Motion(period_s=1.5).table_rad()[:, 0]
 
 
-def test_more_trials_than_lanes_are_refused(bench):
-    model = read_plant().step_model(1, "twin")
-    u, p = np.stack([bench.inputs(model, 5)] * 2), model.parameter_values()
-    with pytest.raises(ValueError, match="2 trials in 1 lanes"):
-        SensitiveModel(model, []).simulate_several(u, STEP_S, np.stack([p, p]), u[:, 0])
+def test_arrays_and_a_trial_give_the_same_run():
+    plant = read_plant()
+    run = simulate_plant(plant, {"goal_1_rad": GOAL_RAD, "payload_kg": 1.5})
+    meta = TrialMeta(dof=1, payload_kg=1.5, trial=1, motion="sinusoid", source="test",
+                     period_s=1.5, rest_samples=0)  # fmt: skip
+    columns = {"time_s": PERIOD_S * np.arange(len(GOAL_RAD)), "goal_1_rad": GOAL_RAD}
+    compiled = CompiledModel(plant.step_model(1, "twin"))
+    y = run_trial(compiled, Trial("t", meta, columns))
+    for k, name in enumerate(names(compiled.model.outputs)):
+        np.testing.assert_array_equal(run[name], y[:, k])
+    unloaded = simulate_plant(plant, {"goal_1_rad": GOAL_RAD})
+    assert not unloaded["payload_kg"].any() and np.ptp(unloaded["di"]) < np.ptp(run["di"])
+    np.testing.assert_array_equal(run["payload_kg"], np.full(len(GOAL_RAD), 1.5))
+    assert all(len(column) == len(GOAL_RAD) for column in run.values())
+
+
+WRONG = (
+    ({"payload_kg": 1.0}, "goal_1_rad: is missing"),
+    ({"goal_1_rad": GOAL_RAD, "payload_kg": 0.0, "angle_1_rad": 0.0}, "is no input"),
+    ({"goal_1_rad": GOAL_RAD, "payload_kg": np.zeros(3)}, "payload_kg: has the shape"),
+    ({"goal_1_rad": 0.1, "payload_kg": 0.0}, "give two rows or more"),
+)
+
+
+def test_inputs_that_do_not_fit_are_refused():
+    plant = read_plant()
+    for inputs, message in WRONG:
+        with pytest.raises(InputError, match=message):
+            simulate_plant(plant, inputs)

@@ -59,39 +59,3 @@ def test_a_flexible_link_may_begin_in_motion(plant_of):
     trial = trial_of(angle_1_rad=np.full(len(TIME_S), 0.4), deflection_1_rad=expected)
     (run,) = compare_with_trials(plant_of("flexible_link", LINK), [trial])
     assert np.max(np.abs(run.error("deflection_1_rad"))) < 0.02 * 0.05
-
-
-SLIDE = {
-    "load_mass_1_kg": 0.5, "gear_stiffness_1_n_m": 2e5, "gear_contact_damping_1_n_s_m": 100.0,
-    "load_stiffness_1_n_m": 4e3, "load_friction_1_n": 6.0, "friction_speed_1_m_s": 5e-4,
-}  # fmt: skip
-
-
-def force_of(plant):
-    place_m = 0.01 * np.sin(2 * np.pi * 0.5 * TIME_S)
-    trial = trial_of(position_1_m=place_m, force_1_n=np.zeros(len(TIME_S)))
-    (run,) = compare_with_trials(plant, [trial])
-    return place_m, run.simulated["force_1_n"]
-
-
-def test_a_slide_without_play_takes_the_force_of_spring_and_friction(plant_of):
-    place_m, force_n = force_of(plant_of("geared_slide", SLIDE))
-    rate = np.gradient(place_m, STEP_S)
-    moving = (np.abs(rate) > 0.01) & (TIME_S > 0.3)
-    expected = 4e3 * place_m + 6.0 * np.sign(rate)
-    assert np.max(np.abs(force_n - expected)[moving]) < 1.5  # 2 % of the gear's compliance
-
-
-def test_play_beyond_the_friction_of_the_drive_leaves_only_that_friction(plant_of):
-    """While the ram crosses the play nothing touches, and the force is the drive's own friction."""
-    effects = {"coulomb_friction_1_n": 2.0, "backlash_1_m": 2e-3, "backlash_torque_1_n": 0.5}
-    slide = SLIDE | effects | {"load_stiffness_1_n_m": 0.0}
-    plant = plant_of("geared_slide", slide, effects=("coulomb_friction", "backlash"))
-    place_m, force_n = force_of(plant)
-    turn = np.argmin(np.abs(TIME_S - 2.5))  # the ram turns at +10 mm and comes back
-    crossing = (np.arange(len(TIME_S)) > turn) & (place_m < 9.7e-3) & (place_m > 8.4e-3)
-    crossing &= TIME_S < 3.0
-    assert crossing.any()
-    assert np.abs(force_n[crossing] + 2.0).max() < 0.5
-    beyond = (place_m < 7e-3) & (place_m > -7e-3) & (np.abs(TIME_S - 3.0) < 0.4)
-    assert np.abs(force_n[beyond] + 8.0).max() < 0.5

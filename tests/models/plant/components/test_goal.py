@@ -10,14 +10,15 @@ from scipy.interpolate import CubicSpline
 
 from models.plant.components.cascade import Cascade
 from models.plant.components.drive import declare_goal
-from models.plant.components.goal import NO_ACCELERATION_LIMIT, above_mean
+from models.plant.components.goal import NO_ACCELERATION_LIMIT, above_mean, profiled_change
 from models.plant.components.link import Link
-from models.plant.composition.twin import compose_twin
+from models.plant.compose import compose_twin
 from models.plant.identification.fit import Objective, fit_objective
 from models.plant.plant import read_plant
-from models.plant.scope import Scope
+from models.plant.scope import CurrentSampling, Scope
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import Variable, names
+from models.rig.forms import ProfiledGoal
 
 STEP_S = 0.017
 VALUES = {
@@ -203,7 +204,7 @@ class HeldCascade(Cascade):
     def declare(self, scope):
         for j in scope.joints:
             declare_goal(scope, j)
-            scope.goal_change[j] = 0
+            scope.sampling[j] = CurrentSampling(0, None)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
 
 
@@ -260,3 +261,69 @@ def test_a_file_without_a_shape_reads_as_one_that_holds_its_goals(tmp_path):
     for name in shape:
         expected = next((v for part, v in default.items() if part in name), 0.0)
         assert read[name].value == expected, name
+
+
+FINE = 500
+
+
+@pytest.fixture(scope="module")
+def profile():
+    arguments = [ca.SX.sym(name) for name in ("left", "rate", "speed", "acceleration", "step")]
+    change = profiled_change(*arguments)
+    slopes = ca.jacobian(ca.vertcat(*change), ca.vertcat(*arguments))
+    return ca.Function("profile", arguments, [*change, slopes])
+
+
+def set_point(profile, goals, speed, acceleration):
+    """Set-point and its rate after each step."""
+    at = rate = 0.0
+    rows = []
+    for goal in goals:
+        change, rate, _ = map(np.array, profile(goal - at, rate, speed, acceleration, STEP_S))
+        at, rate = at + change.item(), rate.item()
+        rows.append((at, rate))
+    return np.array(rows).T
+
+
+def motion(rng):
+    """A sinusoid with jumps to either side, some before the last one is finished."""
+    return 0.5 * np.sin(1.45 * STEP_S * np.arange(300)) + np.repeat(rng.normal(0, 0.1, 20), 15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("speed, acceleration", [(100.0, 12.0), (0.6, 12.0), (100.0, 60.0)])
+def test_the_profile_is_the_one_that_is_integrated_in_small_steps(
+    profile, seed, speed, acceleration
+):
+    goals = motion(np.random.default_rng(seed))
+    fine = ProfiledGoal(STEP_S / FINE, speed, acceleration)
+    expected = []
+    for goal in goals:
+        fine.take(goal)
+        for _ in range(FINE):
+            at = fine.advance()
+        expected.append(at)
+    found, _ = set_point(profile, goals, speed, acceleration)
+    fastest = np.sqrt(acceleration)  # of 1 rad; the small steps are late by about one of them
+    np.testing.assert_allclose(found, expected, atol=2 * fastest * STEP_S / FINE)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_speed_and_acceleration_stay_within_their_limits(profile, seed):
+    goals = motion(np.random.default_rng(seed))
+    found, rate = set_point(profile, goals, 0.6, 12.0)
+    assert np.abs(np.diff(found)).max() <= 0.6 * STEP_S * (1 + 1e-9)
+    assert np.abs(rate).max() <= 0.6 * (1 + 1e-9)
+    assert np.abs(np.diff(rate)).max() <= 12.0 * STEP_S * (1 + 1e-9)
+
+
+def test_without_a_limit_a_goal_is_reached_in_its_step_exactly(profile):
+    goals = motion(np.random.default_rng(5))
+    found, rate = set_point(profile, goals, 1e6, NO_ACCELERATION_LIMIT)
+    np.testing.assert_allclose(found, goals, rtol=0, atol=1e-15)
+    assert not rate.any()
+
+
+def test_derivatives_are_finite_at_rest(profile):
+    *_, slopes = profile(0.0, 0.0, 100.0, 12.0, STEP_S)
+    assert np.isfinite(np.array(slopes)).all()

@@ -1,1 +1,0 @@
-"""Composition of drive, load and effects into a step model: twin, observer and driven link."""

@@ -1,0 +1,164 @@
+"""Twin and driven link as composed: sampled current, states at rest, a driven link is the twin."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from models.plant.compose import SMALLEST_STATE
+from models.plant.plant import read_plant
+from models.plant.simulation.runner import CompiledModel
+from models.plant.step_model import names
+
+STEP_S, PERIOD_S, REST, COUNT = 0.017, 4.352, 60, 572
+TORQUE_CONSTANT_NM_A = 6.83
+
+
+OPTIONS = {
+    "velocity_feedforward_1": 0.8,
+    "position_integral_1_per_s2": 4.0,
+    "setpoint_weight_1": 0.7,
+}
+
+
+@pytest.mark.parametrize("options", [{}, OPTIONS], ids=["cascade", "options"])
+@pytest.mark.parametrize("interpolation, phase", [(1.0, 1.0), (1.0, 0.5), (0.0, 0.5), (0.0, 1.0)])
+def test_the_current_of_a_motion_has_the_inertia_of_rotor_and_link(interpolation, phase, options):
+    """Inertia and weight are in phase with the angle: 10 N·m/rad of them without payload.
+
+    A rotor that is left out would be missed by J ω² = 1.8 N·m/rad, and taken for a link that is
+    0.3 kg heavier.
+    """
+    plant = read_plant().with_values(
+        {"goal_interpolation_1": interpolation, "current_phase_1": phase} | options
+    )
+    moving_s = STEP_S * np.maximum(np.arange(COUNT) - REST, 0)
+    goal = -0.52 * np.sin(2 * np.pi / PERIOD_S * moving_s)
+    twin, driven = (CompiledModel(plant.step_model(1, kind)) for kind in ("twin", "driven"))
+    assert names(twin.model.outputs)[:2] == ["angle_1_rad", "current_1_a"]
+    angle, current = twin.simulate(np.column_stack([goal, 0 * goal]), STEP_S)[:, :2].T
+    u = np.column_stack([angle, 0 * angle])
+    p = np.array(driven.model.parameter_values())
+    y = driven.simulate(u[1:], STEP_S, p, driven.start(u[0], p))
+    error_nm = TORQUE_CONSTANT_NM_A * (
+        y[:, names(driven.model.outputs).index("current_1_a")] - current
+    )
+    rate = np.gradient(angle, STEP_S)
+    seen = (np.arange(len(angle)) > REST) & (np.abs(rate) > 0.15)  # dry friction apart
+    columns = np.column_stack([angle, rate, np.sign(rate), np.ones(len(angle))])
+    per_rad, per_rate, *_ = np.linalg.lstsq(columns[seen], error_nm[seen], rcond=None)[0]
+    assert abs(per_rad) < 0.25
+    assert abs(per_rate) < 0.25, "friction that nobody has"
+
+
+PHASES = {"current_phase_1": 0.25, "goal_delay_1_s": 0.005}
+LIMIT_A = 10.0
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return CompiledModel(read_plant().step_model(1, "twin"))
+
+
+def run(twin, goal_rad, step_s=0.017, **changes):
+    known = {"goal_1_rad": goal_rad, "payload_kg": np.ones(len(goal_rad))}
+    u = np.column_stack([known[name] for name in names(twin.model.inputs)])
+    y = twin.simulate(u, step_s, twin.model.parameter_values(PHASES | changes))
+    return dict(zip(names(twin.model.outputs), y.T, strict=True))
+
+
+def step(size_rad, count=60):
+    return np.where(np.arange(count) < 6, 0.0, size_rad)
+
+
+@pytest.mark.parametrize("size_rad", [0.3, 1.0, -1.0])
+@pytest.mark.parametrize("step_s", [0.017, 0.001])
+@pytest.mark.parametrize("limit_a", [LIMIT_A, 2.3])
+def test_no_sample_exceeds_the_limit(twin, size_rad, step_s, limit_a):
+    found = run(twin, step(size_rad), step_s, current_limit_1_a=limit_a)["current_1_a"]
+    assert np.abs(found).max() == limit_a
+
+
+def test_a_sensor_shows_the_limit_with_its_errors_behind_its_low_pass_too():
+    plant = read_plant().with_effects("current_bias", "current_scale", "sensor_lag")
+    twin = CompiledModel(plant.step_model(1, "twin"))
+    errors = {"current_bias_1_a": 0.3, "current_scale_1": 0.1}
+    goal_rad = step(1.0, 200)
+    assert run(twin, goal_rad, **errors)["current_1_a"].max() == 1.1 * LIMIT_A + 0.3
+    lagged = run(twin, goal_rad, **errors, sensor_lag_1_s=0.01)["current_1_a"]
+    assert 0.5 * LIMIT_A < lagged.max() <= 1.1 * LIMIT_A + 0.3
+
+
+def test_the_limit_changes_no_sample_below_it_and_no_motion(twin):
+    goal_rad = 0.5 * np.sin(1.5 * 0.017 * np.arange(200))
+    limited, free = (run(twin, goal_rad, current_limit_1_a=limit) for limit in (LIMIT_A, 50.0))
+    assert np.abs(free["current_1_a"]).max() < LIMIT_A
+    for name, values in free.items():
+        assert np.array_equal(limited[name], values), name
+    early, late = (run(twin, step(1.0), current_phase_1=phase) for phase in (0.3, 1.0))
+    assert not np.array_equal(early["current_1_a"], late["current_1_a"])
+    assert np.array_equal(early["angle_1_rad"], late["angle_1_rad"])
+
+
+SMALLEST_NORMAL = np.finfo(np.float64).tiny
+
+
+def _stages(model, x, u):
+    """States after each function of one step."""
+    p, count = model.parameter_values(), model.substeps(STEP_S)
+    x = np.asarray(model.begin(x, u, p, STEP_S)).ravel()
+    yield x
+    for _ in range(count):
+        x = np.asarray(model.flow(x, u, p, STEP_S / count)).ravel()
+        yield x
+    yield np.asarray(model.finish(x, u, p, STEP_S)).ravel()
+
+
+def _subnormal(x):
+    return (x != 0) & (np.abs(x) < SMALLEST_NORMAL)
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+def test_the_end_of_a_step_sets_every_state_to_zero_that_is_too_small(dof, unit):
+    model = read_plant().step_model(dof, unit)
+    p, u = model.parameter_values(), np.zeros(len(model.inputs))
+    start = np.asarray(model.initial(u, p)).ravel()
+    for size in (1e-31, 1e-300, 5e-324):
+        after = np.asarray(model.finish(np.full(len(start), size), u, p, STEP_S)).ravel()
+        assert not after[np.abs(after) < SMALLEST_STATE].any()
+        assert not _subnormal(after).any()
+
+
+def test_the_observer_at_rest_passes_no_subnormal_number():
+    """Half a second of motion, then 6 s of zeros: after 5 s the filter's states were subnormal."""
+    model = read_plant().step_model(1, "observer")
+    u, p = np.zeros(len(model.inputs)), model.parameter_values()
+    x = np.asarray(model.initial(u, p)).ravel()
+    for k in range(30 + 360):
+        u[:] = 0.3 * np.sin(0.02 * k) if k < 30 else 0.0
+        for stage in _stages(model, x, u):
+            assert not _subnormal(stage).any(), f"step {k}"
+            x = stage
+    at_rest = dict(zip(names(model.states), x, strict=True))
+    for name in ("joint_1_rad", "joint_rate_1_rad_s", "ramp_rate_1_rad_s"):
+        assert at_rest[name] == 0.0
+
+
+def test_a_state_of_ordinary_size_keeps_its_bits_and_one_that_is_no_number_stays_none():
+    model = read_plant().step_model(1, "twin")
+    p, u = model.parameter_values(), np.zeros(len(model.inputs))
+    x = np.random.default_rng(1).normal(size=len(model.states))
+    after = np.asarray(model.finish(x, u, p, STEP_S)).ravel()
+    np.testing.assert_array_equal(after, np.asarray(model.smooth_finish(x, u, p, STEP_S)).ravel())
+    x[names(model.states).index("joint_rate_1_rad_s")] = np.nan
+    assert np.isnan(np.asarray(model.finish(x, u, p, STEP_S))).any()
+
+
+def test_a_state_of_zero_keeps_its_derivative():
+    """A plant may be fitted from an effect of strength zero, whose states are all zero."""
+    model = read_plant().step_model(1, "driven")
+    x = ca.SX.sym("x", len(model.states))
+    others = [np.zeros(len(model.inputs)), model.parameter_values(), STEP_S]
+    slope = ca.Function("slope", [x], [ca.jacobian(model.smooth_finish(x, *others), x)])
+    bend = names(model.states).index("root_bend_1_rad")
+    assert np.asarray(slope(np.zeros(len(model.states))))[bend, bend] == 1.0
