@@ -18,8 +18,13 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import describes_link, read_link
-from models.rig.parameters import RigParameters, read_rig, rig_of_link
-from models.rig.structure import RigStructure, named_structures
+from models.rig.parameters import (
+    RigParameters,
+    RigStructure,
+    named_structures,
+    read_rig,
+    rig_of_link,
+)
 
 PREFIX: Final = "drawn_"
 """Prefix of the name of a drawn rig, before its number."""

@@ -1,16 +1,18 @@
-"""Parameters of the rig: a TOML file with value, unit and source of each.
+"""What a rig is: the structure of its equations, and the values that belong to it.
 
-Rig of a described link: the study's parameters, scaled by size, pressure and servo.
+Both are read from TOML files, with unit and source of each value. The rig of a described link has
+the study's values, scaled by size, section, pressure and servo.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 
@@ -19,17 +21,68 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.rig.structure import (
-    DEFAULT_STRUCTURE,
-    STRUCTURES,
-    RigStructure,
-    named_structures,
-    structure_of,
-)
 from models.shared.catalogue import CATALOGUE, effect_and_joint
 from models.shared.link_scale import LinkScale
 
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
+STRUCTURES: Final = Path(__file__).with_name("structures")
+"""Files of the named structures, `NAME.toml`."""
+
+
+class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Forms of a rig's equations (`models.rig.forms`); the defaults are the project's rig."""
+
+    # Mechanics of the link: hinges in MuJoCo, or a Cosserat rod
+    engine: Literal["mujoco", "cosserat"] = "mujoco"
+    # Hinge pairs of the span in MuJoCo, without the root's
+    hinges: Annotated[int, msgspec.Meta(ge=5, le=17)] = 8
+    # How the moment levels off at its limit
+    limit: Literal["tanh", "wrinkling"] = "tanh"
+    # Friction of the link's skin
+    hysteresis: Literal["bouc_wen", "maxwell_slip", "dahl"] = "bouc_wen"
+    # Spectrum of relaxation times
+    creep: Literal["branches", "power_law"] = "branches"
+    # Friction of the servo
+    friction: Literal["lugre", "smooth"] = "lugre"
+    # How Stribeck friction fades with the rate
+    stribeck: Literal["gaussian", "rational"] = "gaussian"
+    # Where the backlash is: in the gear, or in the link's mount, where it moves only the markers
+    play: Literal["gear", "markers"] = "gear"
+    # Set-point between two goals
+    goal: Literal["held", "interpolated", "profile"] = "held"
+    # Current that the servo's register holds
+    current_sampling: Literal["tick", "phase", "mean"] = "tick"
+    # Position loop: proportional, or also with feed-forward of the goal's rate and an integral of
+    # the error
+    position_loop: Literal["proportional", "feedforward"] = "proportional"
+    # Where the velocity loop measures its rate: at the motor, or at the encoder with its periodic
+    # error
+    rate_sensor: Literal["motor", "encoder"] = "motor"
+    # Filter in the software of the motion capture
+    mocap_filter: Literal["none", "low_pass", "zero_phase"] = "none"
+
+
+DEFAULT_STRUCTURE: Final = RigStructure()
+
+
+class NamedStructure(msgspec.Struct, frozen=True, kw_only=True):
+    """Content of a structure's file, apart from parameters."""
+
+    summary: str  # Description in one line
+    # "tuning" if numbers of the workflow may be set on it, "test" if they never are
+    purpose: Literal["tuning", "test"]
+    structure: RigStructure
+
+
+def named_structures() -> dict[str, NamedStructure]:
+    """Named structures by name, the default first."""
+    paths = sorted(STRUCTURES.glob("*.toml"), key=lambda p: (p.stem != "default", p.stem))
+    return {p.stem: _structure_of(tomllib.loads(p.read_text(encoding="utf-8")), p) for p in paths}
+
+
+def _structure_of(document: dict[str, Any], path: Path) -> NamedStructure:
+    remedy = "see docs/rig/structures.md for its form"
+    return convert(document, NamedStructure, path, "is no structure of a rig", remedy)
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -57,7 +110,7 @@ class RigParameters(Mapping[str, float]):
     structure : RigStructure
         Forms of the equations that the values belong to.
     link : LinkDescription or None
-        Link that the values were scaled to (`models.rig.parameters`); None for the study's.
+        Link that the values were scaled to ; None for the study's.
     added_in_joint : dict of int to dict of str to float
         Additions to values of a single joint, by joint and parameter name.
     """
@@ -173,15 +226,23 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     A file with a table `structure` may change only structure and values: effects keep their
     parameters.
     """
-    document = _read_document(path)
-    structure = DEFAULT_STRUCTURE
-    entries = _entries(document, path)
+    names = ", ".join(named_structures())
+    document = read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
+    structure, entries = DEFAULT_STRUCTURE, _entries(document, path)
     if path != RIG_TOML:
-        own = _entries(_read_document(RIG_TOML), RIG_TOML)
-        _check_names(entries, own, path)
+        own = read_parameters().entries
+        for name, entry in entries.items():
+            if name not in own:
+                raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
+            if entry.unit != own[name].unit:
+                unit = own[name].unit
+                raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {unit}")
         if "structure" in document:
-            structure = structure_of(document, path).structure
-            entries = {name: _revalued(own[name], entry) for name, entry in entries.items()}
+            structure = _structure_of(document, path).structure
+            entries = {
+                name: msgspec.structs.replace(own[name], value=entry.value, source=entry.source)
+                for name, entry in entries.items()
+            }
         entries = own | entries
     for name, entry in entries.items():
         if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
@@ -189,23 +250,6 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
         if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
             raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
     return RigParameters(entries, path, structure)
-
-
-def _revalued(own: Entry, entry: Entry) -> Entry:
-    return msgspec.structs.replace(own, value=entry.value, source=entry.source)
-
-
-def _check_names(entries: dict[str, Entry], own: dict[str, Entry], path: Path) -> None:
-    for name, entry in entries.items():
-        if name not in own:
-            raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
-        if entry.unit != own[name].unit:
-            raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {own[name].unit}")
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    names = ", ".join(named_structures())
-    return read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
 
 
 def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:

@@ -1,44 +1,10 @@
-"""Section law of the rod: wrinkling, Zener damping, logarithmic creep and Jenkins friction.
+"""Link as a Cosserat rod on PyElastica: its law, its geometry, its base joints and its engine.
 
-It shares the numbers of `rig.toml` with the MuJoCo link's law, not its equations. Row 0 is the root
-patch, the other rows are sections of the span. Every part is a moment m against a measure of bend
-u, with tau = (du/dphi)^T m, so no part can create energy:
-
-* an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
-  hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
-  sum of a constant part of the wall and a part proportional to pressure;
-* a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
-  Kelvin-Voigt damper of the same viscosity;
-* relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
-  close to a logarithm of time;
-* four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (Iwan, 1966
-  [recalled]), with vector sliders for both planes.
-
-The forms and their constants are [assumed] (docs/sources.md, "The link").
-
-Cosserat rod of the link (PyElastica): geometry, inertia, tip, section law and markers.
-
-The rod lies along +z. Its first element is a stub inside the plate, which the base joints move; the
-root patch is the joint between the stub and the link. The elements of the link are as long as a
-section, the first and the last one half as long, so sections are in the middle of equal parts.
-PyElastica computes internal forces and moments from strains. All that is not elastic enters as rest
-strains and tangent stiffness, updated in every step of the rig.
-
-Base joints of the rod: yoke and plate on one or two driven joints, with the rod's reaction.
-
-Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal inertia
-about all axes; the plate's mass and the rod's first node are at one point above the axes, so that
-
-    M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
-
-with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
-
-Rig on a Cosserat rod: servos, base joints and rod, stepped together.
+It shares the numbers of `rig.toml` with the hinged link, not its equations.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, sin
 from typing import Final
 
@@ -47,11 +13,8 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.rod.data_structures import overload_operator_kinematic_numba
 
 from firmware_py.errors import InputError
-from models.rig.forms import MarkerPlay
-from models.rig.parameters import RigParameters
-from models.rig.servo import RigServo
-from models.rig.structure import DEFAULT_STRUCTURE
-from models.rig.trial_case import DOWN, LinkState, state_of_link
+from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters
+from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
@@ -81,7 +44,23 @@ def stiffness_factor(parameters: RigParameters) -> float:
 
 
 class SectionLaw:
-    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
+    """Moments and tangent stiffness of the root patch and all sections, with their memory.
+
+    Row 0 is the root patch, the other rows are sections of the span. Every part is a moment m
+    against a measure of bend u, with tau = (du/dphi)^T m, so no part can create energy:
+
+    * an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
+      hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
+      sum of a constant part of the wall and a part proportional to pressure;
+    * a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
+      Kelvin-Voigt damper of the same viscosity;
+    * relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
+      close to a logarithm of time;
+    * four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (*J.
+      Applied Mechanics* 33, 1966 [recalled]), with vector sliders for both planes.
+
+    The forms and their constants are [assumed] (docs/sources.md, "The link").
+    """
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
@@ -228,20 +207,18 @@ MOST_SPLITS: Final = 20
 """Most splits of a substep; above, the link is about to fold or its state is not finite."""
 
 
-@dataclass(frozen=True)
-class TipLoad:
-    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
-
-    mass_kg: float = 0.0
-    offset_x_m: float = 0.0
-    offset_y_m: float = 0.0
-
-
 class RodLink:
-    """Link on a plate whose pose and velocity are prescribed."""
+    """Cosserat rod on a plate whose pose and velocity are prescribed: inertia, law, markers.
+
+    The rod lies along +z. Its first element is a stub inside the plate, which the base joints move;
+    the root patch is the joint between the stub and the link. The elements of the link are as long
+    as a section, the first and the last one half as long, so sections are in the middle of equal
+    parts. PyElastica computes internal forces and moments from strains. All that is not elastic
+    enters as rest strains and tangent stiffness, updated in every step of the rig.
+    """
 
     def __init__(
-        self, parameters: RigParameters, load: TipLoad, gravity_m_s2: Array, sections: int
+        self, parameters: RigParameters, load: Load, down_m_s2: Array, sections: int
     ) -> None:
         p = parameters
         length, piece = p["link.length_m"], p["link.length_m"] / sections
@@ -262,13 +239,13 @@ class RodLink:
         )  # fmt: skip
         self._set_mass(p, lengths, load)
         self._set_stiffness(p, lengths)
-        self._weight_n = gravity_m_s2[:, None] * self.rod.mass
+        self._weight_n = down_m_s2[:, None] * self.rod.mass
         self._weight_n[:, :2] = 0.0  # these nodes are on the plate
         self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
         self.splits = 1
         self._keep_pose()
 
-    def _set_mass(self, p: RigParameters, lengths: Array, load: TipLoad) -> None:
+    def _set_mass(self, p: RigParameters, lengths: Array, load: Load) -> None:
         rod, width = self.rod, p["link.width_m"]
         element_kg = p["link.mass_kg"] / p["link.length_m"] * lengths
         element_kg[0] = 0.0  # the stub is part of the plate
@@ -444,10 +421,19 @@ class RodLink:
 
 
 class BaseJoints:
-    """Angles and rates of the joints, which move the stub of the rod."""
+    """Yoke and plate on one or two driven joints, with the rod's reaction; they move its stub.
+
+    Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal
+    inertia about all axes; the plate's mass and the rod's first node are at one point above the
+    axes, so
+
+        M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
+
+    with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
+    """
 
     def __init__(
-        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, gravity_m_s2: Array
+        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, down_m_s2: Array
     ) -> None:
         p = parameters
         self._rod = rod
@@ -455,7 +441,7 @@ class BaseJoints:
         self._heights_m = rod.position_collection[2, :2].copy()
         self._turn = 1.0, 0.0, 1.0, 0.0
         mass_kg = p["link.plate_mass_kg"] + root_mass_kg
-        self._weight_n: list[float] = (mass_kg * gravity_m_s2).tolist()
+        self._weight_n: list[float] = (mass_kg * down_m_s2).tolist()
         self._frame = p["link.frame_inertia_kg_m2"]
         self._point = mass_kg * self._height_m**2
         self.angle_rad, self.rate_rad_s = [0.0, 0.0], [0.0, 0.0]
@@ -512,8 +498,8 @@ HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
 """Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
 
 
-class CosseratRig:
-    """`models.rig.rig.Rig` on PyElastica; `models.rig.rig.build_rig` describes the arguments.
+class CosseratRig(Rig):
+    """`Rig` on PyElastica; `build_rig` describes the arguments.
 
     Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
     the stiffest section. Section law, drag and leak are updated once per step.
@@ -535,58 +521,30 @@ class CosseratRig:
                 raise InputError(
                     p.path, f"chooses {choice} = {chosen!r}, which is not the rod's", "leave it out"
                 )
-        self.step_s = p["world.step_s"]
-        down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
-        load = TipLoad(
-            payload_kg,
-            eccentricity_m[0] + p["link.payload_offset_share"] * p["link.length_m"],
-            eccentricity_m[1],
-        )
-        self.link = RodLink(p, load, down, sections)
+        down = gravity_m_s2(p, gravity)
+        self.link = RodLink(p, tip_load(p, payload_kg, eccentricity_m), down, sections)
         self.joints = BaseJoints(p, self.link.rod, self.link.root_mass_kg, down)
-        self._substep_s = self.step_s / self.link.substeps
-        self.servos = [RigServo(p.of_joint(k + 1), self._substep_s) for k in range(dof)]
-        self._play = MarkerPlay(p, dof, self.step_s)
-        self._shown_rad = [0.0] * dof
-        self._steps, self._last_bend_rad = 0, 0.0
-        self._leak_from_s = np.inf
+        self._substep_s = p["world.step_s"] / self.link.substeps
+        super().__init__(p, dof, self._substep_s)
 
     @property
-    def time_s(self) -> float:
-        """Time since the start in s."""
-        return self._steps * self.step_s
+    def joint_rad(self) -> list[float]:
+        return self.joints.angle_rad[: len(self.servos)]
 
     @property
-    def markers_m(self) -> Array:
-        """True markers in the world frame, shape (markers, 3), at the start of the last step."""
-        if self._play.absent:
-            return self.link.markers_m
-        return self._play.shown_m(self.link.markers_m, self._shown_rad)
+    def link_markers_m(self) -> Array:
+        return self.link.markers_m
 
-    def look(self) -> LinkState:
-        """Whether the link is intact, has folded, or its simulation has become unstable."""
-        bend_rad = float(np.max(np.abs(self.link.bend_rad)))
-        state = state_of_link(bend_rad, self._last_bend_rad)
-        self._last_bend_rad = bend_rad
-        return state
-
-    def start_leak(self) -> None:
-        """Start the pressure leak, at the start of the recorded run."""
-        self._leak_from_s = self.time_s
-
-    def send(self, goal_rad: Array) -> None:
-        """Send goals in rad, shape (dof,), to the servos."""
-        for servo, goal in zip(self.servos, goal_rad, strict=True):
-            servo.send(float(goal), self.time_s)
+    @property
+    def largest_bend_rad(self) -> float:
+        return float(np.max(np.abs(self.link.bend_rad)))
 
     def step(self) -> None:
-        """Advance by one integration step."""
         link, joints, servos = self.link, self.joints, self.servos
         start_s, substep_s, last = self.time_s, self._substep_s, self.link.substeps - 1
-        link.begin_step(joints.plate_rad_s, max(start_s - self._leak_from_s, 0.0))
+        link.begin_step(joints.plate_rad_s, self.leaking_s)
         if not self._play.absent:
             self._play.advance([servo.gear_nm for servo in servos])
-            self._shown_rad = joints.angle_rad[: len(servos)]
         splits, part_s = link.splits, substep_s / link.splits
         link.move(0.5 * part_s)
         joints.move(0.5 * part_s)

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from models.rig.hinged import BendLaw
-from models.rig.parameters import read_parameters
-from models.rig.structure import DEFAULT_STRUCTURE
+from models.rig.parameters import DEFAULT_STRUCTURE, read_parameters
 
 SPAN_HINGES = DEFAULT_STRUCTURE.hinges
 HINGES = SPAN_HINGES + 1
