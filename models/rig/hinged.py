@@ -21,7 +21,7 @@ from models.rig.forms import (
     relaxation_spectrum,
     size_of,
 )
-from models.rig.parameters import RigParameters
+from models.rig.parameters import RigParameters, link_stiffness
 from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
@@ -77,11 +77,11 @@ class BendLaw:
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
         self._p, self._step_s, self._pairs = p, step_s, hinges + 1
-        self._pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
-        span_nm_rad = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
-        self.stiffness_nm_rad = self._pressure * self._per_pair(
-            p["stiffness.root_nm_rad"], span_nm_rad
+        link = link_stiffness(p)
+        self.stiffness_nm_rad = self._per_pair(
+            link.root_nm_rad, link.bending_n_m2 * hinges / p["link.length_m"]
         )
+        self._limit_nm = self._per_pair(link.root_limit_nm, link.span_limit_nm)
         self._yield_rad = self._per_pair(
             p["memory.root_yield_rad"], p["memory.span_yield_rad"] / hinges
         )
@@ -165,9 +165,8 @@ class BendLaw:
         """Radial elastic torque over the bend, shape (1, n)."""
         p = self._p
         stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
-        limit_nm = self._per_pair(p["stiffness.root_limit_nm"], p["stiffness.span_limit_nm"])
         size = size_of(u) + 1e-12
-        level = size * ca.DM(self.stiffness_nm_rad / (self._pressure * limit_nm)).T
+        level = size * ca.DM(self.stiffness_nm_rad / self._limit_nm).T
         secant = stiffness_nm_rad * limited_fraction(p, level)
         per_reference = self._per_pair(1.0, self._pairs - 1.0) / REFERENCE_BEND_RAD
         soft = p["stiffness.softening_share"]
@@ -231,7 +230,7 @@ def _add_link(plate: Any, p: RigParameters, load: Load, stiffness_nm_rad: Array)
     hinges = p.structure.hinges
     piece = p["link.length_m"] / hinges
     density = p["link.mass_kg"] / p["link.length_m"]
-    shear = (p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2) / piece
+    shear = link_stiffness(p).shear_n / piece
     body, offset = plate, p["link.base_offset_m"]
     for k in range(hinges + 1):
         # The root's piece and the last one are half as long: hinges are in the middle of pieces.

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -267,9 +267,45 @@ def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
     return entries
 
 
+class LinkStiffness(NamedTuple):
+    """Stiffness and limit moments of the link at its pressure."""
+
+    bending_n_m2: float
+    root_nm_rad: float
+    shear_n: float
+    root_limit_nm: float
+    span_limit_nm: float
+
+
+def link_stiffness(parameters: RigParameters) -> LinkStiffness:
+    """Stiffness and limit moments of a rig, whose values belong to the reference pressure.
+
+    Pressure enters the tension of the walls, which adds to EI and so to the root patch, the shear
+    stiffness and the limit moments, as in `models.shared.link_scale`.
+    """
+    p = parameters
+    section, reference = (
+        LinkScale(msgspec.structs.replace(
+            p.link or STUDY_LINK, width_m=p["link.width_m"], pressure_pa=p[f"stiffness.{name}"]
+        ))
+        for name in ("pressure_pa", "reference_pressure_pa")
+    )  # fmt: skip
+    tension_n_m = section.tension_n_m - reference.tension_n_m
+    bending_n_m2 = p["stiffness.bending_n_m2"] + section.second_moment_m3 * tension_n_m
+    pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+    return LinkStiffness(
+        bending_n_m2,
+        p["stiffness.root_nm_rad"] * bending_n_m2 / p["stiffness.bending_n_m2"],
+        p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * section.area_m2,
+        pressure * p["stiffness.root_limit_nm"],
+        pressure * p["stiffness.span_limit_nm"],
+    )
+
+
 def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
+    """Rig of a described link: the study's values, scaled by size, section, pressure and servo."""
     own = read_parameters()
-    ratios = _ratios(LinkScale(link))
+    ratios = _ratios(link, own["stiffness.reference_pressure_pa"])
     entries = {
         name: msgspec.structs.replace(
             entry, value=entry.value * ratios.get(name, 1.0),
@@ -285,16 +321,11 @@ def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
 def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
     """Values that the description states directly."""
     model, preset = model_named(link.servo.model), link.preset
-    scale, study = LinkScale(link), LinkScale(STUDY_LINK)
-    # The rig adds p h² to the wall's shear; for a round section that is too much.
-    excess_n = link.pressure_pa * (link.width_m**2 - scale.area_m2)
-    wall = own["stiffness.wall_shear_n"] * (scale.wall_shear_n / study.wall_shear_n)
     return {
         "link.length_m": link.length_m,
         "link.width_m": link.width_m,
         "link.base_offset_m": link.base_offset_m,
         "stiffness.pressure_pa": link.pressure_pa,
-        "stiffness.wall_shear_n": wall - excess_n,
         "servo.profile_velocity_rad_s": min(
             own["servo.profile_velocity_rad_s"], preset.speed_limit_rad_s
         ),
@@ -304,12 +335,15 @@ def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
     }
 
 
-def _ratios(scale: LinkScale) -> dict[str, float]:
+def _ratios(link: LinkDescription, reference_pressure_pa: float) -> dict[str, float]:
     """Factors on the study's values and bounds, by parameter."""
+    scale = LinkScale(link)
     servo, over = scale.servo_ratios, scale.over_study
-    width = scale.link.width_m / STUDY_LINK.width_m
-    length = scale.link.length_m / STUDY_LINK.length_m
-    pressure = over("pressure_ratio")  # the rig already multiplies by it
+    # The rig brings its values from the reference pressure to its own.
+    at_reference = msgspec.structs.replace(link, pressure_pa=reference_pressure_pa)
+    over_at_reference = LinkScale(at_reference).over_study
+    width = link.width_m / STUDY_LINK.width_m
+    length = link.length_m / STUDY_LINK.length_m
     torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
     coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
     return {
@@ -319,10 +353,11 @@ def _ratios(scale: LinkScale) -> dict[str, float]:
         "link.plate_mass_kg": over("plate_m2"),
         "link.yoke_mass_kg": servo["mass_kg"],
         "link.frame_inertia_kg_m2": over("plate_m2") ** 2,
-        "stiffness.bending_n_m2": over("bending_n_m2") / pressure,
-        "stiffness.root_nm_rad": over("root_nm_rad") / pressure,
-        "stiffness.root_limit_nm": over("limit_moment_nm") / pressure,
-        "stiffness.span_limit_nm": over("limit_moment_nm") / pressure,
+        "stiffness.bending_n_m2": over_at_reference("bending_n_m2"),
+        "stiffness.wall_shear_n": over("wall_shear_n"),
+        "stiffness.root_nm_rad": over_at_reference("root_nm_rad"),
+        "stiffness.root_limit_nm": over_at_reference("limit_moment_nm"),
+        "stiffness.span_limit_nm": over_at_reference("limit_moment_nm"),
         "stiffness.damping_s": 1 / over("first_mode_rad_s"),
         "servo.speed_limit_rad_s": servo["speed_limit_rad_s"],
         "servo.inertia_kg_m2": inertia,

@@ -13,13 +13,10 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.rod.data_structures import overload_operator_kinematic_numba
 
 from firmware_py.errors import InputError
-from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters
+from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters, link_stiffness
 from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
-
-WALL_FRACTION: Final = 0.3
-"""Fraction of the bending stiffness that does not depend on pressure [assumed]."""
 
 WRINKLE_FRACTION: Final = 0.5
 """Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
@@ -36,13 +33,6 @@ SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 """Yield bends of the sliders, relative to the yield bend; their mean is one."""
 
 
-def stiffness_factor(parameters: RigParameters) -> float:
-    """Stiffness of wall and pressure at the rig's pressure, relative to that at the reference."""
-    p = parameters
-    pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
-    return WALL_FRACTION + (1.0 - WALL_FRACTION) * pressure
-
-
 class SectionLaw:
     """Moments and tangent stiffness of the root patch and all sections, with their memory.
 
@@ -50,8 +40,7 @@ class SectionLaw:
     against a measure of bend u, with tau = (du/dphi)^T m, so no part can create energy:
 
     * an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
-      hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
-      sum of a constant part of the wall and a part proportional to pressure;
+      hyperbola to the limit moment;
     * a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
       Kelvin-Voigt damper of the same viscosity;
     * relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
@@ -64,16 +53,11 @@ class SectionLaw:
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
-        pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+        link = link_stiffness(p)
         self._each = np.array([1.0, *[1.0 / sections] * sections])
-        span = p["stiffness.bending_n_m2"] / p["link.length_m"]
-        self.stiffness_nm_rad = (
-            stiffness_factor(p)
-            * np.array([p["stiffness.root_nm_rad"], *[span] * sections])
-            / self._each
-        )
-        limits = [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * sections]
-        self._limit_nm = pressure * np.array(limits)
+        span = link.bending_n_m2 / p["link.length_m"]
+        self.stiffness_nm_rad = np.array([link.root_nm_rad, *[span] * sections]) / self._each
+        self._limit_nm = np.array([link.root_limit_nm, *[link.span_limit_nm] * sections])
         self._wrinkle_nm = WRINKLE_FRACTION * self._limit_nm
         self._wrinkle_rad = self._wrinkle_nm / self.stiffness_nm_rad
         per_reference = 1.0 / (REFERENCE_BEND_RAD * self._each) ** 2
@@ -277,18 +261,17 @@ class RodLink:
     def _set_stiffness(self, p: RigParameters, lengths: Array) -> None:
         """Set shear, stretch and twist, linear with a Zener branch; set the number of substeps."""
         rod, law, width = self.rod, self.law, p["link.width_m"]
-        factor, step_s = stiffness_factor(p), p["world.step_s"]
+        link, step_s = link_stiffness(p), p["world.step_s"]
         # Et of the walls from E I = Et 2/3 h^3, Gt from the wall's shear 5/6 2 h Gt; four walls
         # stretch, and twist by Bredt's formula.
-        wall_n_m = factor * p["stiffness.bending_n_m2"] * 1.5 / width**3
+        wall_n_m = link.bending_n_m2 * 1.5 / width**3
         twist_n_m2 = p["stiffness.wall_shear_n"] / (5.0 / 3.0 * width) * width**3
-        shear_n = p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2
         damping_s = p["stiffness.damping_s"] / ZENER_FRACTION
         whole = 1.0 + (ZENER_FRACTION if damping_s > 0.0 else 0.0)
         self._zener = 1.0 - 1.0 / whole
         self._relaxed = -np.expm1(-step_s / max(damping_s, 1e-9))
         rod.shear_matrix[:] = 0.0
-        for axis, force_n in enumerate((shear_n, shear_n, 4.0 * width * wall_n_m)):
+        for axis, force_n in enumerate((link.shear_n, link.shear_n, 4.0 * width * wall_n_m)):
             rod.shear_matrix[axis, axis] = whole * force_n
         self._voronoi_m = rod.rest_voronoi_lengths
         rod.bend_matrix[:] = 0.0
@@ -301,7 +284,7 @@ class RodLink:
         self._set_smoothing(step_s)
         across = np.diagonal(rod.inv_mass_second_moment_of_inertia, axis1=0, axis2=1)[1:].max(1)
         bend = law.stiffest_nm_rad
-        stiffness = np.diag(bend + np.append(bend[1:], 0.0) + whole * shear_n * lengths[1:])
+        stiffness = np.diag(bend + np.append(bend[1:], 0.0) + whole * link.shear_n * lengths[1:])
         stiffness -= np.diag(bend[1:], 1) + np.diag(bend[1:], -1)
         rate = np.linalg.eigvalsh(stiffness * np.sqrt(np.outer(across, across))).max()
         stretch = 4.0 * rod.shear_matrix[2, 2, 1] / lengths[1] / rod.mass[2:].min()

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from models.rig.rod import SectionLaw, stiffness_factor
+from models.rig.rod import SectionLaw
 
 STEP_S, SECTIONS = 1e-3, 8
 PLAIN = {
@@ -29,14 +29,6 @@ def held_nm(law, x_rad, seconds):
     for _ in range(round(seconds / STEP_S)):
         moment, _ = law.advance(root_bend(x_rad))
     return moment[0, 0]
-
-
-@pytest.mark.parametrize("pressure_pa", [20_000.0, 41_300.0, 80_000.0])
-def test_part_of_the_stiffness_is_the_walls(parameters, pressure_pa):
-    p = parameters.changed(**{**PLAIN, "stiffness.pressure_pa": pressure_pa})
-    stiffness = SectionLaw(p, STEP_S, SECTIONS).advance(root_bend(1e-6))[0][0, 0] / 1e-6
-    assert stiffness == pytest.approx(350.0 * (0.3 + 0.7 * pressure_pa / 41_300.0), rel=1e-6)
-    assert stiffness_factor(parameters) == pytest.approx(1.0)
 
 
 def test_the_root_is_linear_until_it_wrinkles_and_ends_at_its_limit(parameters):
