@@ -32,6 +32,7 @@ def limited_fraction(parameters: RigParameters, level: Any) -> Any:
     if parameters.structure.limit == "wrinkling":
         level = ca.fmax(level, 0.5)
         return (1.0 - 0.25 / level) / level
+    level = level + 1e-12
     return ca.tanh(level) / level
 
 

@@ -57,17 +57,27 @@ class InPlaceFunction:
 class BendLaw:
     """Torque of all n hinge pairs, the root's first, and the state of their memory.
 
-    Every part is a torque against one measure of bend u,
+    The moment m is that of a fabric that is elastic, relaxes and slides, M, bounded by the pressure
+    that keeps the walls tight. Against a measure of bend u,
 
-        u = S skew(phi - phi_0),     tau = -(du/dphi)^T m(u, history),
+        u = S skew(phi - phi_0),     tau = -(du/dphi)^T m,
+        M = K u (1 + h |u|^2) / (1 + c |u|) + s_1 + s_2 + ... + friction,
+        m = M f(x)/x,     x = |M| / M_c,
 
-    so for any `skew` (directional stiffness) and S (coupling of the planes) the law absorbs the
-    power m . du/dt, and no part can create energy. m is the sum, per hinge pair, of
+    with softening c and hardening h, Maxwell branches ds/dt = g K du/dt - s/tau, and the forms of
+    spectrum, friction and limit f of `models.rig.forms`. The limit M_c bounds the whole moment,
+    because collapse is an equilibrium of pressure: an inflated panel folds in a hinge whose moment
+    follows from pressure and section alone (Thomas and Wielgosz, *Thin-Walled Structures* 42,
+    2004). MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not tight walls, carry it
+    [assumed].
 
-    * a radial elastic torque that saturates at the limit moment M_c, K u f(x)/x with x = K|u| / M_c
-      (`models.rig.forms.limited_fraction`);
-    * Maxwell branches, ds/dt = g K du/dt - s / tau (`models.rig.forms.relaxation_spectrum`);
-    * friction (`models.rig.forms.hysteresis_form`).
+    Passivity. For any `skew` (directional stiffness) and S (coupling of the planes) the power taken
+    is m . du/dt. Springs and Maxwell branches in parallel are a spring and Kelvin elements in
+    series, u = a M + sum b_i z_i, dz_i/dt = n_i (M - z_i), with a, b_i, n_i > 0. With F the
+    integral of the limit law, m = F'(M), the store a F(M) + sum b_i F(z_i) never grows by more than
+    the power taken, because F is convex: no path can create energy. For one branch it is
+    F(M) / (K (1 + g)) + g / (1 + g) F(K e) / K, e its relaxed bend. With friction, softening or
+    hardening besides there is no such proof; in tests no closed path yields energy.
 
     One CasADi function advances all pairs: a step is about a thousand operations on a few numbers
     each, for which NumPy would need most of its time in calls. Both planes of n pairs are a matrix
@@ -135,7 +145,9 @@ class BendLaw:
             for decay, share, branch_nm in zip(decays, held, branches_nm, strict=True)
         ]
         slid_after, friction_nm = hysteresis.advance(slid, du)
-        moment_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
+        whole_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
+        level = size_of(whole_nm) * ca.DM(1.0 / self._limit_nm).T
+        moment_nm = both_planes(limited_fraction(self._p, level)) * whole_nm
         torque_nm = -kept * slope * self._mixed(moment_nm)
         memory = [u_before, *branches_nm, *slid]
         memory_after = [u, *relaxed_nm, *slid_after]
@@ -162,17 +174,15 @@ class BendLaw:
         return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
 
     def _secant_nm_rad(self, u: Any) -> Any:
-        """Radial elastic torque over the bend, shape (1, n)."""
+        """Elastic moment over the bend, without limit, shape (1, n)."""
         p = self._p
-        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
-        size = size_of(u) + 1e-12
-        level = size * ca.DM(self.stiffness_nm_rad / self._limit_nm).T
-        secant = stiffness_nm_rad * limited_fraction(p, level)
+        size = size_of(u)
         per_reference = self._per_pair(1.0, self._pairs - 1.0) / REFERENCE_BEND_RAD
         soft = p["stiffness.softening_share"]
         softer = ca.DM(soft / (1.0 - soft) * per_reference).T
         harder = ca.DM(p["stiffness.hardening_share"] * per_reference**2).T
-        return secant * (1.0 + harder * size**2) / (1.0 + softer * size)
+        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
+        return stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
 
 
 def _stacked(parts: list[Any]) -> Any:

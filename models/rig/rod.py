@@ -18,10 +18,6 @@ from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
-WRINKLE_FRACTION: Final = 0.5
-"""Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
-2/3 for a box (docs/sources.md, "The link") [assumed]."""
-
 ZENER_FRACTION: Final = 0.5
 """Stiffness of the damping branch, relative to the elastic one [assumed]."""
 
@@ -36,11 +32,10 @@ SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 class SectionLaw:
     """Moments and tangent stiffness of the root patch and all sections, with their memory.
 
-    Row 0 is the root patch, the other rows are sections of the span. Every part is a moment m
-    against a measure of bend u, with tau = (du/dphi)^T m, so no part can create energy:
+    Row 0 is the root patch, the other rows are sections of the span. The moment M of the fabric is
+    the sum, against a measure of bend u, with tau = (du/dphi)^T m, of
 
-    * an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
-      hyperbola to the limit moment;
+    * an elastic moment;
     * a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
       Kelvin-Voigt damper of the same viscosity;
     * relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
@@ -48,7 +43,10 @@ class SectionLaw:
     * four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (*J.
       Applied Mechanics* 33, 1966 [recalled]), with vector sliders for both planes.
 
-    The forms and their constants are [assumed] (docs/sources.md, "The link").
+    Pressure bounds all of it radially (`models.rig.hinged.BendLaw` says why, and what is known of
+    its passivity): m = M up to half of the limit moment M_c, where the compressed wall wrinkles,
+    then a hyperbola to the limit, M_c (1 - M_c / (4 |M|)). Half is the onset of a tube; theory
+    gives 2/3 for a box. The forms and constants are [assumed] (docs/sources.md, "The link").
     """
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
@@ -58,8 +56,6 @@ class SectionLaw:
         span = link.bending_n_m2 / p["link.length_m"]
         self.stiffness_nm_rad = np.array([link.root_nm_rad, *[span] * sections]) / self._each
         self._limit_nm = np.array([link.root_limit_nm, *[link.span_limit_nm] * sections])
-        self._wrinkle_nm = WRINKLE_FRACTION * self._limit_nm
-        self._wrinkle_rad = self._wrinkle_nm / self.stiffness_nm_rad
         per_reference = 1.0 / (REFERENCE_BEND_RAD * self._each) ** 2
         soft = p["stiffness.softening_share"]
         self._soft = (1.0 / (1.0 - soft) ** 2 - 1.0) * per_reference
@@ -122,22 +118,34 @@ class SectionLaw:
         """Couple both planes; shape (n, 2)."""
         return planes @ self._mix if self._coupled else planes
 
-    def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
-        """Elastic moment and its derivative, each of shape (sections + 1,), as `size_rad`."""
+    def _elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
+        """Elastic moment without limit and its derivative, each of shape (sections + 1,)."""
         stiffness = self.stiffness_nm_rad
-        room = self._limit_nm - self._wrinkle_nm
-        beyond = np.maximum(size_rad - self._wrinkle_rad, 0.0)
-        given = room / (room + stiffness * beyond)
-        moment = stiffness * (np.minimum(size_rad, self._wrinkle_rad) + beyond * given)
-        tangent = stiffness * given * given
-        if self._bend_dependent:
-            square = size_rad * size_rad
-            soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
-            factor = hard / np.sqrt(soft)
-            slope = size_rad * (2.0 * self._hard - hard * self._soft / soft) / np.sqrt(soft)
-            tangent = tangent * factor + moment * slope
-            moment = moment * factor
-        return moment, tangent
+        if not self._bend_dependent:
+            return stiffness * size_rad, stiffness
+        square = size_rad * size_rad
+        soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
+        factor = hard / np.sqrt(soft)
+        slope = size_rad * (2.0 * self._hard - hard * self._soft / soft) / np.sqrt(soft)
+        return stiffness * size_rad * factor, stiffness * (factor + size_rad * slope)
+
+    def _limited(self, moment_nm: Array, tangent: Array) -> tuple[Array, Array]:
+        """Whole moment (n, 2) and its tangent stiffness (n, 2, 2), bounded by the limit moment.
+
+        The derivative of the limit is A = f' along the moment and f/x across. The tangent stiffness
+        is sqrt(A) T sqrt(A), which is symmetric, positive, and A T where the moment is along the
+        bend.
+        """
+        size_nm = np.sqrt(moment_nm[:, 0] ** 2 + moment_nm[:, 1] ** 2)
+        level = np.maximum(size_nm / self._limit_nm, 0.5)
+        across = (1.0 - 0.25 / level) / level
+        along = 0.25 / (level * level)
+        direction = moment_nm / (size_nm + 1e-12)[:, None]
+        root = np.sqrt(across)[:, None, None] * np.eye(2)
+        root = root + (np.sqrt(along) - np.sqrt(across))[:, None, None] * (
+            direction[:, :, None] * direction[:, None, :]
+        )
+        return across[:, None] * moment_nm, root @ tangent @ root
 
     def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
         """Advance the memory to these bends; return moments and their tangent stiffness.
@@ -158,7 +166,7 @@ class SectionLaw:
         stretch *= np.minimum(1.0, self._slider_rad / np.maximum(length, 1e-30))
 
         size = np.sqrt(u[:, 0] ** 2 + u[:, 1] ** 2) + 1e-12
-        elastic, along = self.elastic_nm(size)
+        elastic, along = self._elastic_nm(size)
         secant = elastic / size
         moment = secant[:, None] * u + branch_nm.sum(axis=0)
         moment += self._slider_nm_rad * stretch.sum(axis=0)
@@ -167,6 +175,7 @@ class SectionLaw:
         tangent = (along - secant)[:, None, None] * direction[:, :, None] * direction[:, None, :]
         tangent[:, 0, 0] += across
         tangent[:, 1, 1] += across
+        moment, tangent = self._limited(moment, tangent)
 
         kept = self._kept_fraction ** (leaking_s / LEAK_TIME_S) if leaking_s else 1.0
         moment = kept * slope * self._mixed(moment)
