@@ -16,8 +16,7 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
 from models.rig.drawn import rig_named
-from models.rig.protocol import TrialCase, draw_variation
-from models.rig.rig import build_rig
+from models.rig.protocol import TrialCase, build_rig, draw_variation
 from models.rig.sensors import read_current
 
 Array = NDArray[np.float64]

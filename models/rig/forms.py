@@ -129,43 +129,28 @@ def hysteresis_form(
 # ---- the servo: set-point, position loop, rate, friction, register -------------------------------
 
 
-class HeldGoal:
-    """Choice `goal` = "held": the set-point jumps to each goal."""
+class SteppedGoal:
+    """Choice `goal`: "held", the set-point jumps to each goal; "interpolated", it moves on a line.
 
-    def __init__(self, step_s: float) -> None:
+    The line ends one control period after the goal; so long has a held goal the line's rate.
+    """
+
+    def __init__(self, step_s: float, interpolated: bool) -> None:
         self._steps = max(round(PERIOD_S / step_s), 1)
-        self._goal_rad = self._change_rad = self.rate_rad_s = 0.0
-        self._left = 0
-
-    def take(self, goal_rad: float) -> None:
-        self._change_rad, self._left = goal_rad - self._goal_rad, self._steps
-        self._goal_rad = goal_rad
-
-    def advance(self) -> float:
-        # The rate is the last change per control period.
-        self.rate_rad_s = self._change_rad / PERIOD_S if self._left else 0.0
-        self._left = max(self._left - 1, 0)
-        return self._goal_rad
-
-
-class InterpolatedGoal:
-    """Choice `goal` = "interpolated": the set-point reaches each goal on a line in one period."""
-
-    def __init__(self, step_s: float) -> None:
-        self._steps = max(round(PERIOD_S / step_s), 1)
-        self._step_s = step_s
+        self._step_s, self._interpolated, self._left = step_s, interpolated, 0
         self._goal_rad = self._setpoint_rad = self._per_step_rad = self.rate_rad_s = 0.0
-        self._left = 0
 
     def take(self, goal_rad: float) -> None:
-        self._goal_rad, self._left = goal_rad, self._steps
         self._per_step_rad = (goal_rad - self._setpoint_rad) / self._steps
+        self._goal_rad, self._left = goal_rad, self._steps
 
     def advance(self) -> float:
-        self.rate_rad_s = self._per_step_rad / self._step_s if self._left else 0.0
+        self.rate_rad_s = 0.0
         if self._left:
             self._left -= 1
-            self._setpoint_rad = self._goal_rad - self._left * self._per_step_rad
+            self.rate_rad_s = self._per_step_rad / self._step_s
+            to_go = self._left * self._per_step_rad if self._interpolated else 0.0
+            self._setpoint_rad = self._goal_rad - to_go
         return self._setpoint_rad
 
 
@@ -197,23 +182,18 @@ class ProfiledGoal:
         return self._setpoint_rad
 
 
-GoalForm = HeldGoal | InterpolatedGoal | ProfiledGoal
-"""Set-point of a servo, at rest at zero: `take` a goal that takes effect now; `advance` by a step
-and return the set-point in rad; `rate_rad_s` in that step."""
+def goal_form(parameters: RigParameters, step_s: float) -> SteppedGoal | ProfiledGoal:
+    """Set-point of a servo, at rest at zero.
 
-
-def goal_form(parameters: RigParameters, step_s: float) -> GoalForm:
+    `take` a goal that takes effect now; `advance` by a step and return the set-point in rad;
+    `rate_rad_s` is its rate in that step.
+    """
     p = parameters
-    match p.structure.goal:
-        case "held":
-            return HeldGoal(step_s)
-        case "interpolated":
-            return InterpolatedGoal(step_s)
-        case "profile":
-            velocity, acceleration = (
-                p["servo.profile_velocity_rad_s"], p["servo.profile_acceleration_rad_s2"],
-            )  # fmt: skip
-            return ProfiledGoal(step_s, velocity, acceleration)
+    if p.structure.goal != "profile":
+        return SteppedGoal(step_s, p.structure.goal == "interpolated")
+    return ProfiledGoal(
+        step_s, p["servo.profile_velocity_rad_s"], p["servo.profile_acceleration_rad_s2"]
+    )
 
 
 class PositionGains(NamedTuple):

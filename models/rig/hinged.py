@@ -66,10 +66,9 @@ class BendLaw:
 
     with softening c and hardening h, Maxwell branches ds/dt = g K du/dt - s/tau, and the forms of
     spectrum, friction and limit f of `models.rig.forms`. The limit M_c bounds the whole moment,
-    because collapse is an equilibrium of pressure: an inflated panel folds in a hinge whose moment
-    follows from pressure and section alone (Thomas and Wielgosz, *Thin-Walled Structures* 42,
-    2004). MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not tight walls, carry it
-    [assumed].
+    because collapse is an equilibrium of pressure: limit loads of inflated panels and tubes are in
+    proportion to it (Wielgosz and Thomas, *Thin-Walled Structures* 40, 2002; 42, 2004 [recalled]).
+    MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not tight walls, carry it [assumed].
 
     Passivity. For any `skew` (directional stiffness) and S (coupling of the planes) the power taken
     is m . du/dt. Springs and Maxwell branches in parallel are a spring and Kelvin elements in
@@ -295,7 +294,7 @@ if mujoco.get_mju_user_warning() is None:  # else each goes to a file in the wor
 
 
 class MujocoRig(Rig):
-    """`Rig` on MuJoCo; `build_rig` describes the arguments."""
+    """`Rig` on MuJoCo; `models.rig.protocol.build_rig` describes the arguments."""
 
     def __init__(
         self,
@@ -327,8 +326,8 @@ class MujocoRig(Rig):
         )
 
     @property
-    def joint_rad(self) -> Array:
-        return np.asarray(self.data.qpos[self.link.joints])
+    def joint_rad(self) -> list[float]:
+        return [float(angle) for angle in self.data.qpos[self.link.joints]]
 
     @property
     def link_markers_m(self) -> Array:

@@ -24,7 +24,7 @@ from firmware_py.link.marker_layout import square_layout
 from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
 from firmware_py.signals import PERIOD_S, trial_signals
 from models.rig.parameters import RigParameters, RigStructure
-from models.rig.rig import DOWN, build_rig
+from models.rig.rig import DOWN, Rig
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.shared.kinematics import Array
 from models.shared.worker_pool import worker_pool
@@ -80,6 +80,48 @@ class TrialCase:
     def rng(self) -> np.random.Generator:
         """Return the trial's random generator, independent of other trials and of the process."""
         return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
+
+
+def build_rig(
+    parameters: RigParameters,
+    dof: int,
+    payload_kg: float,
+    eccentricity_m: tuple[float, float] = (0.0, 0.0),
+    gravity: tuple[float, float, float] = DOWN,
+) -> Rig:
+    """Build the engine that the rig's structure names.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Structure and values.
+    dof : int
+        Driven joints, 1 or 2.
+    payload_kg : float
+        Declared payload.
+    eccentricity_m : tuple of float
+        Offset of the payload's centre from the axis, towards +x and +y.
+    gravity : tuple of float
+        Direction in the world frame; its length does not matter.
+
+    Raises
+    ------
+    InputError
+        If an effect is hidden in a joint that is not driven, or the structure has a choice of
+        another engine.
+    """
+    for joint in (j for j in parameters.added_in_joint if j > dof):
+        raise InputError(
+            "--hide EFFECT:JOINT", f"names joint {joint}, and {dof} is driven", "name joint 1"
+        )
+    # An engine is loaded when it is built: each has a large library of its own.
+    if parameters.structure.engine == "cosserat":
+        from models.rig.rod import CosseratRig
+
+        return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
+    from models.rig.hinged import MujocoRig
+
+    return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Interface of a rig to the study's protocol, what its engines share, and their choice."""
+"""Interface of a rig to the study's protocol, and what its engines share."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Load(NamedTuple):
 class Rig(ABC):
     """Simulated robot, at rest and upright at the start.
 
-    An engine is a subclass whose constructor takes the arguments of `build_rig`. It simulates the
-    hidden effects by the parameters that `RigParameters.effects` names; servos and the play of the
-    link's mount are here.
+    An engine is a subclass with the constructor's arguments of `models.rig.protocol.build_rig`. It
+    simulates the hidden effects by the parameters that `RigParameters.effects` names; servos and
+    the play of the link's mount are here.
 
     Attributes
     ----------
@@ -133,45 +133,3 @@ def gravity_m_s2(parameters: RigParameters, direction: tuple[float, float, float
     """Gravity in the world frame; the length of `direction` does not matter."""
     unit = np.array(direction) / np.linalg.norm(direction)
     return np.asarray(unit * parameters["world.gravity_m_s2"])
-
-
-def build_rig(
-    parameters: RigParameters,
-    dof: int,
-    payload_kg: float,
-    eccentricity_m: tuple[float, float] = (0.0, 0.0),
-    gravity: tuple[float, float, float] = DOWN,
-) -> Rig:
-    """Build the engine that the rig's structure names.
-
-    Parameters
-    ----------
-    parameters : RigParameters
-        Structure and values.
-    dof : int
-        Driven joints, 1 or 2.
-    payload_kg : float
-        Declared payload.
-    eccentricity_m : tuple of float
-        Offset of the payload's centre from the axis, towards +x and +y.
-    gravity : tuple of float
-        Direction in the world frame; its length does not matter.
-
-    Raises
-    ------
-    InputError
-        If an effect is hidden in a joint that is not driven, or the structure has a choice of
-        another engine.
-    """
-    for joint in (j for j in parameters.added_in_joint if j > dof):
-        raise InputError(
-            "--hide EFFECT:JOINT", f"names joint {joint}, and {dof} is driven", "name joint 1"
-        )
-    # An engine is loaded when it is built: each has a large library of its own.
-    if parameters.structure.engine == "cosserat":
-        from models.rig.rod import CosseratRig
-
-        return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
-    from models.rig.hinged import MujocoRig
-
-    return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)

@@ -83,8 +83,12 @@ class SectionLaw:
             self._branch_nm_rad.sum(axis=0)[:, 0]
             + len(SLIDER_FRACTIONS) * self._slider_nm_rad[:, 0]
         )
+        # Hardening is steepest below the onset of wrinkling, where the bend is M_c / (2 K) or less.
+        hardest = np.linspace(0.0, 0.5 * self._limit_nm / self.stiffness_nm_rad, 200)
+        moments, slopes = self._elastic_nm(hardest)
+        steepest = np.max(np.where(moments <= 0.5 * self._limit_nm, slopes, 0.0), axis=0)
         self.stiffest_nm_rad = (1.0 + abs(self._skew) + abs(coupling)) ** 2 * (
-            self.stiffness_nm_rad + self._attached
+            np.maximum(steepest, self.stiffness_nm_rad) + self._attached
         )
         self._bend, _ = self._measure(np.zeros((sections + 1, 2)))
 
@@ -196,10 +200,6 @@ COURANT: Final = 1.8
 """Highest rate of the rod times its time step; the position Verlet method is stable below 2."""
 
 
-MOST_SPLITS: Final = 20
-"""Most splits of a substep; above, the link is about to fold or its state is not finite."""
-
-
 class RodLink:
     """Cosserat rod on a plate whose pose and velocity are prescribed: inertia, law, markers.
 
@@ -235,7 +235,6 @@ class RodLink:
         self._weight_n = down_m_s2[:, None] * self.rod.mass
         self._weight_n[:, :2] = 0.0  # these nodes are on the plate
         self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
-        self.splits = 1
         self._keep_pose()
 
     def _set_mass(self, p: RigParameters, lengths: Array, load: Load) -> None:
@@ -348,8 +347,6 @@ class RodLink:
         bend = self.bend_rad
         moment, tangent = self.law.advance(bend, leaking_s)
         xx, yy, xy = tangent[:, 0, 0], tangent[:, 1, 1], tangent[:, 0, 1]
-        excess = np.max(np.maximum(xx, yy) / self.law.stiffest_nm_rad)
-        self.splits = int(np.ceil(np.sqrt(excess))) if 1.0 < excess < MOST_SPLITS**2 else 1
         scale = 1.0 / (xx * yy - xy * xy)
         rest_x = bend[:, 0] - scale * (yy * moment[:, 0] - xy * moment[:, 1])
         rest_y = bend[:, 1] - scale * (xx * moment[:, 1] - xy * moment[:, 0])
@@ -491,7 +488,7 @@ HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
 
 
 class CosseratRig(Rig):
-    """`Rig` on PyElastica; `build_rig` describes the arguments.
+    """`Rig` on PyElastica; `models.rig.protocol.build_rig` describes the arguments.
 
     Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
     the stiffest section. Section law, drag and leak are updated once per step.
@@ -533,28 +530,26 @@ class CosseratRig(Rig):
 
     def step(self) -> None:
         link, joints, servos = self.link, self.joints, self.servos
-        start_s, substep_s, last = self.time_s, self._substep_s, self.link.substeps - 1
+        start_s, part_s, substeps = self.time_s, self._substep_s, link.substeps
         link.begin_step(joints.plate_rad_s, self.leaking_s)
         if not self._play.absent:
             self._play.advance([servo.gear_nm for servo in servos])
-        splits, part_s = link.splits, substep_s / link.splits
         link.move(0.5 * part_s)
         joints.move(0.5 * part_s)
-        for k in range(last + 1):
-            time_s = start_s + k * substep_s
+        for k in range(substeps):
+            time_s = start_s + k * part_s
             torque_nm = [
                 servo.step(time_s, angle, rate) + servo.load_nm
                 for servo, angle, rate in zip(
                     servos, joints.angle_rad, joints.rate_rad_s, strict=False
                 )
             ]
-            for part in range(splits):
-                joints.place_stub()
-                link.accelerate(part_s)
-                joints.accelerate(torque_nm, part_s)
-                onward_s = part_s if k < last or part < splits - 1 else 0.5 * part_s
-                link.move(onward_s)
-                joints.move(onward_s)
+            joints.place_stub()
+            link.accelerate(part_s)
+            joints.accelerate(torque_nm, part_s)
+            onward_s = part_s if k < substeps - 1 else 0.5 * part_s
+            link.move(onward_s)
+            joints.move(onward_s)
         joints.place_stub()
         joints.place_stub_velocity()
         self._steps += 1

@@ -17,8 +17,7 @@ from models.rig.parameters import (
     read_parameters,
     read_rig,
 )
-from models.rig.protocol import run_case
-from models.rig.rig import build_rig
+from models.rig.protocol import build_rig, run_case
 from models.shared.catalogue import CATALOGUE
 from models.shared.kinematics import rigid_tip_m
 from tests.models.rig.strengths import STRENGTH
