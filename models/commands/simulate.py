@@ -73,8 +73,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     parameters, hidden = rig_named(args.rig), parse_strengths(args.hide)
     _complete_from_link(args, parameters.link)
-    _check(args, parameters)
-    cases, parameters = _cases(args), parameters.hide(hidden)
+    cases, parameters = _cases(args, parameters), parameters.hide(hidden)
     conditions = RigConditions(
         seed=args.seed,
         hidden=hidden,
@@ -148,7 +147,8 @@ def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
     check_output_directory(args.out)
 
 
-def _cases(args: argparse.Namespace) -> list[TrialCase]:
+def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
+    _check(args, parameters)
     motion = MotionConfig(
         amplitude_rad=math.radians(args.amplitude_deg),
         period_s=args.period,

@@ -110,7 +110,7 @@ class RigParameters(Mapping[str, float]):
     structure : RigStructure
         Forms of the equations that the values belong to.
     link : LinkDescription or None
-        Link that the values were scaled to ; None for the study's.
+        Link that the values were scaled to; None for the study's.
     added_in_joint : dict of int to dict of str to float
         Additions to values of a single joint, by joint and parameter name.
     """
