@@ -39,8 +39,7 @@ from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.predictor.validation import axis_coverage
 from models.rig.drawn import rig_named
-from models.rig.protocol import run_trial_cases
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_trial_cases
 from models.trials.files import read_trial
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from models.trials.data_frames import trials_frame as trials_frame
 from models.trials.deformation import deformation_index as deformation_index
 from models.rig.drawn import rig_named as rig_named
 from models.rig.parameters import RigParameters as RigParameters
-from models.rig.trial_case import TrialCase as TrialCase
+from models.rig.protocol import TrialCase as TrialCase
 from models.rig.protocol import run_case as run_case
 from models.plant.plant import Plant as Plant
 from models.plant.plant import read_plant as read_plant

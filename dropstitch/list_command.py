@@ -50,7 +50,7 @@ def _effects() -> Rows:
 
 
 def _rigs() -> Rows:
-    from models.rig.structure import named_structures
+    from models.rig.parameters import named_structures
 
     return {
         name: {"purpose": rig.purpose, "summary": rig.summary}

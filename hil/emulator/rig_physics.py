@@ -16,10 +16,8 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
 from models.rig.drawn import rig_named
-from models.rig.protocol import check_link_state, draw_variation
-from models.rig.rig import build_rig
+from models.rig.protocol import TrialCase, build_rig, draw_variation
 from models.rig.sensors import read_current
-from models.rig.trial_case import TrialCase
 
 Array = NDArray[np.float64]
 
@@ -70,7 +68,7 @@ class RigPhysics:
             self._true_current_a[:] = [s.sampled_current_a for s in rig.servos]
             rig.step()  # afterwards the markers are those at the start of the step
         self.current_a[:] = read_current(self._parameters, self._true_current_a, self._rng)
-        check_link_state(rig, "--rig", self._parameters)
+        rig.check_link("--rig")
 
 
 def rig_conditions(rig: RigSource) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from firmware_py.bus.servo_models import model_named
 from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import (
@@ -45,54 +44,45 @@ on stall torque, a fifth."""
 PAYLOAD_STEP_KG: Final = 0.05
 
 
-class _Question(NamedTuple):
-    """Question for one option."""
+class _Option(NamedTuple):
+    """Option, which is a question in the terminal too."""
 
     words: str
-    empty: Any  # Value for an empty answer, shown in brackets
+    default: Any  # Value of an option that is left out, and for an empty answer
+    metavar: str | None = None
     kind: Callable[[str], Any] = float  # Converts an answer; raises ValueError
-    choices: tuple[Any, ...] = ()  # Allowed answers; empty for any
+    choices: tuple[Any, ...] = ()  # Allowed values; empty for any
 
 
-_QUESTIONS: Final = {
-    "length": _Question(
-        "length from the base plate to the last marker row, m", STUDY_LINK.length_m
+_ASKED: Final = {
+    "length": _Option(
+        "length from the base plate to the last marker row, m", STUDY_LINK.length_m, "M"
     ),
-    "section": _Question("section", STUDY_LINK.section, str, ("square", "round")),
-    "width": _Question("side or diameter of the section, m", STUDY_LINK.width_m),
-    "base_offset": _Question("base plate above the joint axes, m", STUDY_LINK.base_offset_m),
-    "pressure_pa": _Question("inflation, Pa", STUDY_LINK.pressure_pa),
-    "dof": _Question("driven joints", STUDY_LINK.joints, int, (1, 2)),
-    "rows": _Question("rows of markers", STUDY_LINK.layout.rows, int),
-    "corners": _Question("markers in a row", STUDY_LINK.layout.corners, int),
-    "mounting": _Question("mounting", STUDY_LINK.gravity.mounting, str, tuple(DIRECTIONS)),
-    "effective_weight": _Question("part of the weight that the balloon leaves", 1.0),
-    "servo": _Question("servo", STUDY_LINK.servo.model, str, tuple(PRESETS)),
-    "largest_payload_kg": _Question("largest payload, kg", "what the servo carries"),
+    "section": _Option("section", STUDY_LINK.section, None, str, ("square", "round")),
+    "width": _Option("side or diameter of the section, m", STUDY_LINK.width_m, "M"),
+    "base_offset": _Option("base plate above the joint axes, m", STUDY_LINK.base_offset_m, "M"),
+    "pressure_pa": _Option("inflation, Pa", STUDY_LINK.pressure_pa, "PA"),
+    "dof": _Option("driven joints", STUDY_LINK.joints, None, int, (1, 2)),
+    "rows": _Option("rows of markers", STUDY_LINK.layout.rows, "N", int),
+    "corners": _Option("markers in a row", STUDY_LINK.layout.corners, "N", int),
+    "mounting": _Option("mounting", STUDY_LINK.gravity.mounting, None, str, tuple(DIRECTIONS)),
+    "effective_weight": _Option("part of the weight that the balloon leaves", 1.0, "PART"),
+    "servo": _Option("servo", STUDY_LINK.servo.model, None, str, tuple(PRESETS)),
+    "largest_payload_kg": _Option("largest payload, kg", "what the servo carries", "KG"),
 }
-"""Questions in the terminal, by option."""
+"""Options that the terminal asks for, in this order."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("link", type=Path, metavar="LINK.toml", help="file to write")
-    add("--length", type=float, metavar="M", help="base plate to last marker row (0.95)")
-    add("--width", type=float, metavar="M", help="side or diameter of the section (0.15)")
-    add("--section", choices=("square", "round"), help="its shape (square)")
-    add("--base-offset", type=float, metavar="M", help="base plate above the joint axes (0.06)")
-    add("--dof", type=int, choices=(1, 2), help="driven joints (2)")
-    add("--rows", type=int, metavar="N", help="rows of markers at equal distances (4)")
-    add("--corners", type=int, metavar="N", help="markers in a row (4)")
-    add("--mounting", choices=tuple(DIRECTIONS), help="how it stands at zero angle (upright)")
-    add(
-        "--effective-weight", type=float, metavar="PART",
-        help="part of the weight that is left with a balloon (1)",
-    )  # fmt: skip
-    add("--servo", choices=tuple(PRESETS), help="model of the servos (H54-200-S500-R)")
-    add("--largest-payload-kg", type=float, metavar="KG", help="what the servo carries (taken)")
+    for name, (words, default, metavar, kind, choices) in _ASKED.items():
+        add(
+            "--" + name.replace("_", "-"), type=kind, metavar=metavar, choices=choices or None,
+            help=f"{words} ({default})",
+        )  # fmt: skip
     add("--mass", type=float, metavar="KG", help="of the link, weighed (estimated)")
     add("--tip-mass", type=float, metavar="KG", help="of the hardware at its tip (estimated)")
-    add("--pressure-pa", type=float, metavar="PA", help="inflation (41300)")
     add("--name", default="link", help="for people")
     add("--force", action="store_true", help="write over a file that exists")
 
@@ -101,8 +91,8 @@ def run(args: argparse.Namespace) -> int:
     """Ask for values if no option is set, check, write, and print the consequences."""
     if args.link.exists() and not args.force:
         raise InputError(args.link, "exists", "name another file, or add --force")
-    given = any(getattr(args, key) is not None for key in _QUESTIONS)
-    if not given and not args.json and sys.stdin.isatty() and sys.stdout.isatty():
+    chosen = any(getattr(args, key) is not None for key in _ASKED)
+    if not chosen and not args.json and sys.stdin.isatty() and sys.stdout.isatty():
         _ask(args)
     link = _described(args)
     scale = LinkScale(link)
@@ -132,9 +122,9 @@ def run(args: argparse.Namespace) -> int:
 def _ask(args: argparse.Namespace) -> None:
     """Ask for every option; a wrong answer is reported and asked for again."""
     try:
-        for key, question in _QUESTIONS.items():
+        for key, option in _ASKED.items():
             if key != "effective_weight" or args.mounting == "balloon":
-                _ask_one(args, key, question)
+                _ask_one(args, key, option)
     except EOFError:
         print()
         raise InputError(
@@ -146,16 +136,16 @@ def _ask(args: argparse.Namespace) -> None:
         raise
 
 
-def _ask_one(args: argparse.Namespace, key: str, question: _Question) -> None:
-    choices = ", ".join(map(str, question.choices))
-    words = f"{question.words}, one of {choices}" if choices else question.words
-    while answer := input(f"{words} [{question.empty}]: ").strip():
+def _ask_one(args: argparse.Namespace, key: str, option: _Option) -> None:
+    choices = ", ".join(map(str, option.choices))
+    words = f"{option.words}, one of {choices}" if choices else option.words
+    while answer := input(f"{words} [{option.default}]: ").strip():
         try:
-            value = question.kind(answer)
+            value = option.kind(answer)
         except ValueError:
-            print(f"{answer!r} is no {'whole ' if question.kind is int else ''}number")
+            print(f"{answer!r} is no {'whole ' if option.kind is int else ''}number")
             continue
-        if choices and value not in question.choices:
+        if choices and value not in option.choices:
             print(f"{answer!r} is not one of {choices}")
             continue
         setattr(args, key, value)
@@ -168,25 +158,21 @@ def _ask_one(args: argparse.Namespace, key: str, question: _Question) -> None:
 
 
 def _described(args: argparse.Namespace) -> LinkDescription:
-    given = {
-        "length_m": args.length, "width_m": args.width, "base_offset_m": args.base_offset,
-        "joints": args.dof, "mass_kg": args.mass, "tip_mass_kg": args.tip_mass,
-        "payload_kg": args.largest_payload_kg or 0.0, "section": args.section,
-        "pressure_pa": args.pressure_pa,
-    }  # fmt: skip
-    servo = args.servo or STUDY_LINK.servo.model
-    model_named(servo)
+    """Link of the options; what is left out is the study's."""
+    value = {
+        key: option.default if getattr(args, key) is None else getattr(args, key)
+        for key, option in _ASKED.items()
+    }
     link = LinkDescription(
-        name=args.name,
-        servo=LinkServo(model=servo),
+        name=args.name, length_m=value["length"], width_m=value["width"], section=value["section"],
+        base_offset_m=value["base_offset"], joints=value["dof"], pressure_pa=value["pressure_pa"],
+        mass_kg=args.mass, tip_mass_kg=args.tip_mass, payload_kg=args.largest_payload_kg or 0.0,
+        servo=LinkServo(model=value["servo"]),
         gravity=LinkGravity(
-            mounting=args.mounting or "upright",
-            effective_weight=1.0 if args.effective_weight is None else args.effective_weight,
+            mounting=value["mounting"], effective_weight=value["effective_weight"]
         ),
-        **{key: value for key, value in given.items() if value is not None},
     )  # fmt: skip
-    rows = 4 if args.rows is None else args.rows
-    corners = 4 if args.corners is None else args.corners
+    rows, corners = value["rows"], value["corners"]
     if not (1 <= rows <= 99 and 1 <= corners <= 99):
         raise InputError("--rows, --corners", f"are {rows} and {corners}", "give 1 to 99")
     heights = tuple(round(link.length_m * k / rows, 6) for k in range(1, rows + 1))

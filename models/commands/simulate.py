@@ -26,80 +26,54 @@ from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
 from models.rig.protocol import (
     RigConditions,
+    TrialCase,
     record_conditions,
     refuse_other_conditions,
+    run_trial_cases,
 )
-from models.rig.trial_case import TrialCase
 from models.shared.catalogue import parse_strengths
 from models.shared.link_scale import LinkScale
 
 EXAMPLE = "dropstitch simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 
 _LARGEST_PAYLOAD_KG = 10.0
-_LARGEST_TRIALS = 1000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
+    add, cores = parser.add_argument, os.cpu_count() or 1
+    # fmt: off
     add("--out", type=Path, required=True, metavar="DIR", help="directory of the trials")
-    add(
-        "--dof", type=int, nargs="+", choices=(1, 2),
-        help="driven joints (1, or those of a link's file)",
-    )  # fmt: skip
-    add(
-        "--payloads", type=float, nargs="+", metavar="KG",
-        help="payloads in kg (0 0.5 1 1.5 2, or five up to the payload_kg of a link's file)",
-    )  # fmt: skip
+    add("--dof", type=int, nargs="+", choices=(1, 2),
+        help="driven joints (1, or those of a link's file)")
+    add("--payloads", type=float, nargs="+", metavar="KG",
+        help="payloads in kg (0 0.5 1 1.5 2, or five up to the payload_kg of a link's file)")
     add("--trials", type=int, default=2, metavar="N", help="repetitions of each payload (2)")
     add("--seed", type=int, default=0, help="of all variation and noise (0)")
-    add(
-        "--motion", default="sinusoid", metavar="KIND|FILE",
-        help=f"reference motion: {', '.join(KINDS)}, or a motion file (sinusoid)",
-    )  # fmt: skip
+    add("--motion", default="sinusoid", metavar="KIND|FILE",
+        help=f"reference motion: {', '.join(KINDS)}, or a motion file (sinusoid)")
     add("--amplitude-deg", type=float, default=30.0, metavar="DEG", help="largest goal (30)")
-    add(
-        "--period", type=float, default=STUDY_PERIOD_S, metavar="S",
-        help="cycle of the sinusoid; other motions scale with it (4.352)",
-    )  # fmt: skip
-    add(
-        "--phase-deg", type=float, metavar="DEG",
-        help="lead of joint 2 (0, or 90 of a link's file with two joints)",
-    )  # fmt: skip
-    add(
-        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
+    add("--period", type=float, default=STUDY_PERIOD_S, metavar="S",
+        help="cycle of the sinusoid; other motions scale with it (4.352)")
+    add("--phase-deg", type=float, metavar="DEG",
+        help="lead of joint 2 (0, or 90 of a link's file with two joints)")
+    add("--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="add an effect to the rig's defaults, with JOINT in that servo alone; repeatable; "
-        "names and units: 'dropstitch list effects'",
-    )  # fmt: skip
-    add(
-        "--pressure-pa", type=float, metavar="PA",
-        help="inflation pressure (41300, or that of a link's file)",
-    )  # fmt: skip
-    add(
-        "--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"),
+        "names and units: 'dropstitch list effects'")
+    add("--pressure-pa", type=float, metavar="PA",
+        help="inflation pressure (41300, or that of a link's file)")
+    add("--gravity", type=float, nargs=3, metavar=("X", "Y", "Z"),
         help="direction of gravity, z along the link at zero angle (0 0 -1, or that of a link's "
-        "file)",
-    )  # fmt: skip
-    add(
-        "--rig", default="default", metavar="NAME|TOML",
-        help="structure ('dropstitch list rigs'), a file that changes it, or a link's (default)",
-    )  # fmt: skip
-    cores = os.cpu_count() or 1
+        "file)")
+    add("--rig", default="default", metavar="NAME|TOML",
+        help="structure ('dropstitch list rigs'), a file that changes it, or a link's (default)")
     add("--workers", type=int, default=cores, metavar="N", help="processes (all cores)")
+    # fmt: on
 
 
 def run(args: argparse.Namespace) -> int:
-    parameters = rig_named(args.rig)
+    parameters, hidden = rig_named(args.rig), parse_strengths(args.hide)
     _complete_from_link(args, parameters.link)
-    if parameters.link is not None:
-        _warn_of_weight(parameters.link, args)
-    hidden = parse_strengths(args.hide)
-    cases = _cases(args, parameters)
-    parameters = parameters.hide(hidden)
-    from models.rig.overview import draw_overview
-    from models.rig.protocol import (
-        run_trial_cases,  # loads MuJoCo: only once the options are right
-    )
-
+    cases, parameters = _cases(args, parameters), parameters.hide(hidden)
     conditions = RigConditions(
         seed=args.seed,
         hidden=hidden,
@@ -107,12 +81,14 @@ def run(args: argparse.Namespace) -> int:
         rig=args.rig,
         structure=parameters.structure,
     )
-    given = (Path(args.motion), Path(args.rig))
-    check_output_directory(args.out, [f"{case.name}.toml" for case in cases], given)
+    inputs = (Path(args.motion), Path(args.rig))
+    check_output_directory(args.out, [f"{case.name}.toml" for case in cases], inputs)
     refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
     paths = run_trial_cases(cases, parameters, args.out, args.workers, progress.step)
+    from models.rig.overview import draw_overview  # loads Matplotlib
+
     overview = draw_overview(args.out)
     emit(
         args,
@@ -123,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _complete_from_link(args: argparse.Namespace, described: LinkDescription | None) -> None:
-    """Set the options that the user omits from the link.
+    """Set the options that the user omits from the link; warn if its servo cannot hold it.
 
     Joints that move together cannot be separated, so only the study's protocol has phase 0 by
     default.
@@ -139,12 +115,8 @@ def _complete_from_link(args: argparse.Namespace, described: LinkDescription | N
         args.pressure_pa = link.pressure_pa
     if args.gravity is None:
         args.gravity = list(link.gravity.unit)
-
-
-def _warn_of_weight(link: LinkDescription, args: argparse.Namespace) -> None:
-    """Warn if the servo cannot hold the link: its trials would show a servo that gives way."""
     loaded = LinkScale(msgspec.structs.replace(link, payload_kg=max(args.payloads)))
-    if loaded.holding_of_limit > 1:
+    if described and loaded.holding_of_limit > 1:
         print(
             f"warning: the weight takes {loaded.holding_of_limit:.0%} of the torque of "
             f"{link.servo.model}, which cannot hold it; lower the payload or take a stronger servo",
@@ -152,33 +124,11 @@ def _warn_of_weight(link: LinkDescription, args: argparse.Namespace) -> None:
         )
 
 
-def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
-    _check(args, parameters)
-    motion = MotionConfig(
-        amplitude_rad=math.radians(args.amplitude_deg),
-        period_s=args.period,
-        phase_2_rad=math.radians(args.phase_deg),
-    ).with_motion(args.motion)
-    return [
-        TrialCase(
-            motion=motion.motion(dof),
-            payload_kg=payload_kg,
-            trial=trial,
-            seed=args.seed,
-            pressure_pa=args.pressure_pa,
-            gravity=tuple(args.gravity),
-        )
-        for dof in sorted(set(args.dof))
-        for payload_kg in sorted(set(args.payloads))
-        for trial in range(1, args.trials + 1)
-    ]
-
-
 def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
     pressure, link = parameters.entries["stiffness.pressure_pa"], parameters.link
     largest_kg = _LARGEST_PAYLOAD_KG if link is None else link.most_payload_kg
     ranges: list[tuple[str, float, float, float]] = [
-        ("--trials", args.trials, 1, _LARGEST_TRIALS),
+        ("--trials", args.trials, 1, 1000),
         ("--seed", args.seed, 0, 2**32 - 1),
         ("--phase-deg", args.phase_deg, -360, 360),
         ("--pressure-pa", args.pressure_pa, pressure.minimum, pressure.maximum),
@@ -195,3 +145,19 @@ def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
     if not any(args.gravity):
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
     check_output_directory(args.out)
+
+
+def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
+    _check(args, parameters)
+    motion = MotionConfig(
+        amplitude_rad=math.radians(args.amplitude_deg),
+        period_s=args.period,
+        phase_2_rad=math.radians(args.phase_deg),
+    ).with_motion(args.motion)
+    pressure_pa, gravity = args.pressure_pa, tuple(args.gravity)
+    return [
+        TrialCase(motion.motion(dof), payload_kg, trial, args.seed, pressure_pa, gravity)
+        for dof in sorted(set(args.dof))
+        for payload_kg in sorted(set(args.payloads))
+        for trial in range(1, args.trials + 1)
+    ]

@@ -18,8 +18,13 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
 from firmware_py.link.link_description import describes_link, read_link
-from models.rig.parameters import RigParameters, read_rig, rig_of_link
-from models.rig.structure import RigStructure, named_structures
+from models.rig.parameters import (
+    RigParameters,
+    RigStructure,
+    named_structures,
+    read_rig,
+    rig_of_link,
+)
 
 PREFIX: Final = "drawn_"
 """Prefix of the name of a drawn rig, before its number."""
@@ -105,7 +110,7 @@ def without_scatter(rig: RigParameters) -> RigParameters:
 
 
 def rig_named(name: str) -> RigParameters:
-    """Return a rig by name, also drawn rigs and rigs of described links.
+    """Return a rig by name.
 
     Parameters
     ----------
@@ -123,12 +128,12 @@ def rig_named(name: str) -> RigParameters:
     >>> rig_named("drawn_3").structure == rig_named("drawn_4").structure
     False
     """
-    if not name.startswith(PREFIX):
-        path = Path(name)
-        if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
-            return rig_of_link(read_link(path), path)
-        return read_rig(name)
-    return draw_rig(np.random.default_rng([SEED, _drawn_number(name)]))
+    if name.startswith(PREFIX):
+        return drawn_link(_drawn_number(name), 0)
+    path = Path(name)
+    if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
+        return rig_of_link(read_link(path), path)
+    return read_rig(name)
 
 
 def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
@@ -144,9 +149,8 @@ def drawn_link(number: int, link: int, make: RigParameters | None = None) -> Rig
 def rig_purpose(name: str) -> Literal["tuning", "test"]:
     """Purpose of a rig: "tuning" if numbers of the workflow may be set on it, else "test".
 
-    A named structure states its own (`models.rig.structure.NamedStructure`). `drawn_K` is for
-    tests from K = 900 on; nothing of the workflow is set on such a rig. Any other rig, like that of
-    a described link, counts as one for tuning, because what was set on it is unknown.
+    Any rig without a stated purpose, like that of a described link, counts as one for tuning,
+    because what was set on it is unknown.
     """
     if name.startswith(PREFIX):
         return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"

@@ -1,64 +1,15 @@
-"""Spectrum of the link's relaxation: three branches, or a power law of time.
+"""Forms of the rig's equations: what each choice of `RigStructure` means.
 
-A power law is that of a fractional element, whose spectrum of relaxation times falls as tau^-alpha
-per decade (Mainardi, *Fractional Calculus and Waves in Linear Viscoelasticity*, 2010 [recalled]);
-it has one branch per half decade here. Both spectra sum up to the relaxing fraction.
-
-Friction of the link's skin: Bouc-Wen, Dahl or Maxwell slip, in two planes.
-
-Each section has a yield bend u_y and a torque T = kappa K u_y. A small bend du from rest gives the
-torque T du / u_y = kappa K du in every form, so a strength is the same fraction of the stiffness.
-A form stores energy in a spring and dissipates it in a slider, so no path can draw energy from it:
-
-* Bouc-Wen, dz = du / u_y - (|z.du| + z.du) z / (2 u_y) (after Park, Wen and Ang, 1986 [recalled]);
-* Dahl, dz = du / u_y - |du| z / u_y (Dahl, 1968; exponent 1, in two planes);
-* Maxwell slip, springs of equal stiffness with sliders of different yields in parallel (Iwan,
-  *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is returned radially.
-
-z is integrated implicitly. A form is one step in CasADi expressions
-(`models.rig.hinged`); both planes of n sections have the shape (2, n).
-
-Friction of the servo: a LuGre bristle, or a smooth function of the rate.
-
-Both have the same level g (`models.rig.servo`) and viscous term B:
-
-* LuGre (Canudas de Wit et al., 1995 [recalled]), dz/dt = w - sigma_0 |w| z / g,
-  F = sigma_0 z + sigma_1 dz/dt + B w, with z implicit, so that |sigma_0 z| never exceeds g;
-* smooth, F = g w / sqrt(w^2 + w_0^2) + B w (shape [assumed]): it has no presliding, and a load
-  below g moves it slowly. The factor of w is that at the start of the step and w that at its end,
-  so friction never drives the rotor.
-
-Set-point of the servo between two goals: held, interpolated or profiled.
-
-A held goal becomes the set-point at once. An interpolating servo reaches the goal on a line, one
-control period after it took effect. A profiling servo moves its set-point with limited velocity and
-acceleration (trapezoidal profile, e-Manual of ROBOTIS, "Profile Velocity"). It plans again from the
-current set-point when the next goal arrives.
-
-Current that the servo's register holds when the robot reads it.
-
-It is sampled at the tick, at a phase of the period before, or averaged over that period: servos
-read and filter their current in a cycle of their own.
-
-Play in the link's mount, which moves only the markers.
-
-The link leans by half of the play to the side that its torque pushes to. It moves from one side to
-the other within a small range of torque and a short time.
-
-Filter of the motion capture's software over its frames: none, causal, or zero-phase.
-
-Butterworth filters of second order (Butterworth, *Wireless Engineer* 7, 1930 [recalled]): forward
-once, as in a live stream, or forward and backward, as software filters a recording (Winter,
-*Biomechanics and Motor Control of Human Movement* [recalled]), with a response of one half at the
-cut-off.
+They are in the order of the signal: the link's moment, the servo, the motion capture. The forms of
+the link's moment, in CasADi expressions, are those of the hinged link.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -66,6 +17,23 @@ import numpy as np
 from firmware_py.signals import PERIOD_S
 from models.rig.parameters import RigParameters
 from models.shared.kinematics import Array
+
+# ---- the link's moment: limit, creep, hysteresis -------------------------------------------------
+
+
+def limited_fraction(parameters: RigParameters, level: Any) -> Any:
+    """Moment over that of a link without limit, at a level x of this over the limit moment: f(x)/x.
+
+    Choice `limit`. "tanh": f = tanh(x). "wrinkling": the wall wrinkles above half of the limit,
+    f = x, then 1 - 1/(4 x). Half of the collapse moment is a tube's (Comer and Levy, *AIAA Journal*
+    1, 1963 [recalled]); that a box has it too (theory: 2/3; docs/sources.md, "The link") and the
+    shape are [assumed].
+    """
+    if parameters.structure.limit == "wrinkling":
+        level = ca.fmax(level, 0.5)
+        return (1.0 - 0.25 / level) / level
+    level = level + 1e-12
+    return ca.tanh(level) / level
 
 
 class RelaxationSpectrum(NamedTuple):
@@ -76,7 +44,12 @@ class RelaxationSpectrum(NamedTuple):
 
 
 def relaxation_spectrum(parameters: RigParameters) -> RelaxationSpectrum:
-    """Build the spectrum that the structure names."""
+    """Maxwell branches whose fractions sum up to the relaxing one.
+
+    Choice `creep`. "branches": three equal ones. "power_law": one per half decade, with the
+    spectrum of a fractional element, which falls as tau^-alpha per decade (Mainardi, *Fractional
+    Calculus and Waves in Linear Viscoelasticity*, 2010 [recalled]).
+    """
     p = parameters
     relaxing = p["memory.relaxing_share"]
     if p.structure.creep == "branches":
@@ -95,191 +68,98 @@ def both_planes(row: Any) -> Any:
     return ca.repmat(row, 2, 1)
 
 
-def _length(planes: Any) -> Any:
+def size_of(planes: Any) -> Any:
     """Length of the vector of each section, shape (1, n)."""
     return ca.sqrt(planes[0, :] ** 2 + planes[1, :] ** 2)
 
 
-class HysteresisForm(Protocol):
-    """Friction of n sections."""
+class HysteresisForm(NamedTuple):
+    """Friction of n sections in two planes."""
 
     springs: int  # Number of state arrays, each of shape (2, n); zero when relaxed
-
-    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """State, and torque in N·m, after a further bend `du` in rad of shape (2, n)."""
-        ...
-
-
-class BoucWen:
-    """Bouc-Wen friction; arguments have shape (n,)."""
-
-    springs = 1
-
-    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
-        self._yield_rad, self._friction_nm = yield_rad, friction_nm
-
-    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        (z,) = memory
-        along = z[0, :] * du[0, :] + z[1, :] * du[1, :]
-        shed = 1.0 + (ca.fabs(along) + along) * ca.DM(0.5 / self._yield_rad).T
-        z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
-        return [z], both_planes(self._friction_nm) * z
-
-
-class Dahl:
-    """Dahl friction; arguments have shape (n,)."""
-
-    springs = 1
-
-    def __init__(self, yield_rad: Array, friction_nm: Array) -> None:
-        self._yield_rad, self._friction_nm = yield_rad, friction_nm
-
-    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        (z,) = memory
-        shed = 1.0 + _length(du) * ca.DM(1.0 / self._yield_rad).T
-        z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
-        return [z], both_planes(self._friction_nm) * z
-
-
-class MaxwellSlip:
-    """Parallel springs with sliders; arguments have shape (n,), and `yields` (m,) is relative."""
-
-    def __init__(self, yield_rad: Array, friction_nm: Array, yields: Array) -> None:
-        self.springs = len(yields)
-        self._slips_rad = yields[:, None] * yield_rad
-        self._stiffness = friction_nm / yield_rad / len(yields)
-
-    def advanced(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        after = []
-        for stretch, slip_rad in zip(memory, self._slips_rad, strict=True):
-            stretched, slip = stretch + du, ca.DM(slip_rad).T
-            after.append(stretched * both_planes(slip / ca.fmax(_length(stretched), slip)))
-        return after, both_planes(self._stiffness) * sum(after)
+    # State and further bend du (2, n) in rad -> state afterwards and moment (2, n) in N·m
+    advance: Callable[[Sequence[Any], Any], tuple[list[Any], Any]]
 
 
 def hysteresis_form(
     parameters: RigParameters, yield_rad: Array, stiffness_nm_rad: Array
 ) -> HysteresisForm:
-    """Build the form that the structure names, relaxed; arguments have shape (n,)."""
+    """Friction of the link's skin; `yield_rad` u_y and `stiffness_nm_rad` K have the shape (n,).
+
+    Sliding, a section has the moment kappa K u_y. A small bend du from rest gives kappa K du in
+    every form, so that a strength is the same fraction of the stiffness. Each form stores energy in
+    a spring and dissipates it in a slider. Choice `hysteresis`:
+
+    * "bouc_wen": dz = du/u_y - (|z.du| + z.du) z / (2 u_y) (Park, Wen and Ang, 1986 [recalled]);
+    * "dahl": dz = du/u_y - |du| z / u_y (Dahl, 1968; exponent 1, in two planes);
+    * "maxwell_slip": springs of equal stiffness with sliders of different yields in parallel (Iwan,
+      *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is returned radially.
+
+    The moment of the first two is kappa K u_y z; z is integrated implicitly.
+    """
     p = parameters
     friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad
-    match p.structure.hysteresis:
-        case "bouc_wen":
-            return BoucWen(yield_rad, friction_nm)
-        case "dahl":
-            return Dahl(yield_rad, friction_nm)
-        case "maxwell_slip":
-            yields = np.geomspace(1.0, p["memory.slip_range"], round(p["memory.slip_elements"]))
-            return MaxwellSlip(yield_rad, friction_nm, yields / yields.mean())
+
+    def bristle(memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
+        (z,) = memory
+        if p.structure.hysteresis == "dahl":
+            shed = 1.0 + size_of(du) * ca.DM(1.0 / yield_rad).T
+        else:
+            along = z[0, :] * du[0, :] + z[1, :] * du[1, :]
+            shed = 1.0 + (ca.fabs(along) + along) * ca.DM(0.5 / yield_rad).T
+        z = (z + both_planes(1.0 / yield_rad) * du) / both_planes(shed)
+        return [z], both_planes(friction_nm) * z
+
+    if p.structure.hysteresis != "maxwell_slip":
+        return HysteresisForm(1, bristle)
+    yields = np.geomspace(1.0, p["memory.slip_range"], round(p["memory.slip_elements"]))
+    slips_rad = (yields / yields.mean())[:, None] * yield_rad
+    spring_nm_rad = friction_nm / yield_rad / len(yields)
+
+    def sliders(memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
+        after = []
+        for stretch, slip_rad in zip(memory, slips_rad, strict=True):
+            stretched, slip = stretch + du, ca.DM(slip_rad).T
+            after.append(stretched * both_planes(slip / ca.fmax(size_of(stretched), slip)))
+        return after, both_planes(spring_nm_rad) * sum(after)
+
+    return HysteresisForm(len(yields), sliders)
 
 
-class FrictionForm(Protocol):
-    """Friction of one servo, with its state."""
-
-    def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        """Advance by one step; return the torque against the motion in N·m."""
-        ...
+# ---- the servo: set-point, position loop, rate, friction, register -------------------------------
 
 
-class LugreFriction:
-    """LuGre bristle; equation in the module's docstring."""
+class SteppedGoal:
+    """Choice `goal`: "held", the set-point jumps to each goal; "interpolated", it moves on a line.
 
-    def __init__(self, parameters: RigParameters, step_s: float) -> None:
-        self._step_s = step_s
-        self._viscous = parameters["servo.viscous_friction_nm_s_rad"]
-        self._bristle = parameters["servo.bristle_stiffness_nm_rad"]
-        self._bristle_damping = parameters["servo.bristle_damping_nm_s_rad"]
-        self._bristle_rad = 0.0
+    The line ends one control period after the goal; so long has a held goal the line's rate.
+    """
 
-    def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        before = self._bristle_rad
-        shed = self._step_s * abs(rate_rad_s) * self._bristle / max(level_nm, 1e-9)
-        self._bristle_rad = (before + self._step_s * rate_rad_s) / (1.0 + shed)
-        bristle_rate = (self._bristle_rad - before) / self._step_s
-        return (
-            self._bristle * self._bristle_rad
-            + self._bristle_damping * bristle_rate
-            + self._viscous * rate_rad_s
-        )
-
-
-class SmoothFriction:
-    """Smooth function of the rate; equation in the module's docstring."""
-
-    def __init__(self, parameters: RigParameters, step_s: float) -> None:
-        self._step_per_inertia = step_s / parameters["servo.inertia_kg_m2"]
-        self._viscous = parameters["servo.viscous_friction_nm_s_rad"]
-        self._rate_0 = parameters["servo.smooth_rate_rad_s"]
-
-    def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
-        factor = level_nm / math.hypot(rate_rad_s, self._rate_0) + self._viscous
-        free = rate_rad_s + self._step_per_inertia * drive_nm
-        return factor * free / (1.0 + self._step_per_inertia * factor)
-
-
-def friction_form(parameters: RigParameters, step_s: float) -> FrictionForm:
-    """Build the form that the structure names."""
-    if parameters.structure.friction == "lugre":
-        return LugreFriction(parameters, step_s)
-    return SmoothFriction(parameters, step_s)
-
-
-class GoalForm(Protocol):
-    """Set-point of one servo, at rest at zero."""
-
-    # Rate of the set-point in the last step; for a held goal, its last change per period
-    rate_rad_s: float
-
-    def take(self, goal_rad: float) -> None:
-        """Set the goal that takes effect now."""
-        ...
-
-    def advance(self) -> float:
-        """Advance by one step and return the set-point in rad."""
-        ...
-
-
-class HeldGoal:
-    """Set-point that jumps to each goal."""
-
-    def __init__(self, step_s: float) -> None:
+    def __init__(self, step_s: float, interpolated: bool) -> None:
         self._steps = max(round(PERIOD_S / step_s), 1)
-        self._goal_rad = self._change_rad = self.rate_rad_s = 0.0
-        self._left = 0
-
-    def take(self, goal_rad: float) -> None:
-        self._change_rad, self._left = goal_rad - self._goal_rad, self._steps
-        self._goal_rad = goal_rad
-
-    def advance(self) -> float:
-        self.rate_rad_s = self._change_rad / PERIOD_S if self._left else 0.0
-        self._left = max(self._left - 1, 0)
-        return self._goal_rad
-
-
-class InterpolatedGoal:
-    """Set-point that moves to each goal on a line."""
-
-    def __init__(self, step_s: float) -> None:
-        self._steps = max(round(PERIOD_S / step_s), 1)
-        self._step_s = step_s
+        self._step_s, self._interpolated, self._left = step_s, interpolated, 0
         self._goal_rad = self._setpoint_rad = self._per_step_rad = self.rate_rad_s = 0.0
-        self._left = 0
 
     def take(self, goal_rad: float) -> None:
-        self._goal_rad, self._left = goal_rad, self._steps
         self._per_step_rad = (goal_rad - self._setpoint_rad) / self._steps
+        self._goal_rad, self._left = goal_rad, self._steps
 
     def advance(self) -> float:
-        self.rate_rad_s = self._per_step_rad / self._step_s if self._left else 0.0
+        self.rate_rad_s = 0.0
         if self._left:
             self._left -= 1
-            self._setpoint_rad = self._goal_rad - self._left * self._per_step_rad
+            self.rate_rad_s = self._per_step_rad / self._step_s
+            to_go = self._left * self._per_step_rad if self._interpolated else 0.0
+            self._setpoint_rad = self._goal_rad - to_go
         return self._setpoint_rad
 
 
 class ProfiledGoal:
-    """Set-point that moves with limited velocity and acceleration."""
+    """Choice `goal` = "profile": the set-point moves with limited velocity and acceleration.
+
+    It plans again from the current set-point when the next goal arrives (trapezoidal profile,
+    e-Manual of ROBOTIS, "Profile Velocity").
+    """
 
     def __init__(self, step_s: float, velocity_rad_s: float, acceleration_rad_s2: float) -> None:
         self._step_s = step_s
@@ -302,48 +182,151 @@ class ProfiledGoal:
         return self._setpoint_rad
 
 
-def goal_form(parameters: RigParameters, step_s: float) -> GoalForm:
-    """Build the form that the structure names."""
+def goal_form(parameters: RigParameters, step_s: float) -> SteppedGoal | ProfiledGoal:
+    """Set-point of a servo, at rest at zero.
+
+    `take` a goal that takes effect now; `advance` by a step and return the set-point in rad;
+    `rate_rad_s` is its rate in that step.
+    """
     p = parameters
-    match p.structure.goal:
-        case "held":
-            return HeldGoal(step_s)
-        case "interpolated":
-            return InterpolatedGoal(step_s)
-        case "profile":
-            velocity, acceleration = (
-                p["servo.profile_velocity_rad_s"], p["servo.profile_acceleration_rad_s2"],
-            )  # fmt: skip
-            return ProfiledGoal(step_s, velocity, acceleration)
+    if p.structure.goal != "profile":
+        return SteppedGoal(step_s, p.structure.goal == "interpolated")
+    return ProfiledGoal(
+        step_s, p["servo.profile_velocity_rad_s"], p["servo.profile_acceleration_rad_s2"]
+    )
+
+
+class PositionGains(NamedTuple):
+    """Position loop: the rate k_p e + k_i S + k_f dr/dt, with e = r - q and dS/dt = e."""
+
+    proportional: float
+    integral: float
+    forward: float
+
+
+def position_gains(parameters: RigParameters) -> PositionGains:
+    """Choice `position_loop`: "proportional" has k_p alone, "feedforward" all three."""
+    p = parameters
+    proportional = p["servo.position_gain_per_s"] * (1.0 + p["servo.position_gain_change"])
+    if p.structure.position_loop == "proportional":
+        return PositionGains(proportional, 0.0, 0.0)
+    integral, forward = p["servo.position_integral_per_s2"], p["servo.velocity_feedforward"]
+    return PositionGains(proportional, integral, forward)
+
+
+def ripple_in_rate_rad(parameters: RigParameters) -> float:
+    """Periodic error of the encoder as it enters the rate of the velocity loop.
+
+    Choice `rate_sensor`: "motor" has none of it, "encoder" all.
+    """
+    measured = parameters.structure.rate_sensor == "encoder"
+    return parameters["sensor.encoder_ripple_rad"] if measured else 0.0
+
+
+def stribeck_form(parameters: RigParameters) -> Callable[[float], float]:
+    """Fraction of Stribeck friction at a rate w.
+
+    Choice `stribeck`: "gaussian", exp(-(w/w_s)^2), or "rational", 1 / (1 + (w/w_s)^2).
+    """
+    speed = parameters["servo.stribeck_speed_rad_s"]
+    if parameters.structure.stribeck == "rational":
+        return lambda rate: 1.0 / (1.0 + (rate / speed) ** 2)
+    return lambda rate: math.exp(-((rate / speed) ** 2))
+
+
+class LugreFriction:
+    """Choice `friction` = "lugre" (Canudas de Wit et al., 1995 [recalled]).
+
+    dz/dt = w - sigma_0 |w| z / g, F = sigma_0 z + sigma_1 dz/dt + B w, with z implicit, so that
+    |sigma_0 z| never exceeds the level g (`models.rig.servo`).
+    """
+
+    def __init__(self, parameters: RigParameters, step_s: float) -> None:
+        self._step_s = step_s
+        self._viscous = parameters["servo.viscous_friction_nm_s_rad"]
+        self._bristle = parameters["servo.bristle_stiffness_nm_rad"]
+        self._bristle_damping = parameters["servo.bristle_damping_nm_s_rad"]
+        self._bristle_rad = 0.0
+
+    def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
+        """Advance by one step; return the torque against the motion in N·m."""
+        before = self._bristle_rad
+        shed = self._step_s * abs(rate_rad_s) * self._bristle / max(level_nm, 1e-9)
+        self._bristle_rad = (before + self._step_s * rate_rad_s) / (1.0 + shed)
+        bristle_rate = (self._bristle_rad - before) / self._step_s
+        return (
+            self._bristle * self._bristle_rad
+            + self._bristle_damping * bristle_rate
+            + self._viscous * rate_rad_s
+        )
+
+
+class SmoothFriction:
+    """Choice `friction` = "smooth": F = g w / sqrt(w^2 + w_0^2) + B w (shape [assumed]).
+
+    It has no presliding, and a load below g moves it slowly. The factor of w is that at the start
+    of the step and w that at its end, so friction never drives the rotor.
+    """
+
+    def __init__(self, parameters: RigParameters, step_s: float) -> None:
+        self._step_per_inertia = step_s / parameters["servo.inertia_kg_m2"]
+        self._viscous = parameters["servo.viscous_friction_nm_s_rad"]
+        self._rate_0 = parameters["servo.smooth_rate_rad_s"]
+
+    def torque_nm(self, rate_rad_s: float, level_nm: float, drive_nm: float) -> float:
+        """Torque against the motion in N·m, with the torque that drives the rotor otherwise."""
+        factor = level_nm / math.hypot(rate_rad_s, self._rate_0) + self._viscous
+        free = rate_rad_s + self._step_per_inertia * drive_nm
+        return factor * free / (1.0 + self._step_per_inertia * factor)
+
+
+def friction_form(parameters: RigParameters, step_s: float) -> LugreFriction | SmoothFriction:
+    form = LugreFriction if parameters.structure.friction == "lugre" else SmoothFriction
+    return form(parameters, step_s)
 
 
 class CurrentRegister:
-    """Samples of the current over the last control period."""
+    """Current that the servo's register holds when the robot reads it.
+
+    Choice `current_sampling`: at the "tick"; at a "phase" of the period before; or as "mean" over
+    that period. Servos read and filter their current in a cycle of their own.
+    """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         sampling = parameters.structure.current_sampling
         steps = PERIOD_S / step_s
-        kept = {"tick": 0.0, "phase": parameters["sensor.current_phase"] * steps, "mean": steps - 1}
+        late = {"tick": 0.0, "phase": parameters["sensor.current_phase"] * steps, "mean": steps - 1}
         self._mean = sampling == "mean"
-        self._window: deque[float] = deque([0.0], maxlen=round(kept[sampling]) + 1)
+        self._window: deque[float] = deque([0.0], maxlen=round(late[sampling]) + 1)
         self.hold = self._window.append
         """Call it with the current in A after each step."""
 
     @property
     def value_a(self) -> float:
-        """Current in A that the register holds."""
         if self._mean:
             return sum(self._window) / len(self._window)
         return self._window[0]
 
 
+# ---- play, and the motion capture ----------------------------------------------------------------
+
+
+def play_in_gear_rad(parameters: RigParameters) -> float:
+    """Play of the gear. Choice `play`: all of it is in the "gear", or in the "markers"."""
+    return parameters["servo.backlash_rad"] if parameters.structure.play == "gear" else 0.0
+
+
 class MarkerPlay:
-    """Lean of the link in its mount, at first in the middle; zero if the play is in the gear."""
+    """Choice `play` = "markers": play in the link's mount, which moves only the markers.
+
+    The link leans by half of the play to the side that its torque pushes to. It moves from one side
+    to the other within a small range of torque and a short time, at first from the middle.
+    """
 
     def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
-        p, in_markers = parameters, parameters.structure.play == "markers"
-        own_rad = [p.of_joint(k + 1)["servo.backlash_rad"] for k in range(dof)]
-        self._half_rad = [0.5 * width if in_markers else 0.0 for width in own_rad]
+        p = parameters
+        joints = [p.of_joint(k + 1) for k in range(dof)]
+        self._half_rad = [0.5 * (q["servo.backlash_rad"] - play_in_gear_rad(q)) for q in joints]
         self.absent = not any(self._half_rad)
         self._torque_nm = p["servo.play_torque_nm"]
         self._gain = -math.expm1(-step_s / p["servo.play_time_s"])
@@ -367,9 +350,12 @@ class MarkerPlay:
 
 
 def filtered_frames(parameters: RigParameters, frames_m: Array) -> Array:
-    """Frames after the software's filter, shape (n, markers, 3), at the motion capture's rate.
+    """Frames (n, markers, 3) of a link at rest before the first, after the software's filter.
 
-    The link is at rest before the first frame.
+    Choice `mocap_filter`: "none", or a Butterworth filter of second order (*Wireless Engineer* 7,
+    1930 [recalled]). "low_pass": forward, as in a live stream. "zero_phase": forward and backward,
+    as software filters a recording, with a response of one half at the cut-off (Winter,
+    *Biomechanics and Motor Control of Human Movement* [recalled]).
     """
     p = parameters
     if p.structure.mocap_filter == "none":

@@ -1,62 +1,38 @@
-"""CasADi function that reads and writes NumPy arrays in place.
+"""Hinged link on MuJoCo: its law, its geometry and its engine.
 
-A call takes some microseconds; passing the arrays as arguments takes ten times as long.
-
-Bending torque of the hinges: elastic, relaxing and hysteretic.
-
-All hinge pairs are computed at once. Every part is a torque against one measure of bend u,
-
-    u = S skew(phi - phi_0),     tau = -(du/dphi)^T m(u, history),
-
-so for any `skew` (directional stiffness) and S (coupling of the planes) the law absorbs the power
-m . du/dt, and no part can create energy. m is the sum, per hinge pair, of
-
-* a radial elastic torque K f(x) / x u, x = K|u| / M_c, that saturates at the limit moment M_c:
-  f = tanh(x), or a wall that wrinkles above half of M_c, f = x, then 1 - 1 / (4 x) (half of the
-  collapse moment is a tube's: Comer and Levy, *AIAA Journal* 1, 1963 [recalled]; that a box has
-  half, not two thirds as in docs/sources.md, "The link", and the shape are [assumed]);
-* Maxwell branches, ds/dt = g K du/dt - s / tau (`models.rig.forms`);
-* friction (`models.rig.forms`).
-
-One CasADi function advances all pairs: an integration step is about a thousand operations on a few
-numbers each, for which NumPy would need most of its time in calls. Both planes of n pairs are a
-matrix of shape (2, n); CasADi stores it by columns, as NumPy stores the shape (n, 2) by rows.
-
-MuJoCo model of the robot: base joints, plate, link of hinge and shear pairs, tip, markers.
-
-There is one hinge pair at the root patch and one in the middle of each of the equal pieces of the
-span, eight by default. Every hinge pair of the span has a shear pair (two slides). MuJoCo computes
-inertia, gravity, the linear shear springs and the Kelvin-Voigt damping; the bending torque is that
-of `models.rig.hinged`.
-
-Rig on MuJoCo: servos, link of hinges and bending law, stepped together.
+One hinge pair stands for the root patch; another one is in the middle of each of the equal pieces
+of the span, eight by default, with a shear pair (two slides). MuJoCo computes inertia, gravity, the
+linear shear springs and the Kelvin-Voigt damping; the bending torque is that of `BendLaw`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import casadi as ca
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from firmware_py.link.marker_layout import MarkerLayout
-from models.rig.forms import MarkerPlay, both_planes, hysteresis_form, relaxation_spectrum
-from models.rig.parameters import RigParameters
-from models.rig.servo import RigServo
-from models.rig.trial_case import DOWN, LinkState, state_of_link
+from models.rig.forms import (
+    both_planes,
+    hysteresis_form,
+    limited_fraction,
+    relaxation_spectrum,
+    size_of,
+)
+from models.rig.parameters import RigParameters, link_stiffness
+from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
 
 class InPlaceFunction:
-    """A function bound to the arrays of its arguments and results.
+    """CasADi function bound to the arrays of its arguments and results.
 
-    Arrays are contiguous float64; a CasADi matrix is stored by columns. Results must not share
-    memory with arguments, because they are written while arguments are still read.
+    A call takes some microseconds; passing the arrays as arguments takes ten times as long. Arrays
+    are contiguous float64; a CasADi matrix is stored by columns. Results must not share memory with
+    arguments, because they are written while arguments are still read.
     """
 
     def __init__(
@@ -79,21 +55,58 @@ class InPlaceFunction:
 
 
 class BendLaw:
-    """Torque of all n hinge pairs, the root's first, and the state of their memory."""
+    """Torque of all n hinge pairs, the root's first, and the state of their memory.
+
+    The moment m is that of a fabric that is elastic, relaxes and slides, M, bounded by the pressure
+    that keeps the walls tight. Against a measure of bend u,
+
+        u = S skew(phi - phi_0),     tau = -(du/dphi)^T m,
+        M = K u (1 + h |u|^2) / (1 + c |u|) + s_1 + s_2 + ... + friction,
+        m = M f(x)/x,     x = |M| / M_c,
+
+    with softening c and hardening h, Maxwell branches ds/dt = g K du/dt - s/tau, and the forms of
+    spectrum, friction and limit f of `models.rig.forms`. The limit M_c bounds the whole moment,
+    because collapse is an equilibrium of pressure: limit loads of inflated panels and tubes are in
+    proportion to it (Wielgosz and Thomas, *Thin-Walled Structures* 40, 2002; 42, 2004 [recalled]).
+    MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not tight walls, carry it [assumed].
+
+    Passivity. For any `skew` (directional stiffness) and S (coupling of the planes) the power taken
+    is m . du/dt. Springs and Maxwell branches in parallel are a spring and Kelvin elements in
+    series, u = a M + sum b_i z_i, dz_i/dt = n_i (M - z_i), with a, b_i, n_i > 0. With F the
+    integral of the limit law, m = F'(M), the store a F(M) + sum b_i F(z_i) never grows by more than
+    the power taken, because F is convex: no path can create energy. For one branch it is
+    F(M) / (K (1 + g)) + g / (1 + g) F(K e) / K, e its relaxed bend. With friction, softening or
+    hardening besides there is no such proof; in tests no closed path yields energy.
+
+    One CasADi function advances all pairs: a step is about a thousand operations on a few numbers
+    each, for which NumPy would need most of its time in calls. Both planes of n pairs are a matrix
+    of shape (2, n), which CasADi stores by columns as NumPy stores the shape (n, 2) by rows.
+    """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
         self._p, self._step_s, self._pairs = p, step_s, hinges + 1
-        self._pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
-        span_nm_rad = p["stiffness.bending_n_m2"] * hinges / p["link.length_m"]
-        self.stiffness_nm_rad = self._pressure * np.array(
-            [p["stiffness.root_nm_rad"], *[span_nm_rad] * hinges]
+        link = link_stiffness(p)
+        self.stiffness_nm_rad = self._per_pair(
+            link.root_nm_rad, link.bending_n_m2 * hinges / p["link.length_m"]
         )
-        self._yield_rad = np.array(
-            [p["memory.root_yield_rad"], *[p["memory.span_yield_rad"] / hinges] * hinges]
+        self._limit_nm = self._per_pair(link.root_limit_nm, link.span_limit_nm)
+        self._yield_rad = self._per_pair(
+            p["memory.root_yield_rad"], p["memory.span_yield_rad"] / hinges
         )
         self._kept_fraction = 1.0 - p["stiffness.leak_share"]
-        self._connect(self._advance())
+
+        advance = self._advance()
+        self._angle_rad, self._kept = np.zeros(2 * self._pairs), np.ones(1)
+        self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
+        at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()  # where the link is relaxed
+        self._memory[: at_zero.size] = at_zero.T.flat
+        self._torque_nm = np.zeros((self._pairs, 2))
+        self._evaluate = InPlaceFunction(
+            advance,
+            [self._angle_rad, self._memory, self._kept],
+            [self._torque_nm, self._memory_after],
+        )
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and return the restoring torque in N·m, shape (n, 2).
@@ -107,24 +120,14 @@ class BendLaw:
         self._memory[:] = self._memory_after
         return self._torque_nm.copy()
 
-    def _connect(self, advance: ca.Function) -> None:
-        """Bind the function to its arrays; the link is relaxed at zero."""
-        self._angle_rad, self._kept = np.zeros(2 * self._pairs), np.ones(1)
-        self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
-        at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()
-        self._memory[: at_zero.size] = at_zero.T.flat
-        self._torque_nm = np.zeros((self._pairs, 2))
-        self._evaluate = InPlaceFunction(
-            advance,
-            [self._angle_rad, self._memory, self._kept],
-            [self._torque_nm, self._memory_after],
-        )
+    def _per_pair(self, root: float, span: float) -> Array:
+        return np.array([root, *[span] * (self._pairs - 1)])
 
     def _advance(self) -> ca.Function:
-        """Function (angles, memory, remaining pressure) -> (torque, memory after the step)."""
-        p, n = self._p, self._pairs
-        times_s, fractions = relaxation_spectrum(p)
-        hysteresis = hysteresis_form(p, self._yield_rad, self.stiffness_nm_rad)
+        """Function (angles, memory, remaining stiffness) -> (torque, memory after the step)."""
+        n = self._pairs
+        times_s, fractions = relaxation_spectrum(self._p)
+        hysteresis = hysteresis_form(self._p, self._yield_rad, self.stiffness_nm_rad)
         angle_rad = ca.SX.sym("angle_rad", 2, n)
         u_before = ca.SX.sym("u", 2, n)
         branches_nm = [ca.SX.sym("branch_nm", 2, n) for _ in times_s]
@@ -140,8 +143,10 @@ class BendLaw:
             decay * branch_nm + both_planes(share * self.stiffness_nm_rad) * du
             for decay, share, branch_nm in zip(decays, held, branches_nm, strict=True)
         ]
-        slid_after, friction_nm = hysteresis.advanced(slid, du)
-        moment_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
+        slid_after, friction_nm = hysteresis.advance(slid, du)
+        whole_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
+        level = size_of(whole_nm) * ca.DM(1.0 / self._limit_nm).T
+        moment_nm = both_planes(limited_fraction(self._p, level)) * whole_nm
         torque_nm = -kept * slope * self._mixed(moment_nm)
         memory = [u_before, *branches_nm, *slid]
         memory_after = [u, *relaxed_nm, *slid_after]
@@ -153,9 +158,9 @@ class BendLaw:
 
     def _measure(self, angle_rad: Any) -> tuple[Any, Any]:
         """Measure of bend u and the diagonal of its derivative before coupling, shape (2, n)."""
-        p, hinges = self._p, self._pairs - 1
+        p = self._p
         rest_rad = np.zeros((2, self._pairs))
-        rest_rad[0, 1:] = p["stiffness.prebend_rad"] / hinges
+        rest_rad[0, 1:] = p["stiffness.prebend_rad"] / (self._pairs - 1)
         skew = 0.5 * p["stiffness.directional_share"]
         rounding_rad = both_planes(p["stiffness.directional_rounding"] * self._yield_rad)
         phi = angle_rad - rest_rad
@@ -168,24 +173,15 @@ class BendLaw:
         return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
 
     def _secant_nm_rad(self, u: Any) -> Any:
-        """Radial elastic torque over the bend, shape (1, n)."""
-        p, hinges = self._p, self._pairs - 1
-        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
-        limit_nm = np.array(
-            [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * hinges]
-        )
-        size = ca.sqrt(u[0, :] ** 2 + u[1, :] ** 2) + 1e-12
-        level = size * ca.DM(self.stiffness_nm_rad / (self._pressure * limit_nm)).T
-        if p.structure.limit == "wrinkling":
-            level = ca.fmax(level, 0.5)
-            secant = stiffness_nm_rad * (1.0 - 0.25 / level) / level
-        else:
-            secant = stiffness_nm_rad * ca.tanh(level) / level
-        per_reference = np.array([1.0, *[float(hinges)] * hinges]) / REFERENCE_BEND_RAD
+        """Elastic moment over the bend, without limit, shape (1, n)."""
+        p = self._p
+        size = size_of(u)
+        per_reference = self._per_pair(1.0, self._pairs - 1.0) / REFERENCE_BEND_RAD
         soft = p["stiffness.softening_share"]
         softer = ca.DM(soft / (1.0 - soft) * per_reference).T
         harder = ca.DM(p["stiffness.hardening_share"] * per_reference**2).T
-        return secant * (1.0 + harder * size**2) / (1.0 + softer * size)
+        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
+        return stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
 
 
 def _stacked(parts: list[Any]) -> Any:
@@ -196,97 +192,82 @@ AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}
 """Axis about which a positive angle moves the tip towards +x and +y."""
 
 
-@dataclass(frozen=True)
-class Load:
-    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
-
-    mass_kg: float = 0.0
-    offset_x_m: float = 0.0
-    offset_y_m: float = 0.0
-
-
-@dataclass(frozen=True)
 class MujocoLink:
-    """Compiled model and the addresses of its joints and bodies."""
+    """MuJoCo model of the robot: yoke, plate, link, tip, markers; the second joint may be rigid.
 
-    model: Any  # Only hinges and slides, so positions and rates have the same addresses
-    joints: NDArray[np.intp]  # Addresses of the driven joints, (dof,)
-    # Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y
-    hinges: NDArray[np.intp]
-    bodies: NDArray[np.intp]  # Ids of the link's pieces, (n,)
-
-
-def build_mujoco_link(
-    parameters: RigParameters, dof: int, load: Load, gravity_m_s2: Array, stiffness_nm_rad: Array
-) -> MujocoLink:
-    """Build the model; with one driven joint, the second is rigid.
-
-    `stiffness_nm_rad` (n,) is that of the hinge pairs; the damping is proportional to it.
+    Attributes
+    ----------
+    model : mujoco.MjModel
+        Only hinges and slides, so positions and rates have the same addresses.
+    joints : ndarray
+        Addresses of the driven joints, (dof,).
+    hinges : ndarray
+        Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y.
+    bodies : ndarray
+        Ids of the link's pieces, (n,).
     """
-    p = parameters
-    spec = mujoco.MjSpec()
-    spec.option.timestep = p["world.step_s"]
-    spec.option.gravity = gravity_m_s2
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags = int(
-        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    )
-    frame = [p["link.frame_inertia_kg_m2"]] * 3
-    yoke = _body(spec.worldbody, "yoke", 0.0, p["link.yoke_mass_kg"], frame)
-    _joint(yoke, "joint_x", "x")
-    plate = _body(yoke, "plate", 0.0, 0.0, [0.0] * 3)
-    if dof == 2:
-        _joint(plate, "joint_y", "y")
-    _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
-    _add_link(plate, p, stiffness_nm_rad, load)
-    model, pairs = spec.compile(), p.structure.hinges + 1
-    return MujocoLink(
-        model=model,
-        joints=np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]]),
-        hinges=np.array(
+
+    def __init__(
+        self, parameters: RigParameters, dof: int, load: Load, down_m_s2: Array, law: BendLaw
+    ) -> None:
+        p, pairs = parameters, parameters.structure.hinges + 1
+        spec = mujoco.MjSpec()
+        spec.option.timestep = p["world.step_s"]
+        spec.option.gravity = down_m_s2
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.disableflags = int(
+            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        )
+        frame = [p["link.frame_inertia_kg_m2"]] * 3
+        yoke = _body(spec.worldbody, "yoke", 0.0, p["link.yoke_mass_kg"], frame)
+        _hinge(yoke, "joint_x", "x")
+        plate = _body(yoke, "plate", 0.0, 0.0, [0.0] * 3)
+        if dof == 2:
+            _hinge(plate, "joint_y", "y")
+        _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
+        _add_link(plate, p, load, law.stiffness_nm_rad)
+        self.model = model = spec.compile()
+        self.joints = np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]])
+        self.hinges = np.array(
             [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in "xy"] for k in range(pairs)]
-        ),
-        bodies=np.array([model.body(f"link{k}").id for k in range(pairs)]),
-    )
+        )
+        self.bodies = np.array([model.body(f"link{k}").id for k in range(pairs)])
 
 
-def _add_link(plate: Any, p: RigParameters, stiffness_nm_rad: Array, load: Load) -> None:
+def _add_link(plate: Any, p: RigParameters, load: Load, stiffness_nm_rad: Array) -> None:
     width, damping_s = p["link.width_m"], p["stiffness.damping_s"]
     hinges = p.structure.hinges
     piece = p["link.length_m"] / hinges
     density = p["link.mass_kg"] / p["link.length_m"]
-    shear = (p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2) / piece
+    shear = link_stiffness(p).shear_n / piece
     body, offset = plate, p["link.base_offset_m"]
     for k in range(hinges + 1):
         # The root's piece and the last one are half as long: hinges are in the middle of pieces.
         long = piece if 0 < k < hinges else 0.5 * piece
         mass = density * long
         across = mass * (width**2 + long**2) / 12.0
-        body = _body(
-            body, f"link{k}", offset, mass, [across, across, mass * width**2 / 6.0], 0.5 * long
-        )
-        if k > 0:
-            for axis, direction in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0))):
-                joint = body.add_joint(
-                    name=f"shear{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction
-                )
-                joint.stiffness[0], joint.damping[0] = shear, damping_s * shear
+        inertia = [across, across, mass * width**2 / 6.0]
+        body = _body(body, f"link{k}", offset, mass, inertia, 0.5 * long)
+        for axis, direction in (("x", (1.0, 0.0, 0.0)), ("y", (0.0, 1.0, 0.0))) if k else ():
+            joint = body.add_joint(
+                name=f"shear{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction
+            )
+            joint.stiffness[0], joint.damping[0] = shear, damping_s * shear
         for axis in "xy":
-            joint = _joint(body, f"hinge{k}_{axis}", axis)
+            joint = _hinge(body, f"hinge{k}_{axis}", axis)
             joint.damping[0] = damping_s * stiffness_nm_rad[k]
         for row, height_m in enumerate(p.layout.rows_m):
             # In pieces above the hinge; the root's piece ends below the first hinge of the span.
             above = height_m / p["link.length_m"] * hinges - max(k - 0.5, 0.0)
             if 0.0 <= above < (1.0 if k else 0.5):
-                _add_markers(body, row, above * piece, p.layout)
+                for name, corner_m in zip(p.layout.row(row), p.layout.corners_m, strict=True):
+                    body.add_site(name=name, pos=[*corner_m, above * piece])
         offset = long
     tip = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
     _body(body, "tip", offset, tip, [tip * width**2 / 12.0] * 3)
     if load.mass_kg > 0.0:
-        payload = _body(
-            body, "payload", offset, load.mass_kg,
-            [load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0] * 3,
-        )  # fmt: skip
+        inertia = [load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0] * 3
+        payload = _body(body, "payload", offset, load.mass_kg, inertia)
         payload.pos[:2] = load.offset_x_m, load.offset_y_m
 
 
@@ -299,14 +280,8 @@ def _body(
     )  # fmt: skip
 
 
-def _joint(body: Any, name: str, axis: str) -> Any:
+def _hinge(body: Any, name: str, axis: str) -> Any:
     return body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=AXES[axis])
-
-
-def _add_markers(body: Any, row: int, z_m: float, layout: MarkerLayout) -> None:
-    """Markers of a row, in the order of a trial's columns."""
-    for name, (x_m, y_m) in zip(layout.row(row), layout.corners_m, strict=True):
-        body.add_site(name=name, pos=[x_m, y_m, z_m])
 
 
 UNSTABLE_WARNINGS: Final = (
@@ -318,8 +293,8 @@ if mujoco.get_mju_user_warning() is None:  # else each goes to a file in the wor
     mujoco.set_mju_user_warning(lambda message: None)
 
 
-class MujocoRig:
-    """`models.rig.rig.Rig` on MuJoCo; `models.rig.rig.build_rig` describes the arguments."""
+class MujocoRig(Rig):
+    """`Rig` on MuJoCo; `models.rig.protocol.build_rig` describes the arguments."""
 
     def __init__(
         self,
@@ -330,23 +305,17 @@ class MujocoRig:
         gravity: tuple[float, float, float] = DOWN,
     ) -> None:
         p = parameters
-        self.step_s = p["world.step_s"]
+        super().__init__(p, dof, p["world.step_s"])
         self.bending_law = BendLaw(p, self.step_s)
-        load = Load(
-            payload_kg,
-            eccentricity_m[0] + p["link.payload_offset_share"] * p["link.length_m"],
-            eccentricity_m[1],
-        )
-        down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
-        self.link = build_mujoco_link(p, dof, load, down, self.bending_law.stiffness_nm_rad)
+        load = tip_load(p, payload_kg, eccentricity_m)
+        self.link = MujocoLink(p, dof, load, gravity_m_s2(p, gravity), self.bending_law)
         self.data = mujoco.MjData(self.link.model)
         mujoco.mj_forward(self.link.model, self.data)
-        self.servos = [RigServo(p.of_joint(k + 1), self.step_s) for k in range(dof)]
-        self._play = MarkerPlay(p, dof, self.step_s)
-        self._dragged = p["world.drag_nm"] != 0.0
         # MuJoCo's arrays stay in place: views of them save a look-up and a copy per step.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied_nm = self.data.qfrc_applied
+        self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
+        self._dragged = p["world.drag_nm"] != 0.0
         pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # bodies are consecutive
         self._body_centres = self.data.xipos[pieces]
         self._centres = self._body_centres.copy()
@@ -355,56 +324,29 @@ class MujocoRig:
             [self._body_centres, self._centres],
             [self.data.xfrc_applied[pieces]],
         )
-        self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
-        self._steps, self._last_bend_rad = 0, 0.0
-        self._leak_from_s = np.inf
 
     @property
-    def time_s(self) -> float:
-        """Time since the start in s."""
-        return self._steps * self.step_s
+    def joint_rad(self) -> list[float]:
+        return [float(angle) for angle in self.data.qpos[self.link.joints]]
 
     @property
-    def markers_m(self) -> Array:
-        """True markers in the world frame, shape (markers, 3), at the start of the last step.
+    def link_markers_m(self) -> Array:
+        return np.asarray(self.data.site_xpos)  # MuJoCo updates sites before it moves the bodies
 
-        MuJoCo updates sites before it moves the bodies. The result may be a view that the next step
-        changes.
-        """
-        markers_m = np.asarray(self.data.site_xpos)
-        if self._play.absent:
-            return markers_m
-        return self._play.shown_m(markers_m, self.data.qpos[self.link.joints])
-
-    def look(self) -> LinkState:
-        """Whether the link is intact, has folded, or its simulation has become unstable.
-
-        MuJoCo counts states that are not finite and restarts from zero after each.
-        """
-        reset = any(self.data.warning[w].number for w in UNSTABLE_WARNINGS)
-        bend_rad = np.nan if reset else float(np.max(np.abs(self.data.qpos[self.link.hinges])))
-        state = state_of_link(bend_rad, self._last_bend_rad)
-        self._last_bend_rad = bend_rad
-        return state
-
-    def start_leak(self) -> None:
-        """Start the pressure leak, at the start of the recorded run."""
-        self._leak_from_s = self.time_s
-
-    def send(self, goal_rad: Array) -> None:
-        """Send goals in rad, shape (dof,), to the servos."""
-        for servo, goal in zip(self.servos, goal_rad, strict=True):
-            servo.send(float(goal), self.time_s)
+    @property
+    def largest_bend_rad(self) -> float:
+        # MuJoCo counts states that are not finite and restarts from zero after each.
+        if any(self.data.warning[w].number for w in UNSTABLE_WARNINGS):
+            return np.nan
+        return float(np.max(np.abs(self.data.qpos[self.link.hinges])))
 
     def step(self) -> None:
-        """Advance by one integration step."""
         time_s, hinges = self.time_s, self.link.hinges
         qpos, qvel, applied_nm = self._qpos, self._qvel, self._applied_nm
         for servo, joint in self._drives:
             torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
             applied_nm[joint] = torque + servo.load_nm
-        leaking_s = max(time_s - self._leak_from_s, 0.0)
-        applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), leaking_s))
+        applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), self.leaking_s))
         if self._dragged:
             self._set_drag()
             np.copyto(self._centres, self._body_centres)
@@ -414,17 +356,16 @@ class MujocoRig:
         self._steps += 1
 
     def _drag(self, drag_nm: float) -> ca.Function:
-        """Function (centres of the pieces now, a step earlier) -> their wrenches, shape (6, n)."""
-        coefficients = ca.DM(drag_nm * self._drag_coefficients()).T
+        """Function (centres of the pieces now, a step earlier) -> their wrenches, shape (6, n).
+
+        Force per speed squared of each piece is such that 1 rad/s about joint 1 gives `drag_nm`.
+        """
+        height = self.data.xipos[self.link.bodies, 2]
+        area = self.link.model.body_mass[self.link.bodies]  # uniform: as the mass
+        coefficients = ca.DM(drag_nm * np.asarray(area / np.sum(area * height**3))).T
         now_m, before_m = (ca.SX.sym(name, 3, coefficients.numel()) for name in ("now", "before"))
         velocity = (now_m - before_m) / self.step_s
         speed = ca.sqrt(ca.sum1(velocity**2))
         force_n = -ca.repmat(coefficients * speed, 3, 1) * velocity
         wrench = ca.densify(ca.vertcat(force_n, ca.SX.zeros(3, coefficients.numel())))
         return ca.Function("drag", [now_m, before_m], [wrench])
-
-    def _drag_coefficients(self) -> Array:
-        """Force per speed squared of each piece, such that 1 rad/s about joint 1 gives 1 N·m."""
-        height = self.data.xipos[self.link.bodies, 2]
-        area = self.link.model.body_mass[self.link.bodies]  # uniform: as the mass
-        return np.asarray(area / np.sum(area * height**3))

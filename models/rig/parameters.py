@@ -1,16 +1,18 @@
-"""Parameters of the rig: a TOML file with value, unit and source of each.
+"""What a rig is: the structure of its equations, and the values that belong to it.
 
-Rig of a described link: the study's parameters, scaled by size, pressure and servo.
+Both are read from TOML files, with unit and source of each value. The rig of a described link has
+the study's values, scaled by size, section, pressure and servo.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal, NamedTuple
 
 import msgspec
 
@@ -19,17 +21,68 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.rig.structure import (
-    DEFAULT_STRUCTURE,
-    STRUCTURES,
-    RigStructure,
-    named_structures,
-    structure_of,
-)
 from models.shared.catalogue import CATALOGUE, effect_and_joint
 from models.shared.link_scale import LinkScale
 
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
+STRUCTURES: Final = Path(__file__).with_name("structures")
+"""Files of the named structures, `NAME.toml`."""
+
+
+class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Forms of a rig's equations (`models.rig.forms`); the defaults are the project's rig."""
+
+    # Mechanics of the link: hinges in MuJoCo, or a Cosserat rod
+    engine: Literal["mujoco", "cosserat"] = "mujoco"
+    # Hinge pairs of the span in MuJoCo, without the root's
+    hinges: Annotated[int, msgspec.Meta(ge=5, le=17)] = 8
+    # How the moment levels off at its limit
+    limit: Literal["tanh", "wrinkling"] = "tanh"
+    # Friction of the link's skin
+    hysteresis: Literal["bouc_wen", "maxwell_slip", "dahl"] = "bouc_wen"
+    # Spectrum of relaxation times
+    creep: Literal["branches", "power_law"] = "branches"
+    # Friction of the servo
+    friction: Literal["lugre", "smooth"] = "lugre"
+    # How Stribeck friction fades with the rate
+    stribeck: Literal["gaussian", "rational"] = "gaussian"
+    # Where the backlash is: in the gear, or in the link's mount, where it moves only the markers
+    play: Literal["gear", "markers"] = "gear"
+    # Set-point between two goals
+    goal: Literal["held", "interpolated", "profile"] = "held"
+    # Current that the servo's register holds
+    current_sampling: Literal["tick", "phase", "mean"] = "tick"
+    # Position loop: proportional, or also with feed-forward of the goal's rate and an integral of
+    # the error
+    position_loop: Literal["proportional", "feedforward"] = "proportional"
+    # Where the velocity loop measures its rate: at the motor, or at the encoder with its periodic
+    # error
+    rate_sensor: Literal["motor", "encoder"] = "motor"
+    # Filter in the software of the motion capture
+    mocap_filter: Literal["none", "low_pass", "zero_phase"] = "none"
+
+
+DEFAULT_STRUCTURE: Final = RigStructure()
+
+
+class NamedStructure(msgspec.Struct, frozen=True, kw_only=True):
+    """Content of a structure's file, apart from parameters."""
+
+    summary: str  # Description in one line
+    # "tuning" if numbers of the workflow may be set on it, "test" if they never are
+    purpose: Literal["tuning", "test"]
+    structure: RigStructure
+
+
+def named_structures() -> dict[str, NamedStructure]:
+    """Named structures by name, the default first."""
+    paths = sorted(STRUCTURES.glob("*.toml"), key=lambda p: (p.stem != "default", p.stem))
+    return {p.stem: _structure_of(tomllib.loads(p.read_text(encoding="utf-8")), p) for p in paths}
+
+
+def _structure_of(document: dict[str, Any], path: Path) -> NamedStructure:
+    remedy = "see docs/rig/structures.md for its form"
+    return convert(document, NamedStructure, path, "is no structure of a rig", remedy)
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -57,7 +110,7 @@ class RigParameters(Mapping[str, float]):
     structure : RigStructure
         Forms of the equations that the values belong to.
     link : LinkDescription or None
-        Link that the values were scaled to (`models.rig.parameters`); None for the study's.
+        Link that the values were scaled to; None for the study's.
     added_in_joint : dict of int to dict of str to float
         Additions to values of a single joint, by joint and parameter name.
     """
@@ -173,15 +226,23 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
     A file with a table `structure` may change only structure and values: effects keep their
     parameters.
     """
-    document = _read_document(path)
-    structure = DEFAULT_STRUCTURE
-    entries = _entries(document, path)
+    names = ", ".join(named_structures())
+    document = read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
+    structure, entries = DEFAULT_STRUCTURE, _entries(document, path)
     if path != RIG_TOML:
-        own = _entries(_read_document(RIG_TOML), RIG_TOML)
-        _check_names(entries, own, path)
+        own = read_parameters().entries
+        for name, entry in entries.items():
+            if name not in own:
+                raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
+            if entry.unit != own[name].unit:
+                unit = own[name].unit
+                raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {unit}")
         if "structure" in document:
-            structure = structure_of(document, path).structure
-            entries = {name: _revalued(own[name], entry) for name, entry in entries.items()}
+            structure = _structure_of(document, path).structure
+            entries = {
+                name: msgspec.structs.replace(own[name], value=entry.value, source=entry.source)
+                for name, entry in entries.items()
+            }
         entries = own | entries
     for name, entry in entries.items():
         if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
@@ -189,23 +250,6 @@ def read_parameters(path: Path = RIG_TOML) -> RigParameters:
         if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
             raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
     return RigParameters(entries, path, structure)
-
-
-def _revalued(own: Entry, entry: Entry) -> Entry:
-    return msgspec.structs.replace(own, value=entry.value, source=entry.source)
-
-
-def _check_names(entries: dict[str, Entry], own: dict[str, Entry], path: Path) -> None:
-    for name, entry in entries.items():
-        if name not in own:
-            raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
-        if entry.unit != own[name].unit:
-            raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {own[name].unit}")
-
-
-def _read_document(path: Path) -> dict[str, Any]:
-    names = ", ".join(named_structures())
-    return read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
 
 
 def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
@@ -223,9 +267,45 @@ def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
     return entries
 
 
+class LinkStiffness(NamedTuple):
+    """Stiffness and limit moments of the link at its pressure."""
+
+    bending_n_m2: float
+    root_nm_rad: float
+    shear_n: float
+    root_limit_nm: float
+    span_limit_nm: float
+
+
+def link_stiffness(parameters: RigParameters) -> LinkStiffness:
+    """Stiffness and limit moments of a rig, whose values belong to the reference pressure.
+
+    Pressure enters the tension of the walls, which adds to EI and so to the root patch, the shear
+    stiffness and the limit moments, as in `models.shared.link_scale`.
+    """
+    p = parameters
+    section, reference = (
+        LinkScale(msgspec.structs.replace(
+            p.link or STUDY_LINK, width_m=p["link.width_m"], pressure_pa=p[f"stiffness.{name}"]
+        ))
+        for name in ("pressure_pa", "reference_pressure_pa")
+    )  # fmt: skip
+    tension_n_m = section.tension_n_m - reference.tension_n_m
+    bending_n_m2 = p["stiffness.bending_n_m2"] + section.second_moment_m3 * tension_n_m
+    pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+    return LinkStiffness(
+        bending_n_m2,
+        p["stiffness.root_nm_rad"] * bending_n_m2 / p["stiffness.bending_n_m2"],
+        p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * section.area_m2,
+        pressure * p["stiffness.root_limit_nm"],
+        pressure * p["stiffness.span_limit_nm"],
+    )
+
+
 def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
+    """Rig of a described link: the study's values, scaled by size, section, pressure and servo."""
     own = read_parameters()
-    ratios = _ratios(LinkScale(link))
+    ratios = _ratios(link, own["stiffness.reference_pressure_pa"])
     entries = {
         name: msgspec.structs.replace(
             entry, value=entry.value * ratios.get(name, 1.0),
@@ -241,16 +321,11 @@ def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
 def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
     """Values that the description states directly."""
     model, preset = model_named(link.servo.model), link.preset
-    scale, study = LinkScale(link), LinkScale(STUDY_LINK)
-    # The rig adds p h² to the wall's shear; for a round section that is too much.
-    excess_n = link.pressure_pa * (link.width_m**2 - scale.area_m2)
-    wall = own["stiffness.wall_shear_n"] * (scale.wall_shear_n / study.wall_shear_n)
     return {
         "link.length_m": link.length_m,
         "link.width_m": link.width_m,
         "link.base_offset_m": link.base_offset_m,
         "stiffness.pressure_pa": link.pressure_pa,
-        "stiffness.wall_shear_n": wall - excess_n,
         "servo.profile_velocity_rad_s": min(
             own["servo.profile_velocity_rad_s"], preset.speed_limit_rad_s
         ),
@@ -260,12 +335,15 @@ def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
     }
 
 
-def _ratios(scale: LinkScale) -> dict[str, float]:
+def _ratios(link: LinkDescription, reference_pressure_pa: float) -> dict[str, float]:
     """Factors on the study's values and bounds, by parameter."""
+    scale = LinkScale(link)
     servo, over = scale.servo_ratios, scale.over_study
-    width = scale.link.width_m / STUDY_LINK.width_m
-    length = scale.link.length_m / STUDY_LINK.length_m
-    pressure = over("pressure_ratio")  # the rig already multiplies by it
+    # The rig brings its values from the reference pressure to its own.
+    at_reference = msgspec.structs.replace(link, pressure_pa=reference_pressure_pa)
+    over_at_reference = LinkScale(at_reference).over_study
+    width = link.width_m / STUDY_LINK.width_m
+    length = link.length_m / STUDY_LINK.length_m
     torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
     coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
     return {
@@ -275,10 +353,11 @@ def _ratios(scale: LinkScale) -> dict[str, float]:
         "link.plate_mass_kg": over("plate_m2"),
         "link.yoke_mass_kg": servo["mass_kg"],
         "link.frame_inertia_kg_m2": over("plate_m2") ** 2,
-        "stiffness.bending_n_m2": over("bending_n_m2") / pressure,
-        "stiffness.root_nm_rad": over("root_nm_rad") / pressure,
-        "stiffness.root_limit_nm": over("limit_moment_nm") / pressure,
-        "stiffness.span_limit_nm": over("limit_moment_nm") / pressure,
+        "stiffness.bending_n_m2": over_at_reference("bending_n_m2"),
+        "stiffness.wall_shear_n": over("wall_shear_n"),
+        "stiffness.root_nm_rad": over_at_reference("root_nm_rad"),
+        "stiffness.root_limit_nm": over_at_reference("limit_moment_nm"),
+        "stiffness.span_limit_nm": over_at_reference("limit_moment_nm"),
         "stiffness.damping_s": 1 / over("first_mode_rad_s"),
         "servo.speed_limit_rad_s": servo["speed_limit_rad_s"],
         "servo.inertia_kg_m2": inertia,

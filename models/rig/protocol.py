@@ -1,16 +1,13 @@
-"""Record of the conditions under which the rig ran each trial of a directory.
+"""Protocol of the study on a rig: settle, warm-up run (discarded), settle, rest, recorded run.
 
-The record lies beside the trials. Only `refuse_other_conditions` reads it, so that hidden effects
-stay out of the trials themselves; pages read the name of the rig (`models.trials.origin`).
-
-Protocol of the study: settle, warm-up run (discarded), settle, rest, recorded run.
-
-Runner of many trials in several processes; a result depends on its case only.
+A trial case holds the conditions of a trial; a result depends on its case and rig only. The
+conditions that a trial's own files lack, hidden effects among them, are recorded beside the trials.
 """
 
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
@@ -22,75 +19,109 @@ import numpy as np
 
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_layout
-from firmware_py.motion import GLIDE_S
+from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
 from firmware_py.signals import PERIOD_S, trial_signals
-from models.rig.parameters import RigParameters
-from models.rig.rig import Rig, build_rig
+from models.rig.parameters import RigParameters, RigStructure
+from models.rig.rig import DOWN, Rig
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
-from models.rig.structure import RigStructure
-from models.rig.trial_case import TrialCase
 from models.shared.kinematics import Array
 from models.shared.worker_pool import worker_pool
 from models.trials.files import write_trial
 from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
 
-CONDITIONS_FILE: Final = "rig_conditions.json"
+
+@dataclass(frozen=True)
+class TrialCase:
+    """Conditions of one trial to simulate.
+
+    Attributes
+    ----------
+    motion : Motion
+        Reference motion, with the number of driven joints.
+    payload_kg : float
+        Declared payload in kg.
+    trial : int
+        Number of the repetition, each with its own variation and noise.
+    seed : int
+        Seed of the whole set of trials.
+    pressure_pa : float
+        Declared pressure in Pa.
+    gravity : tuple of float
+        Direction of gravity in the world frame; its length does not matter.
+    """
+
+    motion: Motion
+    payload_kg: float
+    trial: int
+    seed: int = 0
+    pressure_pa: float = STUDY_LINK.pressure_pa
+    gravity: tuple[float, float, float] = DOWN
+
+    @property
+    def name(self) -> str:
+        """Name of the trial; it lists the conditions that differ from the study's."""
+        m = self.motion
+        parts = [
+            f"dof{m.dof}", f"payload{self.payload_kg:g}", f"trial{self.trial}", m.name,
+            f"{math.degrees(m.amplitude_rad):.6g}deg",
+        ]  # fmt: skip
+        if m.dof == 2 and m.phase_2_rad:
+            parts.append(f"phase{math.degrees(m.phase_2_rad):.6g}deg")
+        if m.design is None and m.period_s != STUDY_PERIOD_S:
+            parts.append(f"period{m.period_s:g}s")
+        if self.pressure_pa != STUDY_LINK.pressure_pa:
+            parts.append(f"{self.pressure_pa:g}pa")
+        if self.gravity != DOWN:
+            parts.append("gravity" + ",".join(f"{g:g}" for g in self.gravity))
+        return "_".join(parts)
+
+    def rng(self) -> np.random.Generator:
+        """Return the trial's random generator, independent of other trials and of the process."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.name.encode())])
 
 
-class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial that its own files do not contain."""
+def build_rig(
+    parameters: RigParameters,
+    dof: int,
+    payload_kg: float,
+    eccentricity_m: tuple[float, float] = (0.0, 0.0),
+    gravity: tuple[float, float, float] = DOWN,
+) -> Rig:
+    """Build the engine that the rig's structure names.
 
-    seed: int  # Seed of variation and noise
-    hidden: dict[str, float]  # Strength of each hidden effect, in its unit
-    rig_sha256: str  # Hash of the rig's structure and parameters, hidden effects included
-    rig: str  # Name of the rig, or its file
-    structure: RigStructure  # Forms of the rig's equations
+    Parameters
+    ----------
+    parameters : RigParameters
+        Structure and values.
+    dof : int
+        Driven joints, 1 or 2.
+    payload_kg : float
+        Declared payload.
+    eccentricity_m : tuple of float
+        Offset of the payload's centre from the axis, towards +x and +y.
+    gravity : tuple of float
+        Direction in the world frame; its length does not matter.
 
+    Raises
+    ------
+    InputError
+        If an effect is hidden in a joint that is not driven, or the structure has a choice of
+        another engine.
+    """
+    for joint in (j for j in parameters.added_in_joint if j > dof):
+        raise InputError(
+            "--hide EFFECT:JOINT", f"names joint {joint}, and {dof} is driven", "name joint 1"
+        )
+    # An engine is loaded when it is built: each has a large library of its own.
+    if parameters.structure.engine == "cosserat":
+        from models.rig.rod import CosseratRig
 
-class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions of simulated trials."""
+        return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
+    from models.rig.hinged import MujocoRig
 
-    MADE_BY: ClassVar[str] = "dropstitch simulate"
-
-    trials: dict[str, RigConditions]  # Conditions by name of the trial
-
-
-def refuse_other_conditions(
-    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
-) -> None:
-    """Refuse to overwrite a trial that was measured or simulated under other conditions."""
-    recorded = _read_trials(directory)
-    for case in cases:
-        path = directory / f"{case.name}.csv"
-        if path.exists() and recorded.get(case.name) != conditions:
-            raise InputError(
-                path,
-                "holds a trial that was run under other conditions",
-                "choose another --out, or remove it",
-            )
-
-
-def record_conditions(
-    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
-) -> None:
-    """Add the conditions of these trials to the directory's record, before they are simulated."""
-    directory.mkdir(parents=True, exist_ok=True)
-    trials = _read_trials(directory) | {case.name: conditions for case in cases}
-    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
-    write_document(directory / CONDITIONS_FILE, record)
-
-
-def _read_trials(directory: Path) -> dict[str, RigConditions]:
-    path = directory / CONDITIONS_FILE
-    return read_document(path, ConditionsRecord).trials if path.exists() else {}
-
-
-REST_SAMPLES: Final = 60
-"""Rows at rest before the motion, the reference of the Deformation Index."""
-
-_MARGIN: Final = 6
-"""Ticks logged before and after the recorded run, for delay and resampling of the markers."""
+    return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)
 
 
 @dataclass(frozen=True)
@@ -121,6 +152,13 @@ def draw_variation(
         eccentricity_m=(eccentricity * x, eccentricity * y),
         frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
     )
+
+
+REST_SAMPLES: Final = 60
+"""Rows at rest before the motion, the reference of the Deformation Index."""
+
+_MARGIN: Final = 6
+"""Ticks logged before and after the recorded run, for delay and resampling of the markers."""
 
 
 def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
@@ -173,7 +211,7 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
             rig.step()
             if tick >= first - _MARGIN:
                 log.append(rig.markers_m.copy())
-        check_link_state(rig, case.name, p)
+        rig.check_link(case.name)
 
     time_s: Array = PERIOD_S * np.arange(len(goals), dtype=np.float64)
     markers_m = read_markers(
@@ -182,34 +220,20 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     )  # fmt: skip
     angle_rad = read_encoder(p, encoder_rad)
     current_a = read_current(p, current_a, rng)
-    return _trial(case, p, time_s, goals, angle_rad, current_a, markers_m)
-
-
-def check_link_state(rig: Rig, where: str, parameters: RigParameters) -> None:
-    """Refuse a link that has folded, or a simulation that has become unstable."""
-    state = rig.look()
-    if state == "folded":
-        raise InputError(
-            where, f"the link folds {rig.time_s:.1f} s after power-up",
-            "choose a smaller payload, amplitude or strength, or a longer period",
-        )  # fmt: skip
-    if state == "unstable":
-        raise InputError(
-            where, f"the simulation is unstable {rig.time_s:.1f} s after power-up: its step of "
-            f"{parameters['world.step_s']:g} s is too long for parts as light and stiff as these",
-            "check masses, stiffness, gear and rotor inertia of link or rig",
-        )  # fmt: skip
-
-
-def _trial(
-    case: TrialCase, p: RigParameters, time_s: Array, goal_rad: Array, angle_rad: Array,
-    current_a: Array, markers_m: Array,
-) -> Trial:  # fmt: skip
-    joints = np.stack([goal_rad, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
+    joints = np.stack([goals, angle_rad, current_a], axis=2).reshape(len(time_s), -1)
     tip_m = markers_m[:, p.layout.tip_row].mean(axis=1)
     samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
+    names = [s.name for s in trial_signals(case.motion.dof, p.layout.count)]
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
+    return Trial(case.name, _meta(case, p), columns)
+
+
+def _meta(case: TrialCase, p: RigParameters) -> TrialMeta:
     motion, size_m = case.motion, (p["link.length_m"], p["link.width_m"])
-    meta = TrialMeta(
+    x, y, z = case.gravity
+    size = p["world.gravity_m_s2"] / math.hypot(x, y, z)
+    gravity = (x * size, y * size, z * size)
+    return TrialMeta(
         dof=motion.dof,
         payload_kg=case.payload_kg,
         pressure_pa=case.pressure_pa,
@@ -222,21 +246,10 @@ def _trial(
         base_offset_m=p["link.base_offset_m"],
         link_length_m=p["link.length_m"],
         link_width_m=p["link.width_m"],
-        gravity_m_s2=_gravity_m_s2(case, p),
+        gravity_m_s2=None if gravity == UPRIGHT_M_S2 else gravity,
         markers=p.layout if p.layout != square_layout(*size_m) else None,
         rest_samples=REST_SAMPLES,
     )
-    names = [s.name for s in trial_signals(motion.dof, p.layout.count)]
-    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(names)}
-    return Trial(case.name, meta, columns)
-
-
-def _gravity_m_s2(case: TrialCase, p: RigParameters) -> tuple[float, float, float] | None:
-    """Gravity in the link's frame; None if it is that of an upright link."""
-    x, y, z = case.gravity
-    size = p["world.gravity_m_s2"] / math.hypot(x, y, z)
-    vector = (x * size, y * size, z * size)
-    return None if vector == UPRIGHT_M_S2 else vector
 
 
 def run_trial_cases(
@@ -269,3 +282,54 @@ def run_trial_cases(
 
 def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
     return write_trial(run_case(parameters, case), directory)
+
+
+CONDITIONS_FILE: Final = "rig_conditions.json"
+
+
+class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Conditions of a trial that its own files do not contain."""
+
+    seed: int  # Seed of variation and noise
+    hidden: dict[str, float]  # Strength of each hidden effect, in its unit
+    rig_sha256: str  # Hash of the rig's structure and parameters, hidden effects included
+    rig: str  # Name of the rig, or its file
+    structure: RigStructure  # Forms of the rig's equations
+
+
+class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Conditions of simulated trials."""
+
+    MADE_BY: ClassVar[str] = "dropstitch simulate"
+
+    trials: dict[str, RigConditions]  # Conditions by name of the trial
+
+
+def refuse_other_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Refuse to overwrite a trial that was measured or simulated under other conditions."""
+    recorded = _recorded(directory)
+    for case in cases:
+        path = directory / f"{case.name}.csv"
+        if path.exists() and recorded.get(case.name) != conditions:
+            raise InputError(
+                path,
+                "holds a trial that was run under other conditions",
+                "choose another --out, or remove it",
+            )
+
+
+def record_conditions(
+    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
+) -> None:
+    """Add the conditions of these trials to the directory's record, before they are simulated."""
+    directory.mkdir(parents=True, exist_ok=True)
+    trials = _recorded(directory) | {case.name: conditions for case in cases}
+    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
+    write_document(directory / CONDITIONS_FILE, record)
+
+
+def _recorded(directory: Path) -> dict[str, RigConditions]:
+    path = directory / CONDITIONS_FILE
+    return read_document(path, ConditionsRecord).trials if path.exists() else {}

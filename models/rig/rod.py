@@ -1,44 +1,10 @@
-"""Section law of the rod: wrinkling, Zener damping, logarithmic creep and Jenkins friction.
+"""Link as a Cosserat rod on PyElastica: its law, its geometry, its base joints and its engine.
 
-It shares the numbers of `rig.toml` with the MuJoCo link's law, not its equations. Row 0 is the root
-patch, the other rows are sections of the span. Every part is a moment m against a measure of bend
-u, with tau = (du/dphi)^T m, so no part can create energy:
-
-* an elastic moment, linear up to the moment M_w at which the compressed wall wrinkles, then a
-  hyperbola to the limit moment; both moments are proportional to pressure, the stiffness is the
-  sum of a constant part of the wall and a part proportional to pressure;
-* a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
-  Kelvin-Voigt damper of the same viscosity;
-* relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
-  close to a logarithm of time;
-* four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (Iwan, 1966
-  [recalled]), with vector sliders for both planes.
-
-The forms and their constants are [assumed] (docs/sources.md, "The link").
-
-Cosserat rod of the link (PyElastica): geometry, inertia, tip, section law and markers.
-
-The rod lies along +z. Its first element is a stub inside the plate, which the base joints move; the
-root patch is the joint between the stub and the link. The elements of the link are as long as a
-section, the first and the last one half as long, so sections are in the middle of equal parts.
-PyElastica computes internal forces and moments from strains. All that is not elastic enters as rest
-strains and tangent stiffness, updated in every step of the rig.
-
-Base joints of the rod: yoke and plate on one or two driven joints, with the rod's reaction.
-
-Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal inertia
-about all axes; the plate's mass and the rod's first node are at one point above the axes, so that
-
-    M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
-
-with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
-
-Rig on a Cosserat rod: servos, base joints and rod, stepped together.
+It shares the numbers of `rig.toml` with the hinged link, not its equations.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, sin
 from typing import Final
 
@@ -47,20 +13,10 @@ from elastica.rod.cosserat_rod import CosseratRod
 from elastica.rod.data_structures import overload_operator_kinematic_numba
 
 from firmware_py.errors import InputError
-from models.rig.forms import MarkerPlay
-from models.rig.parameters import RigParameters
-from models.rig.servo import RigServo
-from models.rig.structure import DEFAULT_STRUCTURE
-from models.rig.trial_case import DOWN, LinkState, state_of_link
+from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters, link_stiffness
+from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
-
-WALL_FRACTION: Final = 0.3
-"""Fraction of the bending stiffness that does not depend on pressure [assumed]."""
-
-WRINKLE_FRACTION: Final = 0.5
-"""Moment at which the wall wrinkles, relative to the limit moment: that of a tube; theory gives
-2/3 for a box (docs/sources.md, "The link") [assumed]."""
 
 ZENER_FRACTION: Final = 0.5
 """Stiffness of the damping branch, relative to the elastic one [assumed]."""
@@ -73,30 +29,33 @@ SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 """Yield bends of the sliders, relative to the yield bend; their mean is one."""
 
 
-def stiffness_factor(parameters: RigParameters) -> float:
-    """Stiffness of wall and pressure at the rig's pressure, relative to that at the reference."""
-    p = parameters
-    pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
-    return WALL_FRACTION + (1.0 - WALL_FRACTION) * pressure
-
-
 class SectionLaw:
-    """Moments and tangent stiffness of the root patch and all sections, with their memory."""
+    """Moments and tangent stiffness of the root patch and all sections, with their memory.
+
+    Row 0 is the root patch, the other rows are sections of the span. The moment M of the fabric is
+    the sum, against a measure of bend u, with tau = (du/dphi)^T m, of
+
+    * an elastic moment;
+    * a Zener branch of half the stiffness that relaxes within twice the damping time, instead of a
+      Kelvin-Voigt damper of the same viscosity;
+    * relaxing branches of equal stiffness at times that grow by a constant factor, whose creep is
+      close to a logarithm of time;
+    * four Jenkins elements (spring and slider) in parallel, an Iwan model of hysteresis (*J.
+      Applied Mechanics* 33, 1966 [recalled]), with vector sliders for both planes.
+
+    Pressure bounds all of it radially (`models.rig.hinged.BendLaw` says why, and what is known of
+    its passivity): m = M up to half of the limit moment M_c, where the compressed wall wrinkles,
+    then a hyperbola to the limit, M_c (1 - M_c / (4 |M|)). Half is the onset of a tube; theory
+    gives 2/3 for a box. The forms and constants are [assumed] (docs/sources.md, "The link").
+    """
 
     def __init__(self, parameters: RigParameters, step_s: float, sections: int) -> None:
         p = parameters
-        pressure = p["stiffness.pressure_pa"] / p["stiffness.reference_pressure_pa"]
+        link = link_stiffness(p)
         self._each = np.array([1.0, *[1.0 / sections] * sections])
-        span = p["stiffness.bending_n_m2"] / p["link.length_m"]
-        self.stiffness_nm_rad = (
-            stiffness_factor(p)
-            * np.array([p["stiffness.root_nm_rad"], *[span] * sections])
-            / self._each
-        )
-        limits = [p["stiffness.root_limit_nm"], *[p["stiffness.span_limit_nm"]] * sections]
-        self._limit_nm = pressure * np.array(limits)
-        self._wrinkle_nm = WRINKLE_FRACTION * self._limit_nm
-        self._wrinkle_rad = self._wrinkle_nm / self.stiffness_nm_rad
+        span = link.bending_n_m2 / p["link.length_m"]
+        self.stiffness_nm_rad = np.array([link.root_nm_rad, *[span] * sections]) / self._each
+        self._limit_nm = np.array([link.root_limit_nm, *[link.span_limit_nm] * sections])
         per_reference = 1.0 / (REFERENCE_BEND_RAD * self._each) ** 2
         soft = p["stiffness.softening_share"]
         self._soft = (1.0 / (1.0 - soft) ** 2 - 1.0) * per_reference
@@ -124,8 +83,12 @@ class SectionLaw:
             self._branch_nm_rad.sum(axis=0)[:, 0]
             + len(SLIDER_FRACTIONS) * self._slider_nm_rad[:, 0]
         )
+        # Hardening is steepest below the onset of wrinkling, where the bend is M_c / (2 K) or less.
+        hardest = np.linspace(0.0, 0.5 * self._limit_nm / self.stiffness_nm_rad, 200)
+        moments, slopes = self._elastic_nm(hardest)
+        steepest = np.max(np.where(moments <= 0.5 * self._limit_nm, slopes, 0.0), axis=0)
         self.stiffest_nm_rad = (1.0 + abs(self._skew) + abs(coupling)) ** 2 * (
-            self.stiffness_nm_rad + self._attached
+            np.maximum(steepest, self.stiffness_nm_rad) + self._attached
         )
         self._bend, _ = self._measure(np.zeros((sections + 1, 2)))
 
@@ -159,22 +122,34 @@ class SectionLaw:
         """Couple both planes; shape (n, 2)."""
         return planes @ self._mix if self._coupled else planes
 
-    def elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
-        """Elastic moment and its derivative, each of shape (sections + 1,), as `size_rad`."""
+    def _elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
+        """Elastic moment without limit and its derivative, each of shape (sections + 1,)."""
         stiffness = self.stiffness_nm_rad
-        room = self._limit_nm - self._wrinkle_nm
-        beyond = np.maximum(size_rad - self._wrinkle_rad, 0.0)
-        given = room / (room + stiffness * beyond)
-        moment = stiffness * (np.minimum(size_rad, self._wrinkle_rad) + beyond * given)
-        tangent = stiffness * given * given
-        if self._bend_dependent:
-            square = size_rad * size_rad
-            soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
-            factor = hard / np.sqrt(soft)
-            slope = size_rad * (2.0 * self._hard - hard * self._soft / soft) / np.sqrt(soft)
-            tangent = tangent * factor + moment * slope
-            moment = moment * factor
-        return moment, tangent
+        if not self._bend_dependent:
+            return stiffness * size_rad, stiffness
+        square = size_rad * size_rad
+        soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
+        factor = hard / np.sqrt(soft)
+        slope = size_rad * (2.0 * self._hard - hard * self._soft / soft) / np.sqrt(soft)
+        return stiffness * size_rad * factor, stiffness * (factor + size_rad * slope)
+
+    def _limited(self, moment_nm: Array, tangent: Array) -> tuple[Array, Array]:
+        """Whole moment (n, 2) and its tangent stiffness (n, 2, 2), bounded by the limit moment.
+
+        The derivative of the limit is A = f' along the moment and f/x across. The tangent stiffness
+        is sqrt(A) T sqrt(A), which is symmetric, positive, and A T where the moment is along the
+        bend.
+        """
+        size_nm = np.sqrt(moment_nm[:, 0] ** 2 + moment_nm[:, 1] ** 2)
+        level = np.maximum(size_nm / self._limit_nm, 0.5)
+        across = (1.0 - 0.25 / level) / level
+        along = 0.25 / (level * level)
+        direction = moment_nm / (size_nm + 1e-12)[:, None]
+        root = np.sqrt(across)[:, None, None] * np.eye(2)
+        root = root + (np.sqrt(along) - np.sqrt(across))[:, None, None] * (
+            direction[:, :, None] * direction[:, None, :]
+        )
+        return across[:, None] * moment_nm, root @ tangent @ root
 
     def advance(self, angle_rad: Array, leaking_s: float = 0.0) -> tuple[Array, Array]:
         """Advance the memory to these bends; return moments and their tangent stiffness.
@@ -195,7 +170,7 @@ class SectionLaw:
         stretch *= np.minimum(1.0, self._slider_rad / np.maximum(length, 1e-30))
 
         size = np.sqrt(u[:, 0] ** 2 + u[:, 1] ** 2) + 1e-12
-        elastic, along = self.elastic_nm(size)
+        elastic, along = self._elastic_nm(size)
         secant = elastic / size
         moment = secant[:, None] * u + branch_nm.sum(axis=0)
         moment += self._slider_nm_rad * stretch.sum(axis=0)
@@ -204,6 +179,7 @@ class SectionLaw:
         tangent = (along - secant)[:, None, None] * direction[:, :, None] * direction[:, None, :]
         tangent[:, 0, 0] += across
         tangent[:, 1, 1] += across
+        moment, tangent = self._limited(moment, tangent)
 
         kept = self._kept_fraction ** (leaking_s / LEAK_TIME_S) if leaking_s else 1.0
         moment = kept * slope * self._mixed(moment)
@@ -224,24 +200,18 @@ COURANT: Final = 1.8
 """Highest rate of the rod times its time step; the position Verlet method is stable below 2."""
 
 
-MOST_SPLITS: Final = 20
-"""Most splits of a substep; above, the link is about to fold or its state is not finite."""
-
-
-@dataclass(frozen=True)
-class TipLoad:
-    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
-
-    mass_kg: float = 0.0
-    offset_x_m: float = 0.0
-    offset_y_m: float = 0.0
-
-
 class RodLink:
-    """Link on a plate whose pose and velocity are prescribed."""
+    """Cosserat rod on a plate whose pose and velocity are prescribed: inertia, law, markers.
+
+    The rod lies along +z. Its first element is a stub inside the plate, which the base joints move;
+    the root patch is the joint between the stub and the link. The elements of the link are as long
+    as a section, the first and the last one half as long, so sections are in the middle of equal
+    parts. PyElastica computes internal forces and moments from strains. All that is not elastic
+    enters as rest strains and tangent stiffness, updated in every step of the rig.
+    """
 
     def __init__(
-        self, parameters: RigParameters, load: TipLoad, gravity_m_s2: Array, sections: int
+        self, parameters: RigParameters, load: Load, down_m_s2: Array, sections: int
     ) -> None:
         p = parameters
         length, piece = p["link.length_m"], p["link.length_m"] / sections
@@ -262,13 +232,12 @@ class RodLink:
         )  # fmt: skip
         self._set_mass(p, lengths, load)
         self._set_stiffness(p, lengths)
-        self._weight_n = gravity_m_s2[:, None] * self.rod.mass
+        self._weight_n = down_m_s2[:, None] * self.rod.mass
         self._weight_n[:, :2] = 0.0  # these nodes are on the plate
         self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
-        self.splits = 1
         self._keep_pose()
 
-    def _set_mass(self, p: RigParameters, lengths: Array, load: TipLoad) -> None:
+    def _set_mass(self, p: RigParameters, lengths: Array, load: Load) -> None:
         rod, width = self.rod, p["link.width_m"]
         element_kg = p["link.mass_kg"] / p["link.length_m"] * lengths
         element_kg[0] = 0.0  # the stub is part of the plate
@@ -300,18 +269,17 @@ class RodLink:
     def _set_stiffness(self, p: RigParameters, lengths: Array) -> None:
         """Set shear, stretch and twist, linear with a Zener branch; set the number of substeps."""
         rod, law, width = self.rod, self.law, p["link.width_m"]
-        factor, step_s = stiffness_factor(p), p["world.step_s"]
+        link, step_s = link_stiffness(p), p["world.step_s"]
         # Et of the walls from E I = Et 2/3 h^3, Gt from the wall's shear 5/6 2 h Gt; four walls
         # stretch, and twist by Bredt's formula.
-        wall_n_m = factor * p["stiffness.bending_n_m2"] * 1.5 / width**3
+        wall_n_m = link.bending_n_m2 * 1.5 / width**3
         twist_n_m2 = p["stiffness.wall_shear_n"] / (5.0 / 3.0 * width) * width**3
-        shear_n = p["stiffness.wall_shear_n"] + p["stiffness.pressure_pa"] * width**2
         damping_s = p["stiffness.damping_s"] / ZENER_FRACTION
         whole = 1.0 + (ZENER_FRACTION if damping_s > 0.0 else 0.0)
         self._zener = 1.0 - 1.0 / whole
         self._relaxed = -np.expm1(-step_s / max(damping_s, 1e-9))
         rod.shear_matrix[:] = 0.0
-        for axis, force_n in enumerate((shear_n, shear_n, 4.0 * width * wall_n_m)):
+        for axis, force_n in enumerate((link.shear_n, link.shear_n, 4.0 * width * wall_n_m)):
             rod.shear_matrix[axis, axis] = whole * force_n
         self._voronoi_m = rod.rest_voronoi_lengths
         rod.bend_matrix[:] = 0.0
@@ -324,7 +292,7 @@ class RodLink:
         self._set_smoothing(step_s)
         across = np.diagonal(rod.inv_mass_second_moment_of_inertia, axis1=0, axis2=1)[1:].max(1)
         bend = law.stiffest_nm_rad
-        stiffness = np.diag(bend + np.append(bend[1:], 0.0) + whole * shear_n * lengths[1:])
+        stiffness = np.diag(bend + np.append(bend[1:], 0.0) + whole * link.shear_n * lengths[1:])
         stiffness -= np.diag(bend[1:], 1) + np.diag(bend[1:], -1)
         rate = np.linalg.eigvalsh(stiffness * np.sqrt(np.outer(across, across))).max()
         stretch = 4.0 * rod.shear_matrix[2, 2, 1] / lengths[1] / rod.mass[2:].min()
@@ -379,8 +347,6 @@ class RodLink:
         bend = self.bend_rad
         moment, tangent = self.law.advance(bend, leaking_s)
         xx, yy, xy = tangent[:, 0, 0], tangent[:, 1, 1], tangent[:, 0, 1]
-        excess = np.max(np.maximum(xx, yy) / self.law.stiffest_nm_rad)
-        self.splits = int(np.ceil(np.sqrt(excess))) if 1.0 < excess < MOST_SPLITS**2 else 1
         scale = 1.0 / (xx * yy - xy * xy)
         rest_x = bend[:, 0] - scale * (yy * moment[:, 0] - xy * moment[:, 1])
         rest_y = bend[:, 1] - scale * (xx * moment[:, 1] - xy * moment[:, 0])
@@ -444,10 +410,19 @@ class RodLink:
 
 
 class BaseJoints:
-    """Angles and rates of the joints, which move the stub of the rod."""
+    """Yoke and plate on one or two driven joints, with the rod's reaction; they move its stub.
+
+    Joint 1 turns about y, joint 2 about -x and moves with joint 1. Yoke and plate have equal
+    inertia about all axes; the plate's mass and the rod's first node are at one point above the
+    axes, so
+
+        M_1 = 2 I + m h^2 cos(q_2)^2,   M_2 = I + m h^2
+
+    with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
+    """
 
     def __init__(
-        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, gravity_m_s2: Array
+        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, down_m_s2: Array
     ) -> None:
         p = parameters
         self._rod = rod
@@ -455,7 +430,7 @@ class BaseJoints:
         self._heights_m = rod.position_collection[2, :2].copy()
         self._turn = 1.0, 0.0, 1.0, 0.0
         mass_kg = p["link.plate_mass_kg"] + root_mass_kg
-        self._weight_n: list[float] = (mass_kg * gravity_m_s2).tolist()
+        self._weight_n: list[float] = (mass_kg * down_m_s2).tolist()
         self._frame = p["link.frame_inertia_kg_m2"]
         self._point = mass_kg * self._height_m**2
         self.angle_rad, self.rate_rad_s = [0.0, 0.0], [0.0, 0.0]
@@ -512,8 +487,8 @@ HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
 """Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
 
 
-class CosseratRig:
-    """`models.rig.rig.Rig` on PyElastica; `models.rig.rig.build_rig` describes the arguments.
+class CosseratRig(Rig):
+    """`Rig` on PyElastica; `models.rig.protocol.build_rig` describes the arguments.
 
     Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
     the stiffest section. Section law, drag and leak are updated once per step.
@@ -535,76 +510,46 @@ class CosseratRig:
                 raise InputError(
                     p.path, f"chooses {choice} = {chosen!r}, which is not the rod's", "leave it out"
                 )
-        self.step_s = p["world.step_s"]
-        down = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
-        load = TipLoad(
-            payload_kg,
-            eccentricity_m[0] + p["link.payload_offset_share"] * p["link.length_m"],
-            eccentricity_m[1],
-        )
-        self.link = RodLink(p, load, down, sections)
+        down = gravity_m_s2(p, gravity)
+        self.link = RodLink(p, tip_load(p, payload_kg, eccentricity_m), down, sections)
         self.joints = BaseJoints(p, self.link.rod, self.link.root_mass_kg, down)
-        self._substep_s = self.step_s / self.link.substeps
-        self.servos = [RigServo(p.of_joint(k + 1), self._substep_s) for k in range(dof)]
-        self._play = MarkerPlay(p, dof, self.step_s)
-        self._shown_rad = [0.0] * dof
-        self._steps, self._last_bend_rad = 0, 0.0
-        self._leak_from_s = np.inf
+        self._substep_s = p["world.step_s"] / self.link.substeps
+        super().__init__(p, dof, self._substep_s)
 
     @property
-    def time_s(self) -> float:
-        """Time since the start in s."""
-        return self._steps * self.step_s
+    def joint_rad(self) -> list[float]:
+        return self.joints.angle_rad[: len(self.servos)]
 
     @property
-    def markers_m(self) -> Array:
-        """True markers in the world frame, shape (markers, 3), at the start of the last step."""
-        if self._play.absent:
-            return self.link.markers_m
-        return self._play.shown_m(self.link.markers_m, self._shown_rad)
+    def link_markers_m(self) -> Array:
+        return self.link.markers_m
 
-    def look(self) -> LinkState:
-        """Whether the link is intact, has folded, or its simulation has become unstable."""
-        bend_rad = float(np.max(np.abs(self.link.bend_rad)))
-        state = state_of_link(bend_rad, self._last_bend_rad)
-        self._last_bend_rad = bend_rad
-        return state
-
-    def start_leak(self) -> None:
-        """Start the pressure leak, at the start of the recorded run."""
-        self._leak_from_s = self.time_s
-
-    def send(self, goal_rad: Array) -> None:
-        """Send goals in rad, shape (dof,), to the servos."""
-        for servo, goal in zip(self.servos, goal_rad, strict=True):
-            servo.send(float(goal), self.time_s)
+    @property
+    def largest_bend_rad(self) -> float:
+        return float(np.max(np.abs(self.link.bend_rad)))
 
     def step(self) -> None:
-        """Advance by one integration step."""
         link, joints, servos = self.link, self.joints, self.servos
-        start_s, substep_s, last = self.time_s, self._substep_s, self.link.substeps - 1
-        link.begin_step(joints.plate_rad_s, max(start_s - self._leak_from_s, 0.0))
+        start_s, part_s, substeps = self.time_s, self._substep_s, link.substeps
+        link.begin_step(joints.plate_rad_s, self.leaking_s)
         if not self._play.absent:
             self._play.advance([servo.gear_nm for servo in servos])
-            self._shown_rad = joints.angle_rad[: len(servos)]
-        splits, part_s = link.splits, substep_s / link.splits
         link.move(0.5 * part_s)
         joints.move(0.5 * part_s)
-        for k in range(last + 1):
-            time_s = start_s + k * substep_s
+        for k in range(substeps):
+            time_s = start_s + k * part_s
             torque_nm = [
                 servo.step(time_s, angle, rate) + servo.load_nm
                 for servo, angle, rate in zip(
                     servos, joints.angle_rad, joints.rate_rad_s, strict=False
                 )
             ]
-            for part in range(splits):
-                joints.place_stub()
-                link.accelerate(part_s)
-                joints.accelerate(torque_nm, part_s)
-                onward_s = part_s if k < last or part < splits - 1 else 0.5 * part_s
-                link.move(onward_s)
-                joints.move(onward_s)
+            joints.place_stub()
+            link.accelerate(part_s)
+            joints.accelerate(torque_nm, part_s)
+            onward_s = part_s if k < substeps - 1 else 0.5 * part_s
+            link.move(onward_s)
+            joints.move(onward_s)
         joints.place_stub()
         joints.place_stub_velocity()
         self._steps += 1

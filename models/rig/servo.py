@@ -1,17 +1,13 @@
 """Servo of the rig: rotor, gear, friction and the control cascade of its firmware.
 
 The rotor (with its inertia reflected to the output) drives the joint through a gear with backlash
-and compliance; the encoder is on the rotor. The friction level grows with the torque that the gear
-transmits:
+and compliance; the encoder is on the rotor. The firmware has a position loop over a PI velocity
+loop with a current limit. The friction level grows with the torque that the gear transmits,
 
-    g(w) = F_c + mu |tau_gear| + F_s exp(-(w / w_s)^2) + F_b exp(-s / d).
+    g(w) = F_c + mu |tau_gear| + F_s fade(w / w_s) + F_b exp(-s / d).
 
-The distance s since the last reversal decays at rest, ds/dt = |w| - s / T. The forms of friction
-and set-point are those of `models.rig.forms`. The position loop sets the rate
-
-    k_p e + k_i S + k_f dr/dt,   e = r - q,   dS/dt = e,
-
-if the structure's position loop has feed-forward, else k_p e alone.
+The distance s since the last reversal decays at rest, ds/dt = |w| - s / T. Set-point, position
+loop, Stribeck's fade and the friction of this level have forms (`models.rig.forms`).
 """
 
 from __future__ import annotations
@@ -19,24 +15,27 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from models.rig.forms import CurrentRegister, friction_form, goal_form
+from models.rig.forms import (
+    CurrentRegister,
+    friction_form,
+    goal_form,
+    play_in_gear_rad,
+    position_gains,
+    ripple_in_rate_rad,
+    stribeck_form,
+)
 from models.rig.parameters import RigParameters
 
 
 class RigServo:
-    """A position servo: position loop, PI velocity loop, current limit.
-
-    The parameters include what is added in this joint alone (`RigParameters.of_joint`).
-    """
+    """A position servo, with the parameters of its joint (`RigParameters.of_joint`)."""
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p = parameters
         self._step_s = step_s
-        gain_change = p["servo.position_gain_change"]
-        self._position_gain = p["servo.position_gain_per_s"] * (1.0 + gain_change)
-        extended = p.structure.position_loop == "feedforward"
-        self._feedforward = p["servo.velocity_feedforward"] if extended else 0.0
-        self._position_integral = p["servo.position_integral_per_s2"] if extended else 0.0
+        self._goal = goal_form(p, step_s)
+        self._delay_s = p["servo.dead_time_s"]
+        self._gains = position_gains(p)
         self._speed_limit = p["servo.speed_limit_rad_s"]
         self._inertia = p["servo.inertia_kg_m2"]
         constant = p["servo.torque_constant_nm_a"]
@@ -46,32 +45,26 @@ class RigServo:
         self._torque_constant = constant * (1.0 - p["servo.torque_constant_loss"])
         self._limit_a = p["servo.current_limit_a"] - p["servo.current_limit_reduction_a"]
         self._coulomb = p["servo.coulomb_friction_nm"]
-        self._stribeck = p["servo.stribeck_friction_nm"]
-        self._stribeck_speed = p["servo.stribeck_speed_rad_s"]
-        self._fades_rationally = p.structure.stribeck == "rational"
+        self._load_friction = p["servo.load_friction_share"]
+        self._stribeck, self._fade = p["servo.stribeck_friction_nm"], stribeck_form(p)
         self._breakaway = p["servo.breakaway_friction_nm"]
         self._breakaway_rad = p["servo.breakaway_distance_rad"]
         self._dwell_s = p["servo.breakaway_dwell_s"]
+        self._friction = friction_form(p, step_s)
         self._cogging = p["servo.cogging_nm"]
         self._cogging_periods = p["servo.cogging_periods"], p["servo.cogging_phase_rad"]
-        self._load_friction = p["servo.load_friction_share"]
-        self._friction = friction_form(p, step_s)
-        in_gear = p.structure.play == "gear"
-        self._half_play = 0.5 * p["servo.backlash_rad"] if in_gear else 0.0
+        self._half_play = 0.5 * play_in_gear_rad(p)
         self._gear_stiffness = 1.0 / p["servo.gear_compliance_rad_nm"]
         self._gear_damping = p["servo.gear_damping_nm_s_rad"]
-        self._delay_s = p["servo.dead_time_s"]
         self._encoder_offset = p["sensor.encoder_offset_rad"]
-        self._ripple = p["sensor.encoder_ripple_rad"]
-        self._ripple_in_rate = p.structure.rate_sensor == "encoder"
+        self._ripple, self._rate_ripple = p["sensor.encoder_ripple_rad"], ripple_in_rate_rad(p)
         self._ripple_periods = (
             p["sensor.encoder_ripple_periods"], p["sensor.encoder_ripple_phase_rad"],
         )  # fmt: skip
         lag_s = p["sensor.current_lag_s"]
         self._lag = math.exp(-step_s / lag_s) if lag_s > 0.0 else 0.0
-        self._pending: deque[tuple[float, float]] = deque()
-        self._goal = goal_form(p, step_s)
         self._register = CurrentRegister(p, step_s)
+        self._pending: deque[tuple[float, float]] = deque()
         self._integral_a = self._slid_rad = self._sensed_a = self._lag_rad_s = 0.0
         self._forward = True
         self.load_nm = p["servo.load_offset_nm"]
@@ -89,10 +82,10 @@ class RigServo:
     @property
     def _measured_rad_s(self) -> float:
         """Rate that the velocity loop measures."""
-        if not (self._ripple and self._ripple_in_rate):
+        if not self._rate_ripple:
             return self.rotor_rad_s
         periods, phase = self._ripple_periods
-        slope = self._ripple * periods * math.cos(periods * self.rotor_rad + phase)
+        slope = self._rate_ripple * periods * math.cos(periods * self.rotor_rad + phase)
         return self.rotor_rad_s * (1.0 + slope)
 
     @property
@@ -125,9 +118,10 @@ class RigServo:
     def _update_current(self) -> None:
         lag = self._goal.advance() - self.encoder_rad
         self._lag_rad_s += self._step_s * lag
-        speed = self._position_gain * lag
-        speed += self._position_integral * self._lag_rad_s
-        speed += self._feedforward * self._goal.rate_rad_s
+        gains = self._gains
+        speed = gains.proportional * lag
+        speed += gains.integral * self._lag_rad_s
+        speed += gains.forward * self._goal.rate_rad_s
         speed = min(max(speed, -self._speed_limit), self._speed_limit)
         error = speed - self._measured_rad_s
         wanted = self._velocity_gain * error + self._integral_a
@@ -145,21 +139,13 @@ class RigServo:
         return torque if torque * beyond > 0.0 else 0.0  # teeth push only
 
     def _friction_level(self) -> float:
+        rate = self.rotor_rad_s
         level = self._coulomb + self._load_friction * abs(self.gear_nm)
         if self._stribeck:
-            level += self._stribeck * self._near_standstill(self.rotor_rad_s)
+            level += self._stribeck * self._fade(rate)
         if self._breakaway:
-            level += self._breakaway_level(self.rotor_rad_s)
+            if rate and (rate > 0.0) != self._forward:
+                self._forward, self._slid_rad = rate > 0.0, 0.0
+            self._slid_rad += self._step_s * (abs(rate) - self._slid_rad / self._dwell_s)
+            level += self._breakaway * math.exp(-self._slid_rad / self._breakaway_rad)
         return level
-
-    def _near_standstill(self, rate: float) -> float:
-        """Remaining fraction of Stribeck friction at a rate (`models.plant.effects.friction`)."""
-        squared = (rate / self._stribeck_speed) ** 2
-        return 1.0 / (1.0 + squared) if self._fades_rationally else math.exp(-squared)
-
-    def _breakaway_level(self, rate: float) -> float:
-        """Friction above the sliding level: full after a reversal, fading with the distance."""
-        if rate and (rate > 0.0) != self._forward:
-            self._forward, self._slid_rad = rate > 0.0, 0.0
-        self._slid_rad += self._step_s * (abs(rate) - self._slid_rad / self._dwell_s)
-        return self._breakaway * math.exp(-self._slid_rad / self._breakaway_rad)

@@ -4,6 +4,11 @@ They follow from size, section and pressure, with the material of the study's li
 (docs/sources.md, "The link"): walls of the same fabric, the same bond of the root patch. Rig and
 plant multiply their values and bounds for the study's link by the ratio of the two links, so a link
 described with the study's numbers has exactly the study's values.
+
+The mechanics are those of an inflated beam (Le Van and Wielgosz, *Thin-Walled Structures* 43,
+2005): pressure adds p A to the shear stiffness and p A I/S to the bending stiffness of the walls,
+with A the area, I/S the second moment of the walls over their section. That of the walls themselves
+does not depend on it. The limit moment is in proportion to pressure.
 """
 
 from __future__ import annotations
@@ -15,8 +20,9 @@ from typing import Final
 
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 
-WALL_STIFFNESS_N_M: Final = 60e3
-"""Stiffness Et of the walls."""
+REFERENCE_PRESSURE_PA: Final = 41_300.0
+WALL_STIFFNESS_N_M: Final = 60e3 - REFERENCE_PRESSURE_PA * 0.15 / 4
+"""Stiffness Et of the walls; the tension p h/4 of the study's link adds up to 60 kN/m, 135 N·m²."""
 WALL_SHEAR_N_M: Final = 4280.0
 """Shear stiffness Gt of the walls: 1070 N = 5/6 2h Gt."""
 AREAL_MASS_KG_M2: Final = 0.9 / (4 * 0.15 * 0.95)
@@ -27,7 +33,6 @@ PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
 """Length of link that bends like the root patch, relative to the width: 350 N·m/rad at 135 N·m²."""
 HELD_RAD: Final = math.radians(30.0)
 """Largest angle of the study's motions."""
-REFERENCE_PRESSURE_PA: Final = 41_300.0
 MODAL_MASS_FRACTION: Final = 0.236
 """Fraction of a cantilever's mass that moves with its tip: 33/140 (Rayleigh, static deflection)."""
 
@@ -38,27 +43,28 @@ class LinkScale:
 
     link: LinkDescription
 
+    def _by_section(self, square: float, round_: float) -> float:
+        return square if self.link.section == "square" else round_
+
     @property
     def perimeter_m(self) -> float:
-        """Perimeter of the section."""
-        return (4.0 if self.link.section == "square" else math.pi) * self.link.width_m
+        return self._by_section(4.0, math.pi) * self.link.width_m
 
     @property
     def area_m2(self) -> float:
-        """Area of the section."""
-        return (1.0 if self.link.section == "square" else math.pi / 4) * self.link.width_m**2
+        return self._by_section(1.0, math.pi / 4) * self.link.width_m**2
 
     @property
     def mass_kg(self) -> float:
         """Mass of the link: as described, or from the area of its walls."""
-        given = self.link.mass_kg
-        return AREAL_MASS_KG_M2 * self.perimeter_m * self.link.length_m if given is None else given
+        estimate = AREAL_MASS_KG_M2 * self.perimeter_m * self.link.length_m
+        return estimate if self.link.mass_kg is None else self.link.mass_kg
 
     @property
     def tip_mass_kg(self) -> float:
         """Mass of the hardware at the tip: as described, or from the area of the section."""
-        given = self.link.tip_mass_kg
-        return TIP_MASS_KG_M2 * self.area_m2 if given is None else given
+        estimate = TIP_MASS_KG_M2 * self.area_m2
+        return estimate if self.link.tip_mass_kg is None else self.link.tip_mass_kg
 
     @property
     def plate_m2(self) -> float:
@@ -66,36 +72,29 @@ class LinkScale:
         return self.link.width_m**2
 
     @property
-    def wall_bending_n_m2(self) -> float:
-        """EI at the reference pressure: 2/3 h³ Et of a box, π r³ Et of a tube."""
-        shape = 2 / 3 if self.link.section == "square" else math.pi / 8
-        return shape * WALL_STIFFNESS_N_M * self.link.width_m**3
+    def second_moment_m3(self) -> float:
+        """Second moment of the walls per thickness, I/t: 2/3 h³ of a box, π r³ of a tube."""
+        return self._by_section(2 / 3, math.pi / 8) * self.link.width_m**3
 
     @property
-    def pressure_ratio(self) -> float:
-        """Pressure relative to that of the known stiffness, which is proportional to it."""
-        return self.link.pressure_pa / REFERENCE_PRESSURE_PA
+    def tension_n_m(self) -> float:
+        """Tension of the straight walls by pressure, p A over the perimeter: p h/4."""
+        return self.link.pressure_pa * self.area_m2 / self.perimeter_m
 
     @property
     def bending_n_m2(self) -> float:
-        """EI at the link's pressure."""
-        return self.pressure_ratio * self.wall_bending_n_m2
+        """Bending stiffness EI; the tension adds p A h²/6 of a box, p A r²/2 of a tube."""
+        return self.second_moment_m3 * (WALL_STIFFNESS_N_M + self.tension_n_m)
 
     @property
     def root_nm_rad(self) -> float:
-        """Stiffness of the root patch at the link's pressure."""
+        """Stiffness of the root patch, that of a piece of link."""
         return self.bending_n_m2 / (PATCH_LENGTH_RATIO * self.link.width_m)
-
-    @property
-    def span_nm_rad(self) -> float:
-        """Stiffness of the span's hinge, 4/3 EI/L."""
-        return 4 / 3 * self.bending_n_m2 / self.link.length_m
 
     @property
     def wall_shear_n(self) -> float:
         """Shear stiffness of the walls, κGA: 5/6 2h Gt of a box, π r Gt of a tube."""
-        shape = 5 / 3 if self.link.section == "square" else math.pi / 2
-        return shape * WALL_SHEAR_N_M * self.link.width_m
+        return self._by_section(5 / 3, math.pi / 2) * WALL_SHEAR_N_M * self.link.width_m
 
     @property
     def shear_n(self) -> float:
@@ -103,14 +102,32 @@ class LinkScale:
         return self.wall_shear_n + self.link.pressure_pa * self.area_m2
 
     @property
+    def span_position(self) -> float:
+        """Place σ of the hinge that stands for the span, relative to its length L.
+
+        A force P at the tip of a cantilever that bends and shears turns it by P L²/(2 EI) and moves
+        it by P L³/(3 EI) + P L/κGA (Timoshenko). One hinge has both at σ = 1/3 - 2 EI/(κGA L²),
+        with the stiffness (1 - σ) 2 EI/L. In a short link shear prevails and no hinge of the span
+        has both; σ is 0 there.
+        """
+        shear = 2 * self.bending_n_m2 / (self.shear_n * self.link.length_m**2)
+        return max(1 / 3 - shear, 0.0)
+
+    @property
+    def span_nm_rad(self) -> float:
+        """Stiffness of that hinge, with which a force at the tip moves it as the span does."""
+        length, lever_m = self.link.length_m, (1 - self.span_position) * self.link.length_m
+        return lever_m**2 / (length**3 / (3 * self.bending_n_m2) + length / self.shear_n)
+
+    @property
     def limit_moment_nm(self) -> float:
-        """Moment at which the section collapses, at the link's pressure: p h³/2, or π p r³.
+        """Moment at which the section collapses: p h³/2 of a box, π p r³ of a tube.
 
         The pressure pulls with p A on the axis; at collapse the wall farthest from the compressed
         one carries all of it. Wrinkling begins earlier, where the compressed wall loses its
         tension: p h³/3, or π p r³/2.
         """
-        shape = 1 / 2 if self.link.section == "square" else math.pi / 8
+        shape = self._by_section(1 / 2, math.pi / 8)
         return shape * self.link.pressure_pa * self.link.width_m**3
 
     @property

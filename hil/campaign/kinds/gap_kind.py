@@ -67,8 +67,7 @@ class GapKind(CaseKind[GapConfig]):
         from models.gap.diagnosis import diagnose  # loads CasADi
         from models.gap.estimation.model_discrepancy import read_patterns
         from models.plant.plant import read_plant
-        from models.rig.protocol import run_case  # loads MuJoCo
-        from models.rig.trial_case import TrialCase
+        from models.rig.protocol import TrialCase, run_case  # slow to import
         from models.trials.trial import TrialSet
 
         plant = read_plant(config.plant)

@@ -70,8 +70,7 @@ class RigKind(CaseKind[RigConfig]):
         from firmware_py.link.link_description import STUDY_LINK
         from firmware_py.motion_config import MotionConfig
         from models.plant.identification.evaluation import compare_with_trials
-        from models.rig.protocol import run_case  # loads MuJoCo
-        from models.rig.trial_case import TrialCase
+        from models.rig.protocol import TrialCase, run_case  # slow to import
         from models.shared.kinematics import rigid_tip_m
         from models.trials.deformation import deformation_index
 

@@ -95,8 +95,7 @@ def repeat_diagnosis(
     """Run a motion on the rig, diagnose all trials, and compare the sets of hypotheses."""
     from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
-    from models.rig.protocol import run_case
-    from models.rig.trial_case import TrialCase
+    from models.rig.protocol import TrialCase, run_case
 
     directory = args.out.with_suffix("")
     motion, payload_kg = recommended

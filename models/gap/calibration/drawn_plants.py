@@ -9,8 +9,7 @@ from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.identify import identify
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import RigParameters
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 from models.trials.trial import TrialSet
 
 

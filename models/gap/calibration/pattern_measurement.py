@@ -38,8 +38,7 @@ from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant, read_plant
 from models.rig.drawn import drawn_link, without_scatter
 from models.rig.parameters import RigParameters
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 from models.trials.trial import Trial
 
 __all__ = ["PatternWork", "learned_patterns", "measure_own_error", "run_pattern_work"]

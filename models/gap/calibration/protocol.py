@@ -9,7 +9,7 @@ import numpy as np
 
 from models.gap.calibration.recorded_motion import recorded_motion
 from models.gap.residuals.residuals import trial_group_key
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase
 from models.trials.trial import Trial
 
 MOST_PAYLOADS: Final = 5

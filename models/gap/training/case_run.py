@@ -15,8 +15,7 @@ from models.gap.training.cases import PAYLOAD_SETS, HiddenCase, motion_named
 from models.plant.plant import Plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 from models.trials.trial import Trial, TrialSet
 
 HANGING_RAD = 0.1

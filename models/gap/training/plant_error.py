@@ -46,7 +46,7 @@ from models.gap.training.case_run import study_trials
 from models.gap.training.rig_plants import identification_cases, plant_of_rig, required_noise_floor
 from models.plant.plant import read_plant
 from models.rig.drawn import FIRST_TEST_NUMBER, drawn_link
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase
 from models.shared.worker_pool import worker_pool
 from models.trials.trial import TrialSet
 

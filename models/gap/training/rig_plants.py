@@ -16,7 +16,7 @@ from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.training.cases import PAYLOADS_KG, motion_named
 from models.plant.plant import Plant
 from models.rig.drawn import rig_named
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase
 from models.shared.worker_pool import worker_pool
 
 Robot = tuple[str, int, str]

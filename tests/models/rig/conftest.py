@@ -4,8 +4,7 @@ import pytest
 
 from firmware_py.motion import Motion
 from models.rig.parameters import read_parameters
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 
 
 @pytest.fixture(scope="session")

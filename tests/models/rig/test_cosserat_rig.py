@@ -9,10 +9,9 @@ from scipy.optimize import brentq
 
 from firmware_py.errors import InputError
 from models.rig.hinged import MujocoRig
-from models.rig.parameters import read_rig
+from models.rig.parameters import RigStructure, read_rig
 from models.rig.protocol import run_case
 from models.rig.rod import CosseratRig
-from models.rig.structure import RigStructure
 from models.shared.kinematics import rigid_tip_m
 
 LENGTH, BENDING, SHEAR = 0.95, 135.0, 1070.0 + 41300.0 * 0.15**2

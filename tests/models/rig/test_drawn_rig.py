@@ -5,8 +5,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.rig.drawn import draw_rig, rig_named, rig_purpose
-from models.rig.parameters import read_rig
-from models.rig.structure import named_structures
+from models.rig.parameters import named_structures, read_rig
 
 MANY = [rig_named(f"drawn_{k}") for k in range(40)]
 

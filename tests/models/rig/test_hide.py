@@ -7,8 +7,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.rig.parameters import RIG_TOML, read_parameters, read_rig
-from models.rig.protocol import draw_variation, run_case
-from models.rig.rig import build_rig
+from models.rig.protocol import build_rig, draw_variation, run_case
 from models.shared.catalogue import CATALOGUE
 from models.shared.kinematics import rigid_tip_m
 from tests.models.rig.strengths import STRENGTH

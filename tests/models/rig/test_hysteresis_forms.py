@@ -23,7 +23,7 @@ class OneSection:
     def __init__(self, form):
         memory = [ca.SX.sym("z", 2, 1) for _ in range(form.springs)]
         du = ca.SX.sym("du", 2, 1)
-        after, torque_nm = form.advanced(memory, du)
+        after, torque_nm = form.advance(memory, du)
         self._step = ca.Function("step", [ca.horzcat(*memory), du], [ca.horzcat(*after), torque_nm])
         self._memory = ca.DM.zeros(2, form.springs)
 

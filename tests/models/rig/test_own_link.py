@@ -15,8 +15,7 @@ from models.plant.identification.doubts import check_weight
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.rig.drawn import rig_named
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.trials import check_trial
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.deformation import deformation_index

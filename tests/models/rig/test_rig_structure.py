@@ -10,10 +10,14 @@ from firmware_py.console import BAD_INPUT, DONE
 from firmware_py.errors import InputError
 from models.rig.forms import relaxation_spectrum
 from models.rig.hinged import BendLaw
-from models.rig.parameters import RIG_TOML, read_parameters, read_rig
-from models.rig.protocol import run_case
-from models.rig.rig import build_rig
-from models.rig.structure import DEFAULT_STRUCTURE, named_structures
+from models.rig.parameters import (
+    DEFAULT_STRUCTURE,
+    RIG_TOML,
+    named_structures,
+    read_parameters,
+    read_rig,
+)
+from models.rig.protocol import build_rig, run_case
 from models.shared.catalogue import CATALOGUE
 from models.shared.kinematics import rigid_tip_m
 from tests.models.rig.strengths import STRENGTH

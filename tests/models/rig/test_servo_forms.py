@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from firmware_py.signals import PERIOD_S
 from models.rig.forms import (
     CurrentRegister,
-    InterpolatedGoal,
     ProfiledGoal,
     friction_form,
     goal_form,
@@ -80,7 +79,6 @@ def test_a_held_goal_is_the_set_point_at_once():
 
 def test_an_interpolated_goal_is_reached_on_a_line_after_one_period():
     goal = goal_form(read_rig("drive"), STEP_S)
-    assert isinstance(goal, InterpolatedGoal)
     for wanted in (0.1, -0.3, 0.2):
         start = goal.advance()
         goal.take(wanted)

@@ -60,3 +60,38 @@ def test_a_round_link_has_less_of_all_that_goes_by_its_section():
     for name in ("limit_moment_nm", "tip_mass_kg", "mass_kg"):
         assert LinkScale(ROUND).over_study(name) == pytest.approx(math.pi / 4), name
         assert LinkScale(STUDY_LINK).over_study(name) == 1.0, name
+
+
+@pytest.mark.parametrize(("section", "per_area"), [("square", 1 / 6), ("round", 1 / 8)])
+def test_pressure_enters_bending_by_prestress_and_shear_by_its_pull(section, per_area):
+    """Le Van and Wielgosz (2005): p A I/S, which is p A h²/6 of a box and p A r²/2 of a tube."""
+    low, high = (
+        LinkScale(msgspec.structs.replace(STUDY_LINK, section=section, pressure_pa=pressure_pa))
+        for pressure_pa in (20_000.0, 50_000.0)
+    )
+    pull_n = 30_000.0 * low.area_m2
+    assert high.bending_n_m2 - low.bending_n_m2 == pytest.approx(pull_n * per_area * 0.15**2)
+    assert high.shear_n - low.shear_n == pytest.approx(pull_n)
+    assert high.wall_shear_n == low.wall_shear_n
+    assert high.root_nm_rad / low.root_nm_rad == pytest.approx(high.bending_n_m2 / low.bending_n_m2)
+
+
+def test_the_study_link_has_135_n_m2_at_its_pressure_of_which_2_6_percent_by_prestress():
+    empty = LinkScale(msgspec.structs.replace(STUDY_LINK, pressure_pa=0.0)).bending_n_m2
+    study = LinkScale(STUDY_LINK).bending_n_m2
+    assert study == pytest.approx(135.0) and (study - empty) / study == pytest.approx(
+        0.0258, abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("length_m", [0.5, 0.95, 2.0])
+def test_the_hinge_of_the_span_moves_and_turns_the_tip_as_the_span_does(length_m):
+    scale = LinkScale(msgspec.structs.replace(STUDY_LINK, length_m=length_m))
+    turn = (1 - scale.span_position) * length_m / scale.span_nm_rad
+    across = turn * (1 - scale.span_position) * length_m
+    exact = length_m**3 / (3 * scale.bending_n_m2) + length_m / scale.shear_n
+    assert across == pytest.approx(exact)
+    if scale.span_position > 0:
+        assert turn == pytest.approx(length_m**2 / (2 * scale.bending_n_m2))
+    if length_m == 0.95:
+        assert (scale.span_position, scale.span_nm_rad) == pytest.approx((0.184, 232.0), rel=2e-3)

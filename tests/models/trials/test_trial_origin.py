@@ -5,9 +5,8 @@ import pytest
 
 from firmware_py.motion import Motion
 from models.plant.document import Provenance
-from models.rig.protocol import RigConditions, record_conditions
-from models.rig.structure import DEFAULT_STRUCTURE
-from models.rig.trial_case import TrialCase
+from models.rig.parameters import DEFAULT_STRUCTURE
+from models.rig.protocol import RigConditions, TrialCase, record_conditions
 from models.trials.files import read_trial, write_trial
 from models.trials.origin import TrialOrigin, kind_of_origins, origin_notice, origins_of
 

@@ -17,7 +17,7 @@ from models.gap.calibration.pattern_measurement import PatternWork
 from models.gap.estimation.curve_transfer import motion_of
 from models.gap.estimation.model_discrepancy import write_patterns
 from models.plant.plant import read_plant
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase
 from models.trials.files import write_trial
 
 

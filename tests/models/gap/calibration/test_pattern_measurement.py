@@ -23,7 +23,7 @@ from models.gap.calibration.pattern_measurement import (
     trials_without_scatter,
 )
 from models.rig.drawn import drawn_link
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase
 
 SIGNALS, SIZE, LINKS = ("angle_1_rad", "tip_x_m"), 40, 3
 PAYLOADS_KG = np.array([0.0, 1.0])

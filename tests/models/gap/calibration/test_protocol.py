@@ -10,8 +10,7 @@ from firmware_py.motion import Motion
 from models.gap.calibration.protocol import MOST_PAYLOADS, protocol_of, repeated
 from models.gap.residuals.residuals import trial_group_key
 from models.rig.parameters import read_rig
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ import pytest
 
 from firmware_py.motion import Motion
 from models.rig.parameters import read_parameters
-from models.rig.protocol import run_case
-from models.rig.trial_case import TrialCase
+from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.trials import check_trial, check_trials, judge_doubled
 from models.trials.trial import Trial, TrialMeta, TrialSet
 

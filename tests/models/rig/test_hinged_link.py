@@ -1,6 +1,5 @@
 """The MuJoCo link against mechanics that do not need MuJoCo."""
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -32,13 +31,6 @@ def run(rig, seconds, goal=None):
         rig.step()
 
 
-def kinetic_j(rig):
-    """Of link and rotors."""
-    model, data = rig.link.model, rig.data
-    mujoco.mj_energyVel(model, data)
-    return data.energy[1] + sum(0.5 * 0.84 * s.rotor_rad_s**2 for s in rig.servos)
-
-
 def test_markers_at_rest_stand_where_the_contract_puts_them(parameters, rigid_markers):
     rig = MujocoRig(parameters, 2, 0.0)
     np.testing.assert_allclose(rig.markers_m, rigid_markers(np.zeros((1, 2)))[0], atol=1e-12)
@@ -55,26 +47,6 @@ def test_positive_angle_leans_towards_plus_x_and_plus_y(parameters, joint, axis)
     # Gravity pulls the leaning link further; the servo holds back, so its current is negative.
     assert deflection_m(rig)[axis] > 0
     assert rig.servos[joint].current_a < 0
-
-
-def test_energy_never_grows_unforced(parameters):
-    """No current, no gravity, a kick: whatever is stored comes from it, and it all dies down."""
-    dead = parameters.changed(**{"servo.current_limit_a": 0.0, "world.gravity_m_s2": 0.0,
-                                 "stiffness.prebend_rad": 0.0})  # fmt: skip
-    rig = MujocoRig(dead, 2, 1.0)
-    rng = np.random.default_rng(1)
-    rig.data.qvel[:] = 0.3 * rng.standard_normal(rig.link.model.nv)
-    rig.data.qvel[rig.link.joints] = 0.0
-    before = kinetic_j(rig)
-    history = []
-    for _ in range(4000):
-        rig.step()
-        history.append(kinetic_j(rig))
-    history = np.array(history)
-    assert history.max() <= before
-    peaks = history.reshape(4, 1000).max(axis=1)
-    assert np.all(np.diff(peaks) < 0)
-    assert peaks[-1] < 1e-2 * before
 
 
 def test_a_symmetric_link_moves_symmetrically(parameters):
@@ -137,7 +109,7 @@ def test_first_mode_lies_between_1_and_5_hz_and_falls_with_payload(parameters):
 
 
 def test_gravity_is_a_direction(parameters):
-    even = parameters.changed(**EVEN)
+    even = parameters.changed(**EVEN, **{"stiffness.damping_s": 0.05})  # so that it is at rest soon
     hanging = MujocoRig(even, 1, 1.0, gravity=(0.0, 0.0, 1.0))
     upright = MujocoRig(even, 1, 1.0)
     for rig in (hanging, upright):
