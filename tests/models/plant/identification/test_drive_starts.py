@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from models.plant.identification.identify import (
-    OPTIONS,
+    ABSENT,
     SHAPE,
     starts_with_alike_servos,
     starts_with_option,
@@ -79,7 +79,7 @@ def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
 def test_a_plant_takes_over_the_options_of_another_and_nothing_else():
     plant = read_plant()
     other = starts_with_option(plant)[-2].with_values({"position_gain_1_per_s": 20.0})
-    begins = tuple(begin for option in OPTIONS for begin in option.none)
+    begins = tuple(ABSENT)
     taken = freed(plant, with_options_of(plant, other))
     assert taken and all(n.startswith(begins) for n in taken)
 

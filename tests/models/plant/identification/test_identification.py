@@ -110,7 +110,7 @@ def test_occluded_markers_only_cost_certainty(synthetic):
                 column = trial.columns[f"m{i + 1:02d}_{axis}_m"]
                 column[hidden[:, i]] = np.nan
         start = true.with_values({"root_stiffness_1_nm_rad": 300.0, "edge_gain": 0.9})
-        objective = Objective(start, "driven", [trial], free, ("tip", "di"), None, 2.2e-3)
+        objective = Objective(start, "driven", [trial], free, ("tip", "di"))
         results.append(fit_objective(objective).plant.parameters)
     whole, part = results
     assert part["edge_gain"].value == pytest.approx(whole["edge_gain"].value, rel=0.02)
@@ -137,7 +137,7 @@ def test_two_joints_are_told_apart(synthetic):
     first = {"root_stiffness_1_nm_rad": 400.0, "coulomb_friction_1_nm": 5.0}
     trials = [synthetic(true.with_values(own | first), 1.0, count=300, rng=rng, dof=2)]
     free = (*own, *first)
-    objective = Objective(true, "driven", trials, free, ("tip", "di", "current"), None, 2.2e-3)
+    objective = Objective(true, "driven", trials, free, ("tip", "di", "current"))
     q = fit_objective(objective).plant.parameters
     for name, value in (own | first).items():
         assert q[name].value == pytest.approx(value, rel=0.05), name
