@@ -21,11 +21,10 @@ from firmware_py.errors import InputError
 from firmware_py.log.recording import read_recording
 from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file
-from models.gap.estimation.noise_floor_fit import with_noise_floor
-from models.gap.residuals.residuals import check_duration
 from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
 from models.plant.identification.evaluation import draw_fit
 from models.plant.identification.identify import identify
+from models.plant.identification.noise_floor import check_duration, with_noise_floor
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_trial_directories

@@ -8,15 +8,17 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.gap.estimation import measured_floor, noise_floor
-from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import (
+from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.document import FloorRecord
+from models.plant.identification.noise_floor import (
+    TrialGroup,
     coefficient_count,
     cosine_transform,
     inverse_cosine_transform,
+    trial_group_key,
+    with_noise_floor,
 )
-from models.gap.settings import DEFAULT_SETTINGS
-from models.plant.document import FloorRecord
 
 COUNT, STEP_S = 512, 0.017
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.payload_ratios import NO_RATIOS, payload_ratios
+from models.plant.identification.noise_floor import NO_RATIOS, payload_ratios
 
 HZ = np.arange(155) * 0.0516
 

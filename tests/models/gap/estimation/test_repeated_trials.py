@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap.estimation.measured_floor import (
-    floor_from_residuals,
-    with_amplified_scatter,
-    with_repeated_trials,
-)
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import (
+    TrialGroup,
+    floor_from_residuals,
+    trial_group_key,
+)
 
 SIZE = 155
 DEVIATION_HERE = {0.0: 1.0, 2.0: 10.0}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import Motion
-from models.gap.residuals.aligned_trials import aligned
+from models.plant.identification.noise_floor import aligned
 from models.trials.trial import TrialSet
 
 MOTION = Motion("sinusoid", period_s=2.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.gap.residuals.residuals import check_duration
+from models.plant.identification.noise_floor import check_duration
 
 
 @pytest.mark.parametrize(("rows", "refused"), [(5, True), (40, True), (50, False), (500, False)])
