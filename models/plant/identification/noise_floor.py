@@ -11,7 +11,7 @@ without it, so both are repeated a few times.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -334,21 +334,23 @@ def trial_variation(
     """
     if plant.load != "link":
         return []
-    chosen = [plant.parameters[name] for name in own]
-    stiff = [q for q in chosen if q.unit == "N.m/rad" or q.name == "root_limit_moment_nm"]
-    friction = [q for q in chosen if "_friction_" in q.name]
+    q = {name: plant.parameters[name] for name in own}
+    stiff = {n: p.value for n, p in q.items() if p.unit == "N.m/rad"}
+    stiff |= {n: p.value for n, p in q.items() if n == "root_limit_moment_nm"}
+    friction = {n: p.value for n, p in q.items() if "_friction_" in n}
     length_m = trial.meta.link_length_m or plant.parameters["link_length_m"].value
-    pressure = {q.name: q.value for q in stiff}, settings.pressure_variation_fraction
-    rough = {q.name: q.value for q in friction}, settings.friction_variation_fraction
-    off_centre = {"payload_offset_share": 1 / length_m}, settings.eccentricity_variation_m
-    clock = {"sync_offset_s": 1.0}, settings.clock_variation_s
+    off_centre = {"payload_offset_share": 1 / length_m}
     return [
-        Variation("pressure", pressure[0], {}, pressure[1]),
-        Variation("friction", rough[0], {}, rough[1]),
-        Variation("eccentricity_m", off_centre[0], {}, off_centre[1]),
-        Variation(SHARED, clock[0], {}, clock[1]),
+        Variation("pressure", stiff, {}, settings.pressure_variation_fraction),
+        Variation("friction", friction, {}, settings.friction_variation_fraction),
+        Variation("eccentricity_m", off_centre, {}, settings.eccentricity_variation_m),
+        Variation(SHARED, {"sync_offset_s": 1.0}, {}, settings.clock_variation_s),
         *(Variation("frame_m", {}, {axis: 1.0}, settings.frame_variation_m) for axis in TIP),
     ]
+
+
+FIT_TOLERANCE: Final = 1e-4
+"""Relative fall of the cost below which the fit of the variation ends [assumed]."""
 
 
 class _VariedTwin:
@@ -365,74 +367,73 @@ class _VariedTwin:
         self.groups = trial_groups(self.trials, list(self.units), settings)
         known = names(model.parameters)
         self._variation = [trial_variation(varied, known, t, settings) for t in self.trials]
-        self._moved = list(
-            dict.fromkeys(n for own in self._variation for v in own for n in v.parameters)
-        )
-        self._model = SensitiveModel(model, self._moved, substep_s)
-        self._base = [trial_parameters(model, t) for t in self.trials]
+        every = [v for own in self._variation for v in own]
+        self._moved = list(dict.fromkeys(name for v in every for name in v.parameters))
         self._columns = [known.index(name) for name in self._moved]
-        self._low = np.array([v.minimum for v in model.parameters])
-        self._high = np.array([v.maximum for v in model.parameters])
+        self._shared = np.array([v.name == SHARED for v in every])
+        self._deviation = np.array([v.standard_deviation for v in every])
+        self.size = len(every)
+        self._model = SensitiveModel(model, self._moved, substep_s)
         self._measured = [measured_signals(t) for t in self.trials]
-        self._follows = [np.ones(len(t)) for t in self.trials]
-        self._deviation = np.array([[v.standard_deviation for v in own] for own in self._variation])
         self._last: tuple[bytes, list[tuple[Array, Array]]] = (b"", [])
+        self._follows = [np.ones(len(t)) for t in self.trials]
         if is_link:
-            runs = self._runs(np.zeros(self.size))
-            outputs = list(self.units)
-            for k, trial in enumerate(self.trials):
-                joints = [outputs.index(f"angle_{j}_rad") for j in range(1, trial.meta.dof + 1)]
-                behind_rad = np.abs(trial.goal_rad - runs[k][0][:, joints]).max(axis=0)
-                self._follows[k] = rows_that_follow(trial, behind_rad, settings)
-
-    @property
-    def size(self) -> int:
-        """Number of variations of all trials."""
-        return int(self._deviation.size)
+            angles = [
+                list(self.units).index(f"angle_{j + 1}_rad") for j in range(trials[0].meta.dof)
+            ]
+            for k, (y, _) in enumerate(self._runs(np.zeros(self.size))):
+                trial = self.trials[k]
+                error_rad = np.abs(trial.goal_rad - y[:, angles]).max(axis=0)
+                self._follows[k] = rows_that_follow(trial, error_rad, settings)
 
     def _runs(self, values: Array) -> list[tuple[Array, Array]]:
         """Outputs (n, outputs) of each trial, and their derivatives (n, outputs, variations)."""
         if values.tobytes() != self._last[0]:
+            by_trial = values.reshape(len(self.trials), -1)
             with ThreadPoolExecutor(WORKERS) as pool:
-                by_trial = values.reshape(len(self.trials), -1)
                 runs = list(pool.map(self._run, range(len(self.trials)), by_trial))
             self._last = (values.tobytes(), runs)
         return self._last[1]
 
     def _run(self, k: int, values: Array) -> tuple[Array, Array]:
-        own, outputs = self._variation[k], list(self.units)
-        by_parameter = np.array([[v.parameters.get(n, 0.0) for v in own] for n in self._moved])
-        by_output = np.array([[v.outputs.get(n, 0.0) for v in own] for n in outputs])
-        by_parameter = by_parameter.reshape(len(self._moved), len(own))
-        p = self._base[k].copy()
-        p[self._columns] += by_parameter @ values
-        p = np.clip(p, self._low, self._high)
+        own, model = self._variation[k], self._model.model
+        shape = (-1, len(own))
+        by_parameter = [[v.parameters.get(n, 0.0) for v in own] for n in self._moved]
+        by_output = [[v.outputs.get(n, 0.0) for v in own] for n in self.units]
+        parameters, outputs = (np.reshape(rows, shape) for rows in (by_parameter, by_output))
+        p = trial_parameters(model, self.trials[k])
+        p[self._columns] += parameters @ values
+        p = np.clip(p, [v.minimum for v in model.parameters], [v.maximum for v in model.parameters])
         y, slopes = run_sensitive_trial(self._model, self.trials[k], p)
-        return y + by_output @ values, slopes @ by_parameter + by_output
+        with np.errstate(over="ignore", invalid="ignore"):  # an unstable simulation
+            return y + outputs @ values, slopes @ parameters + outputs
 
     def spectra(self, values: Array) -> list[Array]:
         """Measured minus simulated, a spectrum (trials, signals, K) for each group."""
+        rows = []
+        for measured, (y, _) in zip(self._measured, self._runs(values), strict=True):
+            missing = np.full(len(y), np.nan)
+            residual = np.column_stack([measured.get(s, missing) for s in self.units]) - y
+            if np.isfinite(y).all():
+                residual = np.column_stack([interpolate_missing(column) for column in residual.T])
+            rows.append(residual)
+        return self._transformed(rows)
 
-        def residual(k: int, signal: str, y: Array) -> Array:
-            rows = self._measured[k][signal] - y
-            return interpolate_missing(rows) if np.isfinite(y).all() else rows
-
-        return self._by_group(values, 0, residual)
-
-    def _by_group(
-        self, values: Array, part: int, rows: Callable[[int, str, Array], Array]
-    ) -> list[Array]:
-        """Spectra of rows of each signal, from outputs (part 0) or derivatives (part 1)."""
-        runs, outputs = self._runs(values), list(self.units)
+    def _transformed(self, rows: Sequence[Array]) -> list[Array]:
+        """Spectra (trials, signals, K, ...) for each group, of rows (n, outputs, ...) by trial."""
+        place = {signal: k for k, signal in enumerate(self.units)}
         return [
-            np.array([[
-                signal_spectrum(
-                    self.trials[k], s, rows(k, s, runs[k][part][:, outputs.index(s)]),
-                    self._follows[k], g.coefficients,
-                )
-                for s in g.signals] for k in g.trials
+            np.array([
+                [
+                    signal_spectrum(
+                        self.trials[k], signal, rows[k][:, place[signal]], self._follows[k],
+                        group.coefficients,
+                    )
+                    for signal in group.signals
+                ]
+                for k in group.trials
             ])
-            for g in self.groups
+            for group in self.groups
         ]  # fmt: skip
 
     def fit(self, floor: MeasuredFloor, start: Array) -> Array:
@@ -440,11 +441,9 @@ class _VariedTwin:
         if not self.size:
             return start
         whiteners = [_whitener(floor, g, self.trials, self.settings) for g in self.groups]
-        deviation, count = self._deviation.ravel(), len(self.trials)
-        prior = np.diag(1 / deviation)
-        shared = np.array([v.name == SHARED for own in self._variation for v in own])
-        by_chance = float(deviation[shared][0]) / np.sqrt(count)
-        prior = np.vstack([prior, shared / count / (KNOWN_FRACTION * by_chance)])
+        count = len(self.trials)
+        mean_deviation = KNOWN_FRACTION * self._deviation[self._shared][0] / np.sqrt(count)
+        prior = np.vstack([np.diag(1 / self._deviation), self._shared / count / mean_deviation])
 
         def residual(values: Array) -> Array:
             white = [
@@ -454,37 +453,29 @@ class _VariedTwin:
             return np.concatenate([*white, prior @ values])
 
         def jacobian(values: Array) -> Array:
-            slopes = self._by_group(values, 1, lambda k, signal, slope: -slope)
+            slopes = self._transformed([-slope for _, slope in self._runs(values)])
             parts = []
-            for g, w, d in zip(self.groups, whiteners, slopes, strict=True):
+            for group, w, d in zip(self.groups, whiteners, slopes, strict=True):
                 d[~(np.abs(d) < LARGEST_DERIVATIVE)] = 0.0
                 white = np.einsum("skij,jskv->iskjv", w, d)
                 rows = np.zeros((white[..., 0, 0].size, count, d.shape[-1]))
-                rows[:, list(g.trials)] = white.reshape(len(rows), len(g.trials), -1)
+                rows[:, list(group.trials)] = white.reshape(len(rows), len(group.trials), -1)
                 parts.append(rows.reshape(len(rows), -1))
             return np.concatenate([*parts, prior])
 
         if not np.isfinite(residual(start)).all():
+            runs = zip(self.trials, self._runs(start), strict=True)
+            unstable = [str(trial.path) for trial, (y, _) in runs if not np.isfinite(y).all()]
             raise InputError(
                 f"plant {self.plant.name!r}",
-                "does not stay finite on " + (", ".join(self._unstable(start)) or "these trials"),
+                "does not stay finite on " + (", ".join(unstable) or "these trials"),
                 "identify it on trials of this robot, or check the conditions of the trials",
             )
-        return np.asarray(least_squares(
-            residual, start, jacobian, x_scale=deviation, ftol=FIT_TOLERANCE,
+        solution = least_squares(
+            residual, start, jacobian, x_scale=self._deviation, ftol=FIT_TOLERANCE,
             max_nfev=self.settings.floor_fit_steps, tr_solver="lsmr",
-        ).x)  # fmt: skip
-
-    def _unstable(self, values: Array) -> list[str]:
-        runs = self._runs(values)
-        return [
-            str(t.path) for t, (y, _) in zip(self.trials, runs, strict=True)
-            if not np.isfinite(y).all()
-        ]  # fmt: skip
-
-
-FIT_TOLERANCE: Final = 1e-4
-"""Relative fall of the cost below which the fit of the variation ends [assumed]."""
+        )  # fmt: skip
+        return np.asarray(solution.x)
 
 
 # The floor
