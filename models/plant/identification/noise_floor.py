@@ -41,6 +41,9 @@ from models.trials.trial import Trial, TrialSet, motion_start
 
 Array = NDArray[np.float64]
 
+PayloadSpectra = Mapping[float, Mapping[str, Array]]
+"""Spectra by payload in kg and signal."""
+
 
 class FloorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuned numbers of the noise floor. Variations are standard deviations between repetitions."""
@@ -283,13 +286,13 @@ def rows_that_follow(
 
 def interpolate_missing(rows: Array) -> Array:
     """Rows with missing values interpolated; zero if all are missing."""
-    seen = np.isfinite(rows)
-    if seen.all():
+    measured = np.isfinite(rows)
+    if measured.all():
         return rows
-    if not seen.any():
+    if not measured.any():
         return np.zeros(len(rows))
     place = np.arange(len(rows))
-    return np.interp(place, place[seen], rows[seen])
+    return np.interp(place, place[measured], rows[measured])
 
 
 def signal_spectrum(
@@ -490,7 +493,7 @@ class MeasuredFloor:
     noise: Mapping[str, Array]
     model: Mapping[str, Array]
     # Mean error by motion and payload: group key → payload in kg → signal → (K,)
-    curves: Mapping[str, Mapping[float, Mapping[str, Array]]] = field(default_factory=dict)
+    curves: Mapping[str, PayloadSpectra] = field(default_factory=dict)
     repeats: float = 1.0  # Trials that went into each mean curve
     # Rest before the motion by group key of `curves`; the rig's if not listed
     rest_s: Mapping[str, float] = field(default_factory=dict)
@@ -635,17 +638,14 @@ COMMON_FRACTION: Final = 1 / (2 * SMOOTHING_COEFFICIENTS + 2)
 POINTS: Final = 12
 """Number of frequencies at which ratios are stored [assumed]."""
 
-RatioTable = Mapping[float, Mapping[str, Array]]
-"""Ratios of power, shape (POINTS,), by payload in kg and signal."""
-
 
 @dataclass(frozen=True)
 class PayloadRatios:
-    """Ratios of power by payload and signal."""
+    """Ratios of power by payload and signal, shape (POINTS,)."""
 
     frequency_hz: Array  # (POINTS,)
-    noise: RatioTable = field(default_factory=dict)  # Of the scatter between repetitions
-    model: RatioTable = field(default_factory=dict)  # Of the plant's own error
+    noise: PayloadSpectra = field(default_factory=dict)  # Of the scatter between repetitions
+    model: PayloadSpectra = field(default_factory=dict)  # Of the plant's own error
 
     def noise_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
         """Ratio of the noise at a payload, shape (K,); ones if none is known."""
@@ -655,7 +655,7 @@ class PayloadRatios:
         """Ratio of the plant's own error at a payload, shape (K,); ones if none is known."""
         return self._at(self.model, signal, payload_kg, hz)
 
-    def _at(self, table: RatioTable, signal: str, payload_kg: float, hz: Array) -> Array:
+    def _at(self, table: PayloadSpectra, signal: str, payload_kg: float, hz: Array) -> Array:
         """Logarithm interpolated in payload and frequency; constant beyond the ends."""
         known = sorted(p for p, own in table.items() if signal in own)
         if not known:
@@ -677,10 +677,22 @@ def payload_ratios(
     """
     if len(parts) < 2 or any(len(rows) < 2 for rows in parts.values()):
         return NO_RATIOS
-    within = {p: smooth_variance(rows) for p, rows in parts.items()}
-    standing = {p: _smooth(np.mean(rows, axis=0) ** 2) for p, rows in parts.items()}
     at = ratio_frequencies_hz(hz)
-    return PayloadRatios(at, _ratios(within, hz, at, signals), _ratios(standing, hz, at, signals))
+
+    def ratios(smooth: Mapping[float, Array]) -> dict[float, dict[str, Array]]:
+        common = np.maximum(np.mean(list(smooth.values()), axis=0), np.finfo(float).tiny)
+        result: dict[float, dict[str, Array]] = {}
+        for p, rows in smooth.items():
+            ratio = (1 - COMMON_FRACTION) * rows / common + COMMON_FRACTION
+            result[p] = {s: np.interp(at, hz, row) for s, row in zip(signals, ratio, strict=True)}
+        return result
+
+    within = {p: smooth_variance(rows) for p, rows in parts.items()}
+    standing = {
+        p: smoothed_power(np.mean(rows, axis=0) ** 2, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
+        for p, rows in parts.items()
+    }
+    return PayloadRatios(at, ratios(within), ratios(standing))
 
 
 def ratio_frequencies_hz(hz: Array) -> Array:
@@ -693,22 +705,8 @@ def smooth_variance(repetitions: Array) -> Array:
 
     Shapes: `repetitions` (R, signals, K).
     """
-    return _smooth(np.var(repetitions, axis=0, ddof=1))
-
-
-def _smooth(power: Array) -> Array:
-    return smoothed_power(power, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
-
-
-def _ratios(
-    smooth: Mapping[float, Array], hz: Array, at: Array, signals: Sequence[str]
-) -> dict[float, dict[str, Array]]:
-    common = np.maximum(np.mean(list(smooth.values()), axis=0), np.finfo(float).tiny)
-    result: dict[float, dict[str, Array]] = {}
-    for p, rows in smooth.items():
-        ratio = (1 - COMMON_FRACTION) * rows / common + COMMON_FRACTION
-        result[p] = {s: np.interp(at, hz, row) for s, row in zip(signals, ratio, strict=True)}
-    return result
+    variance = np.var(repetitions, axis=0, ddof=1)
+    return smoothed_power(variance, SMOOTHING_FRACTION, SMOOTHING_COEFFICIENTS)
 
 
 # The floor in the form that a plant file stores
@@ -716,70 +714,54 @@ def _ratios(
 
 def floor_to_record(floor: MeasuredFloor) -> FloorRecord:
     """Floor as stored in the plant file: a spectrum is one string of numbers."""
+
+    def text(row: Array) -> str:
+        return " ".join(f"{v:.4g}" for v in row)
+
+    def by_signal(rows: Mapping[str, Array]) -> dict[str, str]:
+        return {signal: text(row) for signal, row in rows.items()}
+
+    def by_payload(table: PayloadSpectra) -> dict[str, dict[str, str]]:
+        return {f"{payload_kg:g}": by_signal(rows) for payload_kg, rows in table.items()}
+
     return FloorRecord(
-        frequency_hz=_text(floor.frequency_hz),
+        frequency_hz=text(floor.frequency_hz),
         repeats=floor.repeats,
-        noise={s: _text(v) for s, v in floor.noise.items()},
-        model={s: _text(v) for s, v in floor.model.items()},
-        curves={
-            key: {f"{p:g}": {s: _text(v) for s, v in own.items()} for p, own in table.items()}
-            for key, table in floor.curves.items()
-        },
+        noise=by_signal(floor.noise),
+        model=by_signal(floor.model),
+        curves={key: by_payload(table) for key, table in floor.curves.items()},
         rest_s=dict(floor.rest_s),
-        payload_ratio_hz=_text(floor.ratios.frequency_hz),
-        noise_ratio=_ratio_text(floor.ratios.noise),
-        model_ratio=_ratio_text(floor.ratios.model),
+        payload_ratio_hz=text(floor.ratios.frequency_hz),
+        noise_ratio=by_payload(floor.ratios.noise),
+        model_ratio=by_payload(floor.ratios.model),
     )
 
 
 def floor_from_record(record: FloorRecord) -> MeasuredFloor:
     """Floor that a plant file stores; ValueError if its lengths differ."""
-    floor = _as_written(record)
-    ratios = [
-        v for table in (floor.ratios.noise, floor.ratios.model) for own in table.values()
-        for v in own.values()
-    ]  # fmt: skip
-    rows = [*floor.noise.values(), *floor.model.values()]
-    lengths = [(rows, len(floor.frequency_hz)), (ratios, len(floor.ratios.frequency_hz))]
-    for own, length in lengths:
-        for row in own:
-            if len(row) != length or not np.all(np.isfinite(row)) or np.any(row < 0):
-                raise ValueError(f"{len(row)} numbers for {length} frequencies, or a negative one")
-    if floor.repeats < 1 or floor.noise.keys() != floor.model.keys():
-        raise ValueError("repeats, or the signals of noise and model")
-    return floor
 
+    def row(text: str) -> Array:
+        return np.array(text.split(), dtype=np.float64)
 
-def _as_written(record: FloorRecord) -> MeasuredFloor:
-    return MeasuredFloor(
-        _row(record.frequency_hz),
-        {s: _row(v) for s, v in record.noise.items()},
-        {s: _row(v) for s, v in record.model.items()},
-        {
-            key: {float(p): {s: _row(v) for s, v in own.items()} for p, own in table.items()}
-            for key, table in record.curves.items()
-        },
-        record.repeats,
-        record.rest_s,
-        PayloadRatios(
-            _row(record.payload_ratio_hz),
-            _ratio_rows(record.noise_ratio),
-            _ratio_rows(record.model_ratio),
-        ),
+    def by_signal(rows: Mapping[str, str]) -> dict[str, Array]:
+        return {signal: row(text) for signal, text in rows.items()}
+
+    def by_payload(table: Mapping[str, Mapping[str, str]]) -> PayloadSpectra:
+        return {float(payload_kg): by_signal(rows) for payload_kg, rows in table.items()}
+
+    noise, model = by_signal(record.noise), by_signal(record.model)
+    ratios = PayloadRatios(
+        row(record.payload_ratio_hz), by_payload(record.noise_ratio), by_payload(record.model_ratio)
     )
-
-
-def _ratio_text(table: RatioTable) -> dict[str, dict[str, str]]:
-    return {f"{p:g}": {s: _text(v) for s, v in own.items()} for p, own in table.items()}
-
-
-def _ratio_rows(table: Mapping[str, Mapping[str, str]]) -> dict[float, dict[str, Array]]:
-    return {float(p): {s: _row(v) for s, v in own.items()} for p, own in table.items()}
-
-
-def _text(row: Array) -> str:
-    return " ".join(f"{v:.4g}" for v in row)
-
-
-def _row(text: str) -> Array:
-    return np.array(text.split(), dtype=np.float64)
+    hz = row(record.frequency_hz)
+    tables = [(noise, hz), (model, hz)]
+    for of_payload in (ratios.noise, ratios.model):
+        tables += [(dict(rows), ratios.frequency_hz) for rows in of_payload.values()]
+    for rows, at in tables:
+        for v in rows.values():
+            if len(v) != len(at) or not np.all(np.isfinite(v)) or np.any(v < 0):
+                raise ValueError(f"{len(v)} numbers for {len(at)} frequencies, or a negative one")
+    if record.repeats < 1 or noise.keys() != model.keys():
+        raise ValueError("repeats, or the signals of noise and model")
+    curves = {key: by_payload(table) for key, table in record.curves.items()}
+    return MeasuredFloor(hz, noise, model, curves, record.repeats, record.rest_s, ratios)
