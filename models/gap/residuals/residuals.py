@@ -48,11 +48,12 @@ class Residuals:
             raise InputError("trials", "are of one and of two joints", "choose one kind with --dof")
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
-        substep_s = settings.longest_substep_s if is_link else model.max_substep_s
-        self.plant, self.trials = plant, shortened(trials, model, substep_s)
+        if is_link:
+            model = replace(model, max_substep_s=settings.longest_substep_s)
+        self.plant, self.model = plant, model
+        self.trials = shortened(trials, model)
         self.fit_parameters, self.settings = tuple(fit_parameters), settings
         trials = self.trials
-        self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._simulated = LockstepRuns(self.model, moved, trials)
         self._outputs = names(model.outputs)

@@ -131,11 +131,10 @@ REST_FRACTION: Final = 0.25
 """Largest fraction of a cut trial at rest before the motion [assumed]."""
 
 
-def shortened(trials: Sequence[Trial], model: StepModel, substep_s: float) -> tuple[Trial, ...]:
-    """Cut trials to the limits, for a model with internal steps of at most `substep_s`."""
-    cost = np.array(
-        [len(model.states) * max(1, math.ceil(t.step_s / substep_s - 1e-9)) for t in trials]
-    )
+def shortened(trials: Sequence[Trial], model: StepModel) -> tuple[Trial, ...]:
+    """Cut trials to the limits, for a model with its longest internal step."""
+    substeps = [max(1, math.ceil(t.step_s / model.max_substep_s - 1e-9)) for t in trials]
+    cost = len(model.states) * np.array(substeps)
     updates = np.minimum(cost * np.array([len(t) for t in trials]), MOST_OF_TRIAL)
     most = min(_level(updates, MOST_OF_ALL), MOST_OF_TRIAL)
     return tuple(
@@ -199,10 +198,11 @@ class Objective:
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
-            substep_s = DRIVEN_SUBSTEP_S if kind == "driven" else model.max_substep_s
-            used += shortened([t for t in trials if t.meta.dof == dof], model, substep_s)
+            if kind == "driven":
+                model = replace(model, max_substep_s=DRIVEN_SUBSTEP_S)
+            used += shortened([t for t in trials if t.meta.dof == dof], model)
             own = [name for name in self.free if name in names(model.parameters)]
-            self._models[dof] = SensitiveModel(model, own, substep_s)
+            self._models[dof] = SensitiveModel(model, own)
         self.trials = tuple(used)
         self._measured = [measured_signals(t) for t in used]
         chosen = [plant.parameters[name] for name in self.free]

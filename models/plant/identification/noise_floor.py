@@ -363,9 +363,10 @@ class _VariedTwin:
         is_link = plant.load == "link"
         varied = plant.with_effects(*VARIED_EFFECTS) if is_link else plant
         model = varied.step_model(trials[0].meta.dof, "twin")
-        substep_s = settings.longest_substep_s if is_link else model.max_substep_s
+        if is_link:
+            model = replace(model, max_substep_s=settings.longest_substep_s)
         self.plant, self.settings = plant, settings
-        self.trials = shortened(trials, model, substep_s)
+        self.trials = shortened(trials, model)
         self.units = {v.name: v.unit for v in model.outputs}
         self.groups = trial_groups(self.trials, list(self.units), settings)
         known = names(model.parameters)
@@ -376,7 +377,7 @@ class _VariedTwin:
         self._shared = np.array([v.name == SHARED for v in every])
         self._deviation = np.array([v.standard_deviation for v in every])
         self.size = len(every)
-        self._model = SensitiveModel(model, self._moved, substep_s)
+        self._model = SensitiveModel(model, self._moved)
         self._measured = [measured_signals(t) for t in self.trials]
         self._last: tuple[bytes, list[tuple[Array, Array]]] = (b"", [])
         self._follows = [np.ones(len(t)) for t in self.trials]
