@@ -1,11 +1,13 @@
 """Evaluation of a plant on trials: the twin runs each trial's goals, signal by signal.
 
-The error of the end effector is given beside that of a rigid link at the measured angles.
+The error of the end effector is given as it is, with the clock of each trial's motion capture
+refitted, and beside that of a rigid link at the measured angles.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from firmware_py.console import DONE, emit
 from firmware_py.display_units import LENGTH
 from models.plant.document import Evaluation
 from models.plant.identification.doubts import evaluation_doubts, refuse_other_links
-from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.evaluation import CLOCK_LIMIT_S, evaluate_plant
 from models.plant.plant import read_plant
 from models.trials.checks.trials import read_trial_directories
 
@@ -46,16 +48,36 @@ def evaluation_text(result: Evaluation) -> str:
         for name, row in result.signals.items()
     ]
     if result.tip_rms_m is not None:
-        lines += ["", f"{'end effector':14s}{'plant, mm':>12s}{'rigid, mm':>14s}"]
+        titles = ("plant, mm", "clock refitted", "rigid, mm")
+        lines += ["", f"{'end effector':14s}" + "".join(f"{title:>16s}" for title in titles)]
         for dof, part in result.dof.items():
             rows = {f"{load} kg": row for load, row in part.payloads.items()} | {"all": part}
-            lines += [
-                f"{dof}DOF {label:9s}{_millimetres(row.tip_rms_m):>12s}"
-                f"{_millimetres(row.rigid_tip_rms_m):>14s}"
-                for label, row in rows.items()
-            ]
+            for label, row in rows.items():
+                errors_m = (row.tip_rms_m, row.clock_tip_rms_m, row.rigid_tip_rms_m)
+                lines.append(f"{dof}DOF {label:9s}" + "".join(map(_millimetres, errors_m)))
+        lines += ["", clock_sentence(result)]
     return "\n".join(lines)
 
 
 def _millimetres(length_m: float | None) -> str:
-    return "" if length_m is None else f"{LENGTH.number(length_m, 2)}"
+    return f"{'' if length_m is None else LENGTH.number(length_m, 2):>16s}"
+
+
+def clock_sentence(result: Evaluation) -> str:
+    """Say which part of the tip's error is the plant's, and which that of the clocks."""
+    whole_m, plant_m = result.tip_rms_m or 0.0, result.clock_tip_rms_m or 0.0
+    clock_m = math.sqrt(max(whole_m**2 - plant_m**2, 0.0))
+    clocks_ms = [1e3 * clock_s for clock_s in result.clocks_s.values()]
+    text = (
+        f"of {LENGTH.text(whole_m)} RMS, {LENGTH.text(clock_m)} is the motion capture's clock "
+        f"({min(clocks_ms):.1f} to {max(clocks_ms):.1f} ms from trial to trial); with each trial's "
+        f"clock refitted {LENGTH.text(plant_m)}"
+    )
+    limit_s = (1 - 1e-3) * CLOCK_LIMIT_S
+    at_limit = [name for name, clock_s in result.clocks_s.items() if abs(clock_s) > limit_s]
+    if at_limit:
+        text += (
+            f"; at the limit of {1e3 * CLOCK_LIMIT_S:g} ms, so the clock may be off by more: "
+            + ", ".join(at_limit)
+        )
+    return text

@@ -10,19 +10,21 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import msgspec
 
+from firmware_py.bus.servo_settings import GAINS, ServoGains
+from firmware_py.config import read_config
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
+from firmware_py.log.recording import read_recording
 from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file
-from models.gap.estimation.noise_floor_fit import with_noise_floor
-from models.gap.residuals.residuals import check_duration
 from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
 from models.plant.identification.evaluation import draw_fit
-from models.plant.identification.identify import identify, read_servo_gains
+from models.plant.identification.identify import identify
+from models.plant.identification.noise_floor import check_duration, with_noise_floor
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
 from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_trial_directories
@@ -31,9 +33,6 @@ from models.trials.files import conditions_beside
 EXAMPLE = (
     "dropstitch identify build/trials --plant models/plant/nominal.toml --out build/plant.json"
 )
-
-PLANT_SUFFIXES: Final = (".json", ".toml")
-"""Suffixes of a plant's file: they decide its format."""
 
 USUAL_STEPS: Final = 130
 """Usual number of runs of all trials in an identification, for progress [measured: 50 to 160]."""
@@ -69,47 +68,45 @@ def run(args: argparse.Namespace) -> int:
     def report(text: str) -> None:
         progress.step(text, further=max(progress.total - progress.done - 1, LEAST_LEFT))
 
-    found = identify(plant, trials, report)
-    plant = with_noise_floor(found.plant, trials)
+    result = identify(plant, trials, report)
+    plant = with_noise_floor(result.plant, trials)
     progress.total = progress.done + 1
     progress.step("done")
     plant = replace(plant, provenance=msgspec.structs.replace(plant.provenance, servo_gains=gains))
     plant.write(args.out)
     fit, held_out = trials.split()
-    picture = draw_fit(found.plant, held_out or fit, args.out.with_suffix(".svg"))
+    picture = draw_fit(result.plant, held_out or fit, args.out.with_suffix(".svg"))
+    warnings = doubts(result) + torque_constant_doubts(result.plant, fit.trials)
+    findings = [*judge_pressures(trials.trials), *judge_not_fitted(trials)]
+    warnings += [f"{row.text}; {row.remedy}" for row in findings]
+
+    parameters = {
+        q.name: {
+            "value": q.value,
+            "error": q.error,
+            "unit": q.unit,
+            "bound": bound_reached(q),
+            "weakly_determined": is_weakly_determined(q),
+        }
+        for q in result.fitted
+    }
+    data = {
+        "plant": str(args.out),
+        "picture": str(picture),
+        "parameters": parameters,
+        "held_out": msgspec.to_builtins(result.held_out),
+        "warnings": warnings,
+    }
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
-    for q in found.fitted:
-        reached = bound_reached(q)
-        mark = f"  at its {reached} bound" if reached else ""
-        mark = mark or ("  weakly determined" if is_weakly_determined(q) else "")
-        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{mark}")
+    for name, q in parameters.items():
+        mark = "  weakly determined" if q["weakly_determined"] else ""
+        mark = f"  at its {q['bound']} bound" if q["bound"] else mark
+        rows.append(f"{name:34s}{q['value']:11.4g}{q['error'] or 0:12.2g}  {q['unit']}{mark}")
     what = (
         f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
     )
-    text = "\n".join(
-        [*rows, "", f"errors on {what}", "", evaluation_text(found.held_out), "",
-         f"{args.out}; look at {picture}"]
-    )  # fmt: skip
-    data: dict[str, Any] = {
-        "plant": str(args.out),
-        "picture": str(picture),
-        "parameters": {
-            q.name: {
-                "value": q.value,
-                "error": q.error,
-                "unit": q.unit,
-                "bound": bound_reached(q),
-                "weakly_determined": is_weakly_determined(q),
-            }
-            for q in found.fitted
-        },
-        "held_out": msgspec.to_builtins(found.held_out),
-    }
-    warnings = doubts(found) + torque_constant_doubts(found.plant, fit.trials)
-    found_in_trials = [*judge_pressures(trials.trials), *judge_not_fitted(trials)]
-    warnings += [f"{row.text}; {row.remedy}" for row in found_in_trials]
-    data["warnings"] = warnings
-    emit(args, data, text)
+    rows += ["", f"errors on {what}", "", evaluation_text(result.held_out)]
+    emit(args, data, "\n".join([*rows, "", f"{args.out}; look at {picture}"]))
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
@@ -120,10 +117,37 @@ def _check_out(args: argparse.Namespace) -> None:
 
     The plant itself may be replaced: the fit starts from it.
     """
-    if args.out.suffix.lower() not in PLANT_SUFFIXES:
+    if args.out.suffix.lower() not in (".json", ".toml"):
         raise InputError(
             f"--out {args.out}", "is no JSON or TOML file", "let its name end with .json or .toml"
         )
     gains = [args.gains] if args.gains is not None else []
     check_output_file(args.out, gains)
     check_output_file(args.out.with_suffix(".svg"), [args.plant, *gains])
+
+
+def read_servo_gains(path: Path) -> tuple[ServoGains, ...]:
+    """Read the gains of each servo, in joint order.
+
+    `path` is robot.toml or a log of `dropstitch run`, which records the gains read from the servos.
+    """
+    if path.suffix == ".mcap":
+        text = read_recording(path).metadata.get("servo_settings", "[]")
+        try:
+            servos = msgspec.json.decode(text, type=list[dict[str, int]])
+        except (ValueError, RecursionError) as error:
+            raise InputError(
+                path, f"holds damaged settings ({error})", "name another log"
+            ) from None
+        gains = tuple(
+            ServoGains(**{name: servo.get(register.value) for name, register in GAINS.items()})
+            for servo in servos
+        )
+    else:
+        gains = tuple(servo.gains or ServoGains() for servo in read_config(path).servos)
+    if not gains or not all(one.registers() for one in gains):
+        raise InputError(
+            path, "does not give the gains of every servo",
+            "name a log of this release, or add gains to each [[servos]]",
+        )  # fmt: skip
+    return gains

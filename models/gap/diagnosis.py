@@ -22,7 +22,6 @@ from models.gap.improved_plant import improved_plant
 from models.gap.inclusion import Inclusion, inclusions_of
 from models.gap.odd_repetitions import disturbed_trials
 from models.gap.odd_trials import OddTrial, without_odd
-from models.gap.residuals.aligned_trials import aligned
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     candidate_effects,
@@ -30,7 +29,6 @@ from models.gap.residuals.fit_parameters import (
 )
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.gap.search.effect_search import EffectSearch, ReportProgress
 from models.gap.search.null_distribution import NullDistribution
@@ -39,6 +37,7 @@ from models.gap.search.separate_joints import joints_differ
 from models.gap.search.strength_consistency import StrengthConsistency
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.components import LOADS
+from models.plant.identification.noise_floor import Array, aligned
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet
 

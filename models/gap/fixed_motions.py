@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_py.motion import Kind, Motion
 from firmware_py.signals import PERIOD_S
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial, TrialMeta
 
 MENU: Final[dict[str, Kind]] = {

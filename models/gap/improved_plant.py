@@ -12,10 +12,10 @@ import numpy as np
 from models.gap.equation_error import read_equation_error
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_searched_effects
-from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.plant.document import Provenance
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 from models.trials.trial import TrialSet
 

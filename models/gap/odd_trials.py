@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz
+from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.settings import GapSettings
+from models.plant.identification.noise_floor import group_frequencies_hz
 from models.shared.kinematics import Array
 from models.trials.trial import TrialSet
 

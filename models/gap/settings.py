@@ -6,12 +6,13 @@ from typing import Final
 
 import msgspec
 
+from models.plant.identification.noise_floor import FloorSettings
 from models.plant.parameter import AT_BOUND
 
 __all__ = ["DEFAULT_SETTINGS", "GapSettings"]
 
 
-class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GapSettings(FloorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuned numbers of residuals, noise floor, search and tests of the gap workflow.
 
     The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`,
@@ -28,20 +29,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     # Residuals
-    highest_frequency_hz: float = 8.0
-    """Highest frequency of the spectra; the first mode lies at 1.4 to 3.5 Hz
-    (docs/sources.md, "The link")."""
-    longest_substep_s: float = 2.9e-3
-    """Longest internal step of the link's simulation: what a dead time of zero allows
-    (`models.plant.effects.command`). Measured: six a period are within 5 µm and 0.5 mA of a step of
-    0.25 ms; 46 µm with ten times the usual friction. Other loads keep the step of their model: the
-    bristles of a small gear are faster."""
-    not_followed_error_rad: float = 0.03
-    """Following error, beyond the largest of the twin, above which a goal counts as not followed
-    [assumed]."""
-    not_followed_current_fraction: float = 0.95
-    """Fraction of a trial's largest current that the joint must draw while it does not follow
-    [assumed]."""
 
     # Prior distributions
     nuisance_prior_fraction: dict[str, float] = msgspec.field(
@@ -75,16 +62,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     the 0.2 m of a calibration square, since a larger turn there looks like an encoder's offset."""
     clock_limit_s: float = 0.010
     """Clocks that differ by no more than this count as synchronised [assumed]."""
-    pressure_variation_fraction: float = 0.01
-    """Standard deviation of stiffness between repetitions of a trial [assumed]."""
-    friction_variation_fraction: float = 0.05
-    """Standard deviation of friction between repetitions [assumed]."""
-    eccentricity_variation_m: float = 0.003
-    """Standard deviation of the payload's eccentricity between repetitions [assumed]."""
-    clock_variation_s: float = 0.002
-    """Standard deviation of the clock between repetitions [assumed]."""
-    frame_variation_m: float = 0.0003
-    """Standard deviation of each coordinate of the mocap frame between repetitions [assumed]."""
 
     # Search over the joints
     separate_joints: bool = False
@@ -97,18 +74,9 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     they name nothing, the search with one strength follows."""
 
     # Noise floor
-    noise_floor_rounds: int = 3
-    """Times that floor and trial variation are estimated in turn [assumed]."""
     nuisance_floor_rounds: int = 2
     """Times that floor and nuisance are estimated in turn, where the plant file carries no floor
     [assumed]."""
-    samples_per_independent_sample: float = 12.0
-    """Samples that count as one in the first guess of a floor
-    (docs/sources.md, "Naming a missing effect")."""
-    smoothing_fraction: float = 0.25
-    """Half width of the smoothing of a spectrum, as a fraction of the frequency [assumed]."""
-    smoothing_coefficients: int = 4
-    """Least half width, in coefficients [assumed]."""
     model_error_left_fraction: float = 0.35
     """Fraction of the plant's own error (in amplitude) that remains after its mean curve and the
     patterns of `models.gap.estimation.model_discrepancy` are subtracted; measured by
@@ -119,11 +87,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     equation_error_repeated_fraction: float = 0.8
     """Fraction of an equation's error (in power) that repeats when a trial is repeated [assumed]:
     near instability no two trials are alike."""
-    payload_reach_kg: float = 1.0
-    """Difference in payload over which the plant's own error changes [assumed]."""
-    least_noise_fraction: float = 1e-9
-    """Least noise, as a fraction of a signal's largest variance: keeps matrices regular
-    [assumed]."""
     amplified_scatter_limit: float = 2.7
     """Power by which repetitions differ, over what the floor expects, above which the floor at
     their payload grows: the 95 % quantile of 78 ratios on unchanged links of 13 drawn rigs for
@@ -151,8 +114,6 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Predicted fall of twice the cost below which a fit stops [assumed]."""
     line_search_fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)
     """Fractions of a step that are tried in turn [assumed]."""
-    floor_fit_steps: int = 12
-    """Most steps of a fit while the noise floor is measured [assumed]."""
     nuisance_fit_steps: int = 20
     """Most steps of the nuisance fit, and of the fit after an inclusion [assumed]."""
     candidate_start_steps: int = 2

@@ -61,6 +61,8 @@ class TipError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tip_rms_m: float | None = None
     # The same for a rigid link at the measured angles
     rigid_tip_rms_m: float | None = None
+    # The same as `tip_rms_m` with the clock of each trial's motion capture refitted
+    clock_tip_rms_m: float | None = None
 
 
 class DofEvaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -78,6 +80,8 @@ class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True
     trials: int  # Number of trials
     dof: dict[str, DofEvaluation] = {}  # Errors by number of joints
     origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
+    # Refitted delay of the motion capture behind the servos in s, by trial; at most 10 ms
+    clocks_s: dict[str, float] = {}
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

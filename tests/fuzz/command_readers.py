@@ -121,7 +121,7 @@ def run_of_plan(folder):
 
 def limits_of_robot(file):
     from firmware_py.config import read_config
-    from models.plant.identification.identify import read_servo_gains
+    from models.commands.identify import read_servo_gains
 
     assert read_config(file).limits_in_force
     read_servo_gains(file)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.plant.identification.identify import identify
+from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import RigParameters
 from models.rig.protocol import TrialCase, run_case

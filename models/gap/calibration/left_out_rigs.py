@@ -11,8 +11,8 @@ import numpy as np
 from models.gap.estimation.curve_transfer import motion_of
 from models.gap.estimation.model_discrepancy import patterns_of
 from models.gap.residuals.group_words import motion_in_words
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import Array
 from models.shared.palette import MEASURED, MUTED, SIMULATED
 
 REPEATS: Final = 2

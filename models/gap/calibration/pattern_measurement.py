@@ -25,7 +25,6 @@ from models.gap.calibration.drawn_plants import plant_on_rig
 from models.gap.calibration.protocol import repeated
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy, patterns_of
-from models.gap.estimation.noise_floor import group_frequencies_hz
 from models.gap.estimation.noise_floor_fit import (
     fitted_point,
     noise_floor_of,
@@ -33,8 +32,8 @@ from models.gap.estimation.noise_floor_fit import (
 )
 from models.gap.estimation.payload_transfer import PayloadCurves
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import Array, group_frequencies_hz
 from models.plant.plant import Plant, read_plant
 from models.rig.drawn import drawn_link, without_scatter
 from models.rig.parameters import RigParameters

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from models.gap.calibration.recorded_motion import recorded_motion
-from models.gap.residuals.residuals import trial_group_key
+from models.plant.identification.noise_floor import trial_group_key
 from models.rig.protocol import TrialCase
 from models.trials.trial import Trial
 

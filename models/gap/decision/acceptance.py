@@ -40,7 +40,6 @@ from models.gap.decision.rejected_effects import STAND_IN_BESIDE_OTHERS, refused
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.improved_plant import written_values
 from models.gap.residuals.fit_parameters import plant_with_searched_effects
-from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import strength_names
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
@@ -54,6 +53,7 @@ from models.gap.search.refused_effect import (
     refusals,
     values_at_bounds,
 )
+from models.plant.identification.noise_floor import Array
 
 
 class Acceptance:

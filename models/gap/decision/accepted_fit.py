@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from models.gap.estimation.gauss_newton import FitPoint
-from models.gap.residuals.spectrum import Array
 from models.gap.search.held_out_errors import HeldOutErrors
 from models.gap.settings import GapSettings
+from models.plant.identification.noise_floor import Array
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import numpy as np
 from models.gap.decision.answers import Answers
 from models.gap.decision.further_effect import FurtherEffect
 from models.gap.estimation.normal_equation import mean_square
-from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.strength_consistency import StrengthConsistency
+from models.plant.identification.noise_floor import Array
 
 GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
 

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from models.gap.decision.set_weights import set_weights
-from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
+from models.plant.identification.noise_floor import Array
 
 HELD_PROBABILITY: Final = 0.95
 """Probability that a set of hypotheses holds together: a name and its look-alikes, or the

@@ -19,9 +19,9 @@ import numpy as np
 from models.gap.decision.answers import Answers
 from models.gap.decision.look_alikes import look_alikes_of
 from models.gap.decision.set_weights import set_weights
-from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import SearchResult
 from models.gap.search.effect_search import EffectSearch
+from models.plant.identification.noise_floor import Array
 
 LISTED_PROBABILITY: Final = 1e-3
 """Least probability of a hypothesis that is listed."""

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 NOISE_TEMPERATURE: Final = 1.5
 """T: a difference of d′ = 3 counts 20 to 1 (`GapSettings.indistinguishable_separation`)."""

@@ -15,7 +15,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from firmware_py.signals import PERIOD_S
-from models.gap.residuals.spectrum import Array, cosine_transform, inverse_cosine_transform
+from models.plant.identification.noise_floor import (
+    Array,
+    cosine_transform,
+    inverse_cosine_transform,
+)
 from models.trials.trial import Trial
 
 Knowledge = Literal["measured", "transferred", "unknown"]

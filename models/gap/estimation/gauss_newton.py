@@ -23,7 +23,7 @@ from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
 from models.gap.residuals.prior import prior_matrix, prior_precision
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 
 @dataclass

@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from models.gap.residuals.fit_parameters import FitParameter
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import Array
 
 REFERENCE: Final = {"_stiffness_": 0.1, "link_mass_kg": 0.1}
 """Relative changes of the calibration's links, by a part of the parameter's name."""

@@ -1,4 +1,4 @@
-"""Noise floor measured on residuals of trials without a gap, or guessed before any are known.
+"""Noise floor of the diagnosed trials: from their residual, or enlarged by their scatter.
 
 Repeated trials with a gap contain information on noise too: near its limit no two trials of a link
 are alike, and a difference between repetitions is no missing effect. With two joints and 2 kg
@@ -7,40 +7,30 @@ repetitions differed by up to 350 times the power that those of the identificati
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.noise_floor import NoiseFloor, group_frequencies_hz, smoothed
-from models.gap.estimation.payload_ratios import (
-    NO_RATIOS,
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.residuals.residuals import Residuals
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import (
+    Array,
     PayloadRatios,
-    payload_ratios,
+    TrialGroup,
+    averaged,
+    floor_from_residuals,
+    group_frequencies_hz,
     ratio_frequencies_hz,
     smooth_variance,
 )
-from models.gap.residuals.residuals import Residuals, TrialGroup
-from models.gap.residuals.spectrum import Array
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
 
 SLOW_HZ: Final = 2.0
 """Frequency below which a heavy payload makes two trials differ
-(`models.gap.estimation.payload_ratios`)."""
-
-
-def flat_floor(
-    signals: Sequence[str],
-    scale: Mapping[str, float],
-    settings: GapSettings = DEFAULT_SETTINGS,
-) -> NoiseFloor:
-    """Flat floor with given errors by signal, for a first fit."""
-    hz = np.array([0.0, 1e3])
-    count = settings.samples_per_independent_sample
-    noise = {s: np.full(2, count * scale[s] ** 2) for s in signals}
-    return NoiseFloor(hz, noise, {s: np.zeros(2) for s in signals}, learned=False)
+(`models.plant.identification.noise_floor`)."""
 
 
 def floor_of_residual(
@@ -50,60 +40,8 @@ def floor_of_residual(
     settings: GapSettings = DEFAULT_SETTINGS,
 ) -> NoiseFloor:
     """Floor that equals the smoothed spectrum of a residual."""
-    return floor_from_residuals(groups, trials, rows, settings, repeated=False)
-
-
-def floor_from_residuals(
-    groups: Sequence[TrialGroup],
-    trials: Sequence[Trial],
-    rows: Sequence[Array],
-    settings: GapSettings = DEFAULT_SETTINGS,
-    repeated: bool = True,
-) -> NoiseFloor:
-    """Floor from residuals of data without a gap.
-
-    `repeated`: whether repetitions separate noise from the model's error; otherwise all is noise.
-    Shapes: `rows` (trials, signals, K).
-    """
-    hz = max((group_frequencies_hz(g, trials) for g in groups), key=len)
-    signals = list(dict.fromkeys(s for g in groups for s in g.signals))
-    noise: dict[str, list[Array]] = {s: [] for s in signals}
-    model: dict[str, list[Array]] = {s: [] for s in signals}
-    curves: dict[str, dict[float, dict[str, Array]]] = {}
-    rest_s: dict[str, float] = {}
-    ratios = NO_RATIOS
-    repeats = []
-    for group, residual in zip(groups, rows, strict=True):
-        own = group_frequencies_hz(group, trials)
-        payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
-        by_payload = {float(p): residual[payloads == p] for p in np.unique(payloads)}
-        parts = list(by_payload.values())
-        within = [np.sum((p - p.mean(axis=0)) ** 2, axis=0) for p in parts if len(p) > 1]
-        freedom = sum(len(p) - 1 for p in parts)
-        split = repeated and freedom > 0
-        for b, signal in enumerate(group.signals):
-            if split:
-                varying = smoothed(sum(w[b] for w in within) / freedom, settings)
-            else:
-                varying = smoothed(np.mean(residual[:, b] ** 2, axis=0), settings)
-            mean_power = np.mean([p.mean(axis=0)[b] ** 2 for p in parts], axis=0)
-            repeats.append(count := len(group.trials) / len(parts))
-            standing = np.maximum(smoothed(mean_power, settings) - varying / count, 0.0)
-            noise[signal].append(np.interp(hz, own, varying))
-            model[signal].append(np.interp(hz, own, standing if split else 0 * varying))
-        if split:
-            if ratios is NO_RATIOS:
-                ratios = payload_ratios(own, group.signals, by_payload)
-            first = trials[group.trials[0]]
-            rest_s.setdefault(group.key, first.meta.rest_samples * first.step_s)
-            for p, part in by_payload.items():
-                own_curves = curves.setdefault(group.key, {}).setdefault(p, {})
-                for s, curve in zip(group.signals, part.mean(axis=0), strict=True):
-                    own_curves.setdefault(s, curve)
-    return NoiseFloor(
-        hz, _averaged(noise), _averaged(model), curves, float(np.mean(repeats)), repeated,
-        rest_s=rest_s, ratios=ratios,
-    )  # fmt: skip
+    measured = floor_from_residuals(groups, trials, rows, settings, repeated=False)
+    return NoiseFloor.of(measured, learned=False)
 
 
 def with_repeated_trials(
@@ -133,7 +71,7 @@ def with_repeated_trials(
             ratio = (1 - fraction) * known.noise_at(signal, payload_kg, hz) + fraction * here
             own = pooled.setdefault(payload_kg, {}).setdefault(signal, [])
             own.append(np.interp(at, hz, ratio))
-    noise = {p: _averaged(own) for p, own in pooled.items()}
+    noise = {p: averaged(own) for p, own in pooled.items()}
     model = {p: {s: known.model_at(s, p, at) for s in own} for p, own in noise.items()}
     return replace(floor, ratios=PayloadRatios(at, noise, model))
 
@@ -188,7 +126,3 @@ def _scatter_ratio(
             ratio = np.interp(at, hz, variance) / np.maximum(expected, np.finfo(float).tiny)
             logarithms.append(np.log(np.maximum(ratio, np.finfo(float).tiny)))
     return float(np.exp(np.mean(logarithms))) if logarithms else 1.0
-
-
-def _averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
-    return {signal: np.mean(rows, axis=0) for signal, rows in table.items()}

@@ -20,8 +20,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
-from models.gap.residuals.residuals import TrialGroup
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array, TrialGroup
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 

@@ -8,8 +8,8 @@ effect, which repeats whenever a trial is repeated::
     m_i = s model_i + noise_i / R + ρ e_i
 
 so ten repetitions of one error weigh no more than one. Both grow with the payload of trial i
-(`models.gap.estimation.payload_ratios`), and by `amplification_power` where repetitions differ far
-more; the spectra are means over payloads. e is the error of the equations named so far, of which a
+(`MeasuredFloor.ratios`), and by `amplification_power` where repetitions differ far more; the
+spectra are means over payloads. e is the error of the equations named so far, of which a
 fraction ρ = `GapSettings.equation_error_repeated_fraction` repeats. The plant file
 carries them, and the mean curve over R repetitions of the error for every motion that `identify`
 used; where a trial repeats such a motion the curve is subtracted: of the model's part only a
@@ -32,7 +32,6 @@ import numpy as np
 
 from models.gap.estimation.curve_transfer import Knowledge, motion_of, transferred
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
-from models.gap.estimation.payload_ratios import NO_RATIOS, PayloadRatios
 from models.gap.estimation.payload_transfer import (
     PayloadCurves,
     covariance,
@@ -40,38 +39,38 @@ from models.gap.estimation.payload_transfer import (
     transfer_weights,
     unknown_fraction,
 )
-from models.gap.residuals.residuals import TrialGroup
-from models.gap.residuals.spectrum import Array, coefficient_frequencies_hz, smoothed_power
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import (
+    Array,
+    MeasuredFloor,
+    TrialGroup,
+    group_frequencies_hz,
+    smoothed,
+)
 from models.trials.trial import Trial
 
 
 @dataclass(frozen=True)
-class NoiseFloor:
-    """Spectra of the noise floor."""
+class NoiseFloor(MeasuredFloor):
+    """Measured floor, with what a diagnosis adds to it."""
 
-    frequency_hz: Array  # (F,)
-    # (F,), variance of a coefficient by signal: noise, and the plant's own error
-    noise: Mapping[str, Array]
-    model: Mapping[str, Array]
-    # Mean error by motion and payload: group key → payload in kg → signal → (K,)
-    curves: Mapping[str, PayloadCurves] = field(default_factory=dict)
-    repeats: float = 1.0  # Trials that went into each mean curve
     learned: bool = True  # Whether the plant file carried it
     # Error of the equations of the effects named so far, by payload in kg and signal, (F,);
     # correlated like the model's error
     formulation: PayloadCurves = field(default_factory=dict)
-    # Rest before the motion by group key of `curves`; the rig's if not listed
-    rest_s: Mapping[str, float] = field(default_factory=dict)
     # Variation of the plant's own error from one link to the next, by motion, where it was measured
     patterns: tuple[ModelDiscrepancy, ...] = ()
     # Change of the link since the plant was identified, relative to the links that the patterns
     # were measured on; the patterns grow with it
     link_change: float = 1.0
-    ratios: PayloadRatios = NO_RATIOS  # Ratios of noise and model at each payload to their means
     # Factor on the power of noise and model by payload in kg, where the diagnosed repetitions
     # differ far more than the floor expects; 1 at other payloads
     amplification_power: Mapping[float, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, measured: MeasuredFloor, learned: bool = True) -> NoiseFloor:
+        """Floor of a diagnosis that begins with a measured one."""
+        return cls(**vars(measured), learned=learned)
 
     def own_error(self, signal: str, hz: Array) -> Array:
         """Standard deviation of the mean error that `identify` left, at some frequencies.
@@ -91,7 +90,7 @@ class NoiseFloor:
         for b, signal in enumerate(group.signals):
             rows[:, :, b] *= self.own_error(signal, hz) if signal in self.noise else 0.0
         for a, k in enumerate(group.trials):
-            rows[:, a] *= np.sqrt(self._amplified(trials[k].meta.payload_kg))
+            rows[:, a] *= np.sqrt(self.amplification(trials[k].meta.payload_kg))
         return self.link_change * rows
 
     def pattern_knowledge(self, group: TrialGroup, trials: Sequence[Trial]) -> Knowledge:
@@ -197,7 +196,7 @@ class NoiseFloor:
                 weights = transfer_weights(payload, measured_kg, reach)
                 own_noise = np.sum(weights**2, axis=1) / self.repeats
                 unknown = (1 - left) * unknown_fraction(payload, measured_kg, reach)
-            noise, model = self._by_trial(signal, payload, hz, settings)
+            noise, model = self.by_trial(signal, payload, hz, settings)
             missed = np.array([self._missed(signal, p, hz) for p in payload])
             repeated = settings.equation_error_repeated_fraction
             shared = left * model + own_noise[:, None] * noise + repeated * missed
@@ -207,22 +206,7 @@ class NoiseFloor:
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
 
-    def _by_trial(
-        self, signal: str, payloads_kg: Array, hz: Array, settings: GapSettings
-    ) -> tuple[Array, Array]:
-        """Noise and model of each trial, shape (trials, K)."""
-        noise, model = (
-            np.interp(hz, self.frequency_hz, table[signal]) for table in (self.noise, self.model)
-        )
-        largest = float(max(np.max(noise), np.max(model)))
-        least = settings.least_noise_fraction * max(largest, 1e-12)
-        factors = [self._amplified(p) for p in payloads_kg]
-        both = list(zip(factors, payloads_kg, strict=True))
-        noise_by = [f * noise * self.ratios.noise_at(signal, p, hz) for f, p in both]
-        model_by = [f * model * self.ratios.model_at(signal, p, hz) for f, p in both]
-        return np.maximum(noise_by, least), np.array(model_by)
-
-    def _amplified(self, payload_kg: float) -> float:
+    def amplification(self, payload_kg: float) -> float:
         """Factor on the power of noise and model at a payload."""
         return self.amplification_power.get(payload_kg, 1.0)
 
@@ -249,14 +233,3 @@ class NoiseFloor:
                 weights = transfer_weights(payload, measured_kg, settings.payload_reach_kg)
                 result[:, b] = weights @ np.array(rows)
         return result
-
-
-def smoothed(power: Array, settings: GapSettings) -> Array:
-    """Power spectrum smoothed over neighbouring frequencies."""
-    return smoothed_power(power, settings.smoothing_fraction, settings.smoothing_coefficients)
-
-
-def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
-    """Frequencies of the coefficients of a group, shape (K,)."""
-    first = trials[group.trials[0]]
-    return coefficient_frequencies_hz(group.coefficients, len(first), first.step_s)

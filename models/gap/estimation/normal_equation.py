@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 
 def stacked(rows: Sequence[Array]) -> Array:

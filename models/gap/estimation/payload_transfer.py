@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 PayloadCurves = Mapping[float, Mapping[str, Array]]
 """Spectra by payload in kg and signal."""

@@ -25,8 +25,8 @@ from models.gap.experiment.motion_limits import REST_SAMPLES, ROW_STEP, goal_lim
 from models.gap.experiment.motion_twin import CoefficientTwin
 from models.gap.experiment.separation import PairSeparation, SeparationModel
 from models.gap.fixed_motions import planned_trial
-from models.gap.residuals.spectrum import Array
 from models.gap.search.effect_search import ReportProgress
+from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial
 
 FREQUENCIES_HZ: Final = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)

@@ -14,7 +14,7 @@ import numpy as np
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from models.gap.estimation.curve_transfer import STUDY_REST_S
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 REST_SAMPLES: Final = round(STUDY_REST_S / PERIOD_S)
 """Rows at rest before a planned motion."""

@@ -15,7 +15,7 @@ import numpy as np
 from firmware_py.motion_document import fourier_basis
 from firmware_py.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import FitParameter, moved_parameters
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.plant.simulation.runner import CompiledModel, trial_inputs, trial_parameters
 from models.plant.step_model import StepModel, Variable, names
 from models.trials.trial import Trial

@@ -12,8 +12,8 @@ from firmware_py.errors import InputError
 from models.gap.decision.look_alikes import HELD_PROBABILITY
 from models.gap.report.gap_json import HypothesisRecord
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
-from models.gap.residuals.spectrum import Array
 from models.plant.effects import EFFECTS
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 
 MOST_RIVALS: Final = 6

@@ -23,10 +23,17 @@ from models.gap.experiment.motion_twin import MotionTwin
 from models.gap.experiment.rival import Rival, fitted_values_of
 from models.gap.residuals.fit_parameters import FitParameter, effect_fit_parameters
 from models.gap.residuals.prior import prior_precision
-from models.gap.residuals.residuals import Residuals, TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import Array, coefficient_count, cosine_transform, smoothed_power
+from models.gap.residuals.residuals import Residuals
 from models.gap.settings import GapSettings
 from models.plant.identification.fit import measured_signals, row_weights
+from models.plant.identification.noise_floor import (
+    Array,
+    TrialGroup,
+    coefficient_count,
+    cosine_transform,
+    smoothed_power,
+    trial_group_key,
+)
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 

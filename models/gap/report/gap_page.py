@@ -31,8 +31,8 @@ from models.gap.report.missing_effects import compared_effects, named_effects
 from models.gap.report.next_step import is_plant_as_given, next_step_in_words
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.localisation import signal_in_words
-from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 from models.shared.drawing import Drawing
 from models.shared.pages import (

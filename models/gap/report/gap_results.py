@@ -35,8 +35,8 @@ from models.gap.report.gap_json import (
 from models.gap.report.separating_motion import separating_motion
 from models.gap.residuals.fit_parameters import plant_with_searched_effects
 from models.gap.residuals.localisation import GapRegion, location_sentence
-from models.gap.residuals.spectrum import Array
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
+from models.plant.identification.noise_floor import Array
 from models.plant.parameter import AT_BOUND, Parameter, bound_reached
 from models.plant.plant import Plant
 from models.trials.trial import Trial, TrialSet

@@ -11,7 +11,7 @@ import numpy as np
 from firmware_py.display_units import FRACTION, signal_words
 from models.gap.report.gap_charts import draw_heat_map, heat_legend, heat_map_height_in
 from models.gap.report.gap_json import MappedRegion
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.shared.drawing import Drawing
 from models.shared.pages import Figure
 from models.trials.trial import Trial

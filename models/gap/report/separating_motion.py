@@ -20,7 +20,7 @@ from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.fixed_motions import MENU, motion_like, planned_trial
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names

@@ -11,7 +11,7 @@ from models.gap.diagnosis import Diagnosis, all_fit_parameters
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial, TrialSet
 
 

@@ -16,13 +16,13 @@ from typing import Final, Literal
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.components import DRIVES, LOADS
 from models.plant.effects import EFFECTS, applicable
+from models.plant.identification.evaluation import TIP
+from models.plant.identification.noise_floor import trial_variation
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant, scope_of
 from models.trials.trial import Trial
 
 Kind = Literal["nuisance", "trial", "effect"]
-
-TIP: Final = ("tip_x_m", "tip_y_m", "tip_z_m")
 
 FRAME_TURNS: Final = {
     "marker_frame_roll_rad": "x", "marker_frame_tilt_rad": "y", "marker_frame_yaw_rad": "z",
@@ -112,30 +112,12 @@ def trial_fit_parameters(
 
     For loads other than the link nothing varies.
     """
-    if LOADS[plant.load].kind != "link":
-        return []
     full = plant_with_every_effect(plant)
-    result = []
-    for k, trial in enumerate(trials):
-        own = [full.parameters[n] for n in _owned(full, trial.meta.dof)]
-        stiff = [q for q in own if q.unit == "N.m/rad" or q.name == "root_limit_moment_nm"]
-        friction = [q for q in own if "_friction_" in q.name]
-        length_m = trial.meta.link_length_m or full.parameters["link_length_m"].value
-        off_centre = {"payload_offset_share": 1 / length_m}
-        rows: list[tuple[str, dict[str, float], dict[str, float], float]] = [
-            ("pressure", {q.name: q.value for q in stiff}, {},
-             settings.pressure_variation_fraction),
-            ("friction", {q.name: q.value for q in friction}, {},
-             settings.friction_variation_fraction),
-            ("eccentricity_m", off_centre, {}, settings.eccentricity_variation_m),
-            ("sync_s", {"sync_offset_s": 1.0}, {}, settings.clock_variation_s),
-            *(("frame_m", {}, {axis: 1.0}, settings.frame_variation_m) for axis in TIP),
-        ]  # fmt: skip
-        result += [
-            FitParameter(name, "trial", parameters, outputs, deviation, trial=k)
-            for name, parameters, outputs, deviation in rows
-        ]
-    return result
+    return [
+        FitParameter(v.name, "trial", v.parameters, v.outputs, v.standard_deviation, trial=k)
+        for k, trial in enumerate(trials)
+        for v in trial_variation(full, _owned(full, trial.meta.dof), trial, settings)
+    ]
 
 
 def is_alike_in_joints(name: str) -> bool:

@@ -15,13 +15,13 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.residuals.residuals import TrialGroup
-from models.gap.residuals.spectrum import (
+from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import (
     Array,
+    TrialGroup,
     coefficient_frequencies_hz,
     inverse_cosine_transform,
 )
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.trials.trial import Trial
 
 

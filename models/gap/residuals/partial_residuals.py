@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.gap.residuals.residuals import Residuals
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 
 @dataclass(frozen=True)

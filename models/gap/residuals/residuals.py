@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,57 +14,23 @@ from models.gap.residuals.fit_parameters import (
     moved_parameters,
     plant_with_every_effect,
 )
-from models.gap.residuals.spectrum import (
-    Array,
-    coefficient_count,
-    cosine_transform,
-    inverse_cosine_transform,
-)
 from models.gap.residuals.trial_runs import TrialRuns
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.identification.fit import measured_signals, row_weights, shortened
+from models.plant.identification.fit import LARGEST_DERIVATIVE, measured_signals, shortened
+from models.plant.identification.noise_floor import (
+    Array,
+    TrialGroup,
+    cosine_transform,
+    interpolate_missing,
+    inverse_cosine_transform,
+    rows_that_follow,
+    signal_spectrum,
+    trial_groups,
+)
 from models.plant.plant import Plant
 from models.plant.simulation.runner import trial_parameters
 from models.plant.step_model import names
 from models.trials.trial import Trial
-
-_FOLLOWED: Final = "goal_{j}_rad angle_{j}_rad current_{j}_a"
-
-LARGEST_DERIVATIVE: Final = 1e60
-"""Largest derivative that counts: a simulation that diverges exceeds it, and its square would
-overflow [assumed]."""
-
-
-@dataclass(frozen=True)
-class TrialGroup:
-    """Trials of one motion, whose spectra can be compared coefficient by coefficient."""
-
-    key: str  # See `trial_group_key`
-    trials: tuple[int, ...]
-    signals: tuple[str, ...]  # Signals that both simulation and measurement have
-    coefficients: int  # Number of coefficients that are used
-
-
-def trial_group_key(trial: Trial) -> str:
-    """Key of a trial's conditions apart from payload and repetition."""
-    m = trial.meta
-    conditions = "".join(f" {name}={value:.5g}" for name, value in sorted(m.conditions.items()))
-    return (
-        f"{m.dof}dof {m.motion} {m.amplitude_rad:.5g}rad {m.period_s:.5g}s {m.phase_2_rad:.4g}rad "
-        f"{len(trial)}x{trial.step_s:.5g}s{conditions}"
-    )
-
-
-def check_duration(trial: Trial, settings: GapSettings = DEFAULT_SETTINGS) -> None:
-    """Refuse a trial that is too short to have a spectrum."""
-    hz = settings.highest_frequency_hz
-    least = settings.consistency_bands * settings.least_band_coefficients
-    if coefficient_count(len(trial), trial.step_s, hz) < least:
-        where = trial.path if trial.path.name else trial.name
-        duration_s = len(trial) * trial.step_s
-        raise InputError(
-            where, f"lasts {duration_s:.2g} s", f"give at least {least / (2 * hz):.2g} s of motion"
-        )
 
 
 class Residuals:
@@ -83,11 +48,12 @@ class Residuals:
             raise InputError("trials", "are of one and of two joints", "choose one kind with --dof")
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
-        substep_s = settings.longest_substep_s if is_link else model.max_substep_s
-        self.plant, self.trials = plant, shortened(trials, model, substep_s)
+        if is_link:
+            model = replace(model, max_substep_s=settings.longest_substep_s)
+        self.plant, self.model = plant, model
+        self.trials = shortened(trials, model)
         self.fit_parameters, self.settings = tuple(fit_parameters), settings
         trials = self.trials
-        self.model = replace(model, max_substep_s=substep_s)
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._simulated = TrialRuns(self.model, moved, trials)
         self._outputs = names(model.outputs)
@@ -96,7 +62,7 @@ class Residuals:
         self._high = np.array([v.maximum for v in model.parameters])
         self._set_directions(names(model.parameters), moved)
         self._measured = [measured_signals(t) for t in trials]
-        self.groups = self._group()
+        self.groups = trial_groups(trials, self._outputs, settings)
         self._follows = [np.ones(len(t)) for t in trials]
         if is_link:
             self._follows = [
@@ -118,25 +84,6 @@ class Residuals:
         self._acts = np.array(
             [[q.trial in (None, i) for q in self.fit_parameters] for i in range(len(self.trials))]
         )
-
-    def _group(self) -> list[TrialGroup]:
-        found: dict[tuple[str, tuple[str, ...]], list[int]] = {}
-        for k, trial in enumerate(self.trials):
-            own = self._measured[k]
-            seen = tuple(s for s in self._outputs if s in own and np.isfinite(own[s]).any())
-            if not seen:
-                raise InputError(
-                    trial.path, "has no measured signal that the plant simulates",
-                    "declare one of " + ", ".join(self._outputs) + " and give its samples",
-                )  # fmt: skip
-            found.setdefault((trial_group_key(trial), seen), []).append(k)
-        result = []
-        for (key, seen), rows in found.items():
-            first = self.trials[rows[0]]
-            count = coefficient_count(len(first), first.step_s, self.settings.highest_frequency_hz)
-            check_duration(first, self.settings)
-            result.append(TrialGroup(key, tuple(rows), seen, count))
-        return result
 
     def residuals(self, values: Array) -> list[Array]:
         """Measured minus simulated, a spectrum (trials, signals, K) for each group."""
@@ -229,36 +176,4 @@ class Residuals:
         return result
 
     def _coefficients(self, k: int, signal: str, rows: Array, count: int) -> Array:
-        weight = self._follows[k] * row_weights(self.trials[k], signal)
-        return cosine_transform(weight.reshape(-1, *[1] * (rows.ndim - 1)) * rows, count)
-
-
-def rows_that_follow(
-    trial: Trial, usual_error_rad: Array, settings: GapSettings = DEFAULT_SETTINGS
-) -> Array:
-    """1 for each row before a joint stops following its goal, 0 after, shape (n,).
-
-    There the current saturates and the joint falls behind. Two such falls differ, so no simulation
-    reproduces them. Where angle or current were not measured, every row counts.
-
-    Shapes: `usual_error_rad` (joints,).
-    """
-    joints = range(1, trial.meta.dof + 1)
-    if any(q not in trial.columns for j in joints for q in _FOLLOWED.format(j=j).split()):
-        return np.ones(len(trial))
-    error, current = np.abs(trial.goal_rad - trial.angle_rad), np.abs(trial.current_a)
-    behind = error > usual_error_rad + settings.not_followed_error_rad
-    saturated = current > settings.not_followed_current_fraction * current.max(axis=0)
-    not_followed = np.any(behind & saturated, axis=1)
-    return np.asarray(np.cumsum(not_followed) == 0, dtype=np.float64)
-
-
-def interpolate_missing(rows: Array) -> Array:
-    """Rows with missing values interpolated; zero if all are missing."""
-    seen = np.isfinite(rows)
-    if seen.all():
-        return rows
-    if not seen.any():
-        return np.zeros(len(rows))
-    place = np.arange(len(rows))
-    return np.interp(place, place[seen], rows[seen])
+        return signal_spectrum(self.trials[k], signal, rows, self._follows[k], count)

@@ -9,7 +9,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.plant.simulation.runner import CompiledModel, trial_inputs
 from models.plant.step_model import StepModel
 from models.trials.trial import Trial

@@ -8,9 +8,9 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.residuals.fit_parameters import plant_with_every_effect
-from models.gap.residuals.spectrum import Array
 from models.gap.search.candidate import Candidate
 from models.gap.search.refused_effect import RefusedEffect, refusal_of_value, values_at_bounds
+from models.plant.identification.noise_floor import Array
 
 
 def bounded_candidate(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.normal_equation import NormalEquation
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial
 
 FittedModel = tuple[FitPoint, Array]

@@ -16,8 +16,8 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.normal_equation import NormalEquation
-from models.gap.residuals.spectrum import Array
 from models.plant.effects import EFFECTS
+from models.plant.identification.noise_floor import Array
 
 
 def unexcited_effects(

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 EffectPair = tuple[str, str]
 

@@ -26,7 +26,6 @@ from models.gap.estimation.link_change import link_change
 from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
 from models.gap.estimation.normal_equation import mean_square
 from models.gap.estimation.nuisance_bias import excessive_nuisance_bias
-from models.gap.residuals.spectrum import Array
 from models.gap.search.bounded_candidate import bounded_candidate
 from models.gap.search.candidate import Candidate, SearchResult, beyond_limits, may_pass
 from models.gap.search.cross_validation import held_out_gain
@@ -36,6 +35,7 @@ from models.gap.search.held_out_errors import HeldOut, flattened, lowers_held_ou
 from models.gap.search.null_distribution import known_error, null_distribution_of
 from models.gap.search.several_starts import refitted_from_both_signs, refitted_from_far_strengths
 from models.gap.search.strength_consistency import strengths_hold
+from models.plant.identification.noise_floor import Array
 
 ReportProgress = Callable[[str, int], None]
 """Called after each part of the work with a phrase and the least number of parts to follow."""

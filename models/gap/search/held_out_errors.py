@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.partial_residuals import PartialResiduals, SquaredError
-from models.gap.residuals.residuals import Residuals, TrialGroup
-from models.gap.residuals.spectrum import Array
+from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import is_time_block
 from models.gap.search.cross_validation import FOLD_KEYS
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import Array, TrialGroup
 from models.plant.plant import Plant
 from models.trials.trial import Trial
 

@@ -22,9 +22,9 @@ from scipy.stats import norm
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.payload_transfer import unknown_fraction
 from models.gap.residuals.fit_parameters import is_alike_in_joints
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.effects import EFFECTS
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")

@@ -11,8 +11,8 @@ import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
-from models.gap.residuals.spectrum import Array
 from models.gap.settings import GapSettings
+from models.plant.identification.noise_floor import Array
 from models.plant.parameter import impossible_sums
 from models.plant.plant import Plant
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array
 
 
 def refitted_from_both_signs(

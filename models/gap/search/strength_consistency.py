@@ -22,8 +22,7 @@ from scipy.stats import chi2
 
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.normal_equation import NormalEquation, stacked
-from models.gap.residuals.residuals import TrialGroup
-from models.gap.residuals.spectrum import Array
+from models.plant.identification.noise_floor import Array, TrialGroup
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,8 @@
-"""Warnings about an identification: bounds, payloads, no gain over a rigid link, gravity.
+"""What speaks against an identification: trials of another link, and signs of a wrong plant.
 
-Check that trials are of one link, and of the plant's.
-
-Check of the torque constant: whether the declared payloads fit another value better.
-
-The plant takes the torque per ampere from the servo's data sheet. If it is wrong, masses, inertia
-and friction are wrong by the same factor. But the payloads are known, so the difference in current
-between two payloads does not match their weight.
+Trials of another link than the plant's are refused before a fit. What a fit cannot know (a bound
+that it reached, a payload that it misses, payloads that ask for another torque constant) is a
+warning of one sentence.
 """
 
 from __future__ import annotations
@@ -20,19 +16,74 @@ import numpy as np
 
 from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.errors import InputError
-from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+from firmware_py.link.link_description import STUDY_LINK
 from models.plant.document import DofEvaluation, Evaluation
 from models.plant.identification.fit import Objective
-from models.plant.identification.identify import (
-    DRIVEN_SUBSTEP_S,
-    LINK_SIGNALS,
-    Identification,
-    free_parameters,
-)
+from models.plant.identification.identify import LINK_SIGNALS, Identification, free_parameters
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
 from models.trials.checks.trials import refuse_mixed_links
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial
+
+SAME_SIZE_FRACTION: Final = 0.01
+"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
+
+ALIKE_M_S2: Final = 0.3
+"""Largest difference between two gravity vectors that count as equal: 2° or 3 % [assumed]."""
+
+
+def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
+    """Refuse trials of several links, and trials of another link than the plant's.
+
+    A plant that is no link has nothing to compare.
+    """
+    if plant.load != "link":
+        return
+    refuse_mixed_links(trials)
+    for trial in trials:
+        length_m = trial.meta.link_length_m
+        for name in ("link_length_m", "link_width_m", "base_offset_m") if length_m else ():
+            of_plant_m, of_trial_m = plant.parameters[name].value, getattr(trial.meta, name)
+            if abs(of_trial_m - of_plant_m) > SAME_SIZE_FRACTION * length_m:
+                raise InputError(
+                    trial.path,
+                    f"{name} is {of_trial_m:g} m, in the plant {where} {of_plant_m:g} m",
+                    "correct the one that is wrong, or name a plant of this link",
+                )
+    check_weight(plant, trials)
+
+
+def check_weight(plant: Plant, trials: Sequence[Trial]) -> None:
+    """Refuse trials of a link with another gravity than the plant's, or with too much payload.
+
+    The observer's estimate of the payload is limited to the most that the link carries.
+    """
+    if plant.load != "link":
+        return
+    unit = (plant.link or STUDY_LINK).gravity.unit
+    gravity = tuple(plant.parameters["gravity_m_s2"].value * axis for axis in unit)
+    for trial in trials:
+        payload_kg, link = trial.meta.payload_kg, plant.link
+        if link is not None and payload_kg > link.most_payload_kg:
+            raise InputError(
+                trial.path,
+                f"has a payload of {payload_kg:g} kg, a plant of this link takes "
+                f"{link.most_payload_kg:g} kg at most",
+                f"raise payload_kg in the link's file, now {link.payload_kg:g}, and name that "
+                "file: --plant link.toml",
+            )
+        if math.dist(gravity, trial.meta.gravity) > ALIKE_M_S2:
+            raise InputError(
+                trial.path,
+                f"gravity is {_vector(trial.meta.gravity)} m/s², "
+                f"in the plant {_vector(gravity)} m/s²",
+                "name the link's file: --plant link.toml, with its mounting under [gravity]",
+            )
+
+
+def _vector(vector: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.3g}" for value in vector) + "]"
+
 
 LARGE_FRACTION: Final = 0.1
 """Error of the tip, as a fraction of its deflection, above which a payload is reported [assumed; 10
@@ -46,32 +97,29 @@ MOST_DEFLECTION: Final = 0.3
 link has 0.067 at 2 kg (its root carries about 13 N·m) and 0.24 where its wall wrinkles, at 46 N·m
 (docs/sources.md, "The link"); an arc of 35 degrees has 0.3."""
 
-ALIKE_M_S2: Final = 0.3
-"""Largest difference between two gravity vectors that count as equal: 2° or 3 % [assumed]."""
 
-
-def doubts(found: Identification) -> list[str]:
-    """Warnings for the user, one sentence each."""
-    said = []
-    for q in found.fitted:
+def doubts(result: Identification) -> list[str]:
+    """Warnings about an identification, one sentence each."""
+    warnings = []
+    for q in result.fitted:
         reached = bound_reached(q)
         limit = q.low if reached == "lower" else q.high
         # Zero, or all of a fraction, is a valid result; any other bound is not.
         if reached and limit != 0.0 and not (q.unit == "1" and limit == 1.0):
-            said.append(
+            warnings.append(
                 f"{q.name} is at its {reached} bound, {limit:g} {q.unit}: the trials do not "
                 "determine it, or the plant lacks something that it stands in for"
             )
-    for dof, error in found.held_out.dof.items():
-        said += _no_better_than_rigid(dof, error) or _payloads_missed(dof, error)
-    return said
+    for dof, error in result.held_out.dof.items():
+        warnings += _no_better_than_rigid(dof, error) or _payload_missed(dof, error)
+    return warnings
 
 
-def evaluation_doubts(found: Evaluation, plant: Plant) -> list[str]:
+def evaluation_doubts(result: Evaluation, plant: Plant) -> list[str]:
     """Warnings about a comparison of a plant with trials, one sentence each."""
     return [
         text
-        for dof, error in found.dof.items()
+        for dof, error in result.dof.items()
         for text in _beyond_any_bend(dof, error, plant) or _no_better_than_rigid(dof, error)
     ]
 
@@ -102,13 +150,17 @@ def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
     ]
 
 
-def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
-    """Warn of the payload with the largest tip error, if it is a large part of the deflection."""
+def _payload_missed(dof: str, error: DofEvaluation) -> list[str]:
+    """Warn of the payload with the largest tip error, if it is a large part of the deflection.
+
+    What the clock explains is not the plant's.
+    """
     errors = [
-        (tip.tip_rms_m, tip.rigid_tip_rms_m, load)
+        (tip.tip_rms_m if tip.clock_tip_rms_m is None else tip.clock_tip_rms_m,
+         tip.rigid_tip_rms_m, load)
         for load, tip in error.payloads.items()
         if float(load) > 0 and tip.tip_rms_m is not None and tip.rigid_tip_rms_m is not None
-    ]
+    ]  # fmt: skip
     plant_m, deflection_m, load = max(errors, default=(0.0, 0.0, ""))
     if plant_m < max(LARGE_M, LARGE_FRACTION * deflection_m):
         return []
@@ -118,64 +170,6 @@ def _payloads_missed(dof: str, error: DofEvaluation) -> list[str]:
         f"{percent:.0f} % of its deflection: the link may be near the moment at which it folds, "
         "where its bend scatters from run to run; give the gap workflow trials with less payload"
     ]
-
-
-def check_weight(plant: Plant, trials: TrialSet) -> None:
-    """Refuse trials of a link with another gravity than the plant's, or with too much payload."""
-    if plant.load != "link":
-        return
-    if plant.link is not None:
-        _check_payloads(plant.link, trials)
-    unit = (plant.link or STUDY_LINK).gravity.unit
-    own = tuple(plant.parameters["gravity_m_s2"].value * axis for axis in unit)
-    for trial in trials:
-        if math.dist(own, trial.meta.gravity) > ALIKE_M_S2:
-            raise InputError(
-                trial.path,
-                f"gravity is {_vector(trial.meta.gravity)} m/s², in the plant {_vector(own)} m/s²",
-                "name the link's file: --plant link.toml, with its mounting under [gravity]",
-            )
-
-
-def _check_payloads(link: LinkDescription, trials: TrialSet) -> None:
-    """Refuse payloads beyond the link's limit: the observer's estimate is limited to it."""
-    for trial in trials:
-        if trial.meta.payload_kg > link.most_payload_kg:
-            raise InputError(
-                trial.path,
-                f"has a payload of {trial.meta.payload_kg:g} kg, a plant of this link takes "
-                f"{link.most_payload_kg:g} kg at most",
-                f"raise payload_kg in the link's file, now {link.payload_kg:g}, and name that "
-                "file: --plant link.toml",
-            )
-
-
-def _vector(vector: tuple[float, ...]) -> str:
-    return "[" + ", ".join(f"{value:.3g}" for value in vector) + "]"
-
-
-SAME_SIZE_FRACTION: Final = 0.01
-"""Largest difference in size, relative to the length: the accuracy of a tape [assumed]."""
-
-
-def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
-    """Refuse trials of several links, and trials of another link than the plant's.
-
-    A plant that is no link has nothing to compare.
-    """
-    if plant.load != "link":
-        return
-    refuse_mixed_links(trials)
-    for trial in trials:
-        length_m = trial.meta.link_length_m
-        for name in ("link_length_m", "link_width_m", "base_offset_m") if length_m else ():
-            own_m, there_m = plant.parameters[name].value, getattr(trial.meta, name)
-            if abs(there_m - own_m) > SAME_SIZE_FRACTION * length_m:
-                raise InputError(
-                    trial.path, f"{name} is {there_m:g} m, in the plant {where} {own_m:g} m",
-                    "correct the one that is wrong, or name a plant of this link",
-                )  # fmt: skip
-    check_weight(plant, TrialSet(tuple(trials)))
 
 
 DIFFERENT_FRACTION: Final = 0.1
@@ -191,7 +185,12 @@ explains it [assumed: a servo with ten times the torque per ampere is another se
 
 
 def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
-    """Warnings, one per joint whose torque constant seems wrong, by one step of a fit."""
+    """Warnings, one per joint whose torque constant disagrees with the payloads.
+
+    The plant takes the torque per ampere from the servo's data sheet. If it is wrong, masses,
+    inertia and friction are wrong by the same factor. But the payloads are known, so the difference
+    in current between two payloads does not match their weight. One step of a fit tells.
+    """
     planes = max(t.meta.dof for t in trials)
     declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
     known = plant.parameters
@@ -200,27 +199,27 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
         return []
     free = (*free_parameters(plant, planes)[0], *constants)
     rms = plant.provenance.residual_rms
-    objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms, DRIVEN_SUBSTEP_S, plant)
+    objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms)
     residual, slopes = objective(objective.start)
     information = slopes.T @ slopes
     step = -np.linalg.solve(information, slopes.T @ residual)
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))
-    said = []
+    warnings = []
     for name in constants:
         k, value = free.index(name), known[name].value
-        if abs(step[k]) > max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
-            inverse = 1 - step[k] / value  # the current is linear in the constant's inverse
-            if inverse < LEAST_INVERSE:
-                said.append(
-                    f"the current of joint {name.split('_')[2]} does not grow with the payload as "
-                    "its weight does: check the sign and the unit of the current, and the declared "
-                    "payloads"
-                )
-                continue
-            better = value / inverse
-            said.append(
-                f"the payloads speak for {name} of about {better:.2g} N.m/A, not "
+        if abs(step[k]) <= max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
+            continue
+        inverse = 1 - step[k] / value  # the current is linear in the constant's inverse
+        if inverse < LEAST_INVERSE:
+            warnings.append(
+                f"the current of joint {name.split('_')[2]} does not grow with the payload as "
+                "its weight does: check the sign and the unit of the current, and the declared "
+                "payloads"
+            )
+        else:
+            warnings.append(
+                f"the payloads speak for {name} of about {value / inverse:.2g} N.m/A, not "
                 f"{value:.3g}: give that of your servo in link.toml, or fit it (role = "
                 '"nuisance" in the file given to --plant)'
             )
-    return said
+    return warnings

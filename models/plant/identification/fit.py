@@ -1,27 +1,4 @@
-"""Standard errors that allow for correlated model error: jackknife over groups of rows.
-
-The curvature of the cost treats residuals as independent noise. But the error of a reduced model is
-alike in rows of one payload, or of one part of the motion, however many they are. The fit is
-therefore repeated, linearised, with one group of rows left out at a time::
-
-    d_g = (H − H_g)⁻¹ s_g,   H = J'J with priors,  H_g = J_g'J_g,  s_g = J_g'r_g
-    V = (G − 1)/G Σ (d_g − mean d)²
-
-(delete-a-group jackknife [Efron & Tibshirani 1993]; with few groups the sandwich estimate is too
-small [Cameron & Miller 2015]). G groups give G − 1 degrees of freedom: the error is widened so that
-twice the error is a 95 % interval of Student's t. Rows are grouped by payload (by trial if there
-are fewer than three payloads) and by part of the motion. The larger variance is added to that of
-the curvature.
-
-Limit on the rows of long trials in a fit, so that it takes minutes and little memory.
-
-A fit simulates its trials some hundred times. The cost of a simulation, its state updates, is rows
-times sub-steps times states. A trial above the limit is cut to its first rows, and so are the
-longest of several trials that are above it together. The first rows begin at rest, so the state at
-the start is known. Whatever is simulated once (`evaluate`, the errors before and after a diagnosis)
-uses whole trials; there the rest of a cut trial is held out.
-
-Least-squares fit through the simulation: residuals over trials with exact derivatives.
+"""Least-squares fit of a plant through its simulation, with exact derivatives.
 
 A residual is (simulated − measured) / scale, divided by √C where C samples carry the information of
 one, because residuals of a reduced model are far from white (docs/sources.md, "Naming a missing
@@ -59,146 +36,6 @@ from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
 
-LEAST_GROUPS: Final = 3
-"""Fewest groups whose scatter is used [assumed]."""
-
-TWO_SIDED: Final = 0.975
-
-
-class Group(NamedTuple):
-    """Rows that are left out together."""
-
-    information: Array  # (k, k), J'J of the rows
-    score: Array  # (k,), J'r of the rows
-
-
-def motion_parts(trial: Trial) -> NDArray[np.int_]:
-    """Part of the motion that each row belongs to: signs of angle and rate of the first joint.
-
-    Returns shape (n,), 0 to 3; zeros if no angle or position of the first joint was measured.
-    """
-    for name in ("angle_1_rad", "position_1_m"):
-        if name in trial.columns and len(trial) > 1:
-            angle = trial.columns[name] - np.nanmean(trial.columns[name])
-            return np.asarray(2 * (angle > 0) + (np.gradient(angle) > 0), dtype=np.int_)
-    return np.zeros(len(trial), dtype=int)
-
-
-Rows = tuple[Trial, NDArray[np.bool_], Array, Array]
-"""Trial, mask of its measured rows, and their residuals (n,) and Jacobian (n, k)."""
-
-
-def grouped_rows(rows: Sequence[Rows]) -> tuple[dict[Hashable, Group], dict[Hashable, Group]]:
-    """Group the rows by payload (by trial if payloads are few), and by part of the motion."""
-    few = len({trial.meta.payload_kg for trial, *_ in rows}) < LEAST_GROUPS
-    by_load: dict[Hashable, Group] = {}
-    by_part: dict[Hashable, Group] = {}
-    for trial, seen, residual, jacobian in rows:
-        _add_rows(by_load, trial.name if few else trial.meta.payload_kg, residual, jacobian)
-        part = motion_parts(trial)[seen]
-        for number in np.unique(part):
-            own = part == number
-            _add_rows(by_part, int(number), residual[own], jacobian[own])
-    return by_load, by_part
-
-
-def _add_rows(
-    groups: dict[Hashable, Group], key: Hashable, residual: Array, jacobian: Array
-) -> None:
-    information, score = jacobian.T @ jacobian, jacobian.T @ residual
-    if key in groups:
-        information, score = information + groups[key].information, score + groups[key].score
-    groups[key] = Group(information, score)
-
-
-def jackknife_variance(
-    groups: Sequence[Group], information: Array, low: Array, high: Array
-) -> Array:
-    """Variance of each parameter, leaving one group out at a time; zero for too few groups.
-
-    `information` has shape (k, k). `low` and `high` (k,) are the largest changes of each parameter
-    down and up, because a refit stays within the bounds.
-    """
-    count = len(groups)
-    if count < LEAST_GROUPS:
-        return np.zeros(len(information))
-    changes = np.array(
-        [np.linalg.lstsq(information - g.information, g.score, rcond=1e-12)[0] for g in groups]
-    )
-    changes = np.clip(changes, low, high)
-    scatter = np.sum((changes - changes.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
-    widened = float(student_t.ppf(TWO_SIDED, count - 1)) / 2.0
-    return np.asarray(scatter * max(widened, 1.0) ** 2)
-
-
-def cluster_errors(
-    groupings: Sequence[Mapping[Hashable, Group]], information: Array, low: Array, high: Array
-) -> Array:
-    """Standard errors from the curvature and the grouping with the larger variance together.
-
-    Arguments as for `jackknife_variance`. A parameter at a bound (no room on one side) is left out
-    of the jackknife and has the error of the curvature alone.
-    """
-    curvature = np.diag(np.linalg.pinv(information, hermitian=True))
-    free = np.flatnonzero((low < 0) & (high > 0))
-    largest = np.zeros(len(information))
-    for groups in groupings:
-        own = [Group(g.information[np.ix_(free, free)], g.score[free]) for g in groups.values()]
-        variance = jackknife_variance(own, information[np.ix_(free, free)], low[free], high[free])
-        largest[free] = np.maximum(largest[free], variance)
-    return np.asarray(np.sqrt(curvature + largest))
-
-
-MOST_OF_TRIAL: Final = 3e6
-"""Most state updates in one simulation of a trial: 20 800 rows of the link with every effect and
-one joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the
-exact derivatives of the former; a diagnosis needs about twenty of them."""
-
-MOST_OF_ALL: Final = 10e6
-"""Most state updates in one simulation of all trials; `make demo` needs 1 % of it [assumed]."""
-
-LEAST_ROWS: Final = 200
-"""Fewest rows that a cut trial keeps [assumed]."""
-
-REST_FRACTION: Final = 0.25
-"""Largest fraction of a cut trial at rest before the motion [assumed]."""
-
-
-def shortened(trials: Sequence[Trial], model: StepModel, substep_s: float) -> tuple[Trial, ...]:
-    """Cut trials to the limits, for a model with internal steps of at most `substep_s`."""
-    cost = np.array(
-        [len(model.states) * max(1, math.ceil(t.step_s / substep_s - 1e-9)) for t in trials]
-    )
-    updates = np.minimum(cost * np.array([len(t) for t in trials]), MOST_OF_TRIAL)
-    each = _level(updates, MOST_OF_ALL)
-    return tuple(
-        _first_rows(t, max(LEAST_ROWS, int(min(each, MOST_OF_TRIAL) / c)))
-        for t, c in zip(trials, cost, strict=True)
-    )
-
-
-def _level(sizes: NDArray[np.float64], most: float) -> float:
-    """Level w with sum(min(size, w)) = most; infinite if the sum of all sizes is below."""
-    left = most
-    for place, size in enumerate(np.sort(sizes)):
-        level = left / (len(sizes) - place)
-        if size > level:
-            return level
-        left -= float(size)
-    return math.inf
-
-
-def _first_rows(trial: Trial, rows: int) -> Trial:
-    """First rows of a trial, with only the end of a long rest before the motion."""
-    if rows >= len(trial):
-        return trial
-    rest = trial.meta.rest_samples
-    start = max(0, rest - int(REST_FRACTION * rows))
-    meta = msgspec.structs.replace(trial.meta, rest_samples=rest - start)
-    columns = {name: column[start : start + rows] for name, column in trial.columns.items()}
-    return replace(trial, meta=meta, columns=columns)
-
-
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
 """Scale of a residual in a first fit, by the unit of the signal."""
 
@@ -206,12 +43,12 @@ LEAST_SCALE: Final = {"rad": 0.1}
 """Smallest fraction of `SCALE`, if not one half. An encoder resolves 0.01 mrad (docs/sources.md,
 "Control tables"); 0.2 mrad separate the lag of the goal from the position gain."""
 
+EFFORT_FRACTION: Final = 0.03
+"""Scale of the residual of a torque or a force, relative to its RMS, as its size is unknown."""
+
 CORRELATED_SAMPLES: Final = 12
 """Samples that carry the information of one in a first fit (docs/sources.md, "Naming a missing
 effect")."""
-
-EFFORT_FRACTION: Final = 0.03
-"""Scale of the residual of a torque or a force, relative to its RMS, as its size is unknown."""
 
 STANDSTILL_RAD_S: Final = 0.1
 """Joint rate below which dry friction can take any value, so the current has a low weight."""
@@ -219,10 +56,14 @@ STANDSTILL_RAD_S: Final = 0.1
 STANDSTILL_M_S: Final = STANDSTILL_RAD_S * PULLEY_M
 """The same on a straight guide."""
 
+DRIVEN_SUBSTEP_S: Final = 2.2e-3
+"""Longest internal step of the driven link, an eighth of a period, as it has no dry friction."""
+
 LARGEST_DERIVATIVE: Final = 1e60
 """Largest derivative of a stable simulation; squares of larger ones would overflow [assumed]."""
 
 WORKERS: Final = 2
+"""Threads that simulate; CasADi releases the interpreter lock meanwhile."""
 
 
 def measured_signals(trial: Trial) -> dict[str, Array]:
@@ -263,32 +104,85 @@ def row_weights(trial: Trial, signal: str) -> Array:
 
     A current is weighted by its joint's rate if that was measured; all else has the weight one.
     """
-    if not signal.startswith("current_"):
-        return np.ones(len(trial))
-    joint = signal.split("_")[1]
-    standstill = {f"angle_{joint}_rad": STANDSTILL_RAD_S, f"position_{joint}_m": STANDSTILL_M_S}
-    for name, still in standstill.items():
-        if name in trial.columns:
-            rate = np.gradient(trial.columns[name], trial.step_s)
-            return np.asarray(np.sqrt(rate**2 / (rate**2 + still**2)))
+    if signal.startswith("current_"):
+        joint = signal.split("_")[1]
+        slow = {f"angle_{joint}_rad": STANDSTILL_RAD_S, f"position_{joint}_m": STANDSTILL_M_S}
+        for name, standstill in slow.items():
+            if name in trial.columns:
+                rate = np.gradient(trial.columns[name], trial.step_s)
+                return np.asarray(np.sqrt(rate**2 / (rate**2 + standstill**2)))
     return np.ones(len(trial))
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Result of a fit."""
+# Long trials. A fit simulates its trials some hundred times. The cost of a simulation, its state
+# updates, is rows times sub-steps times states. So a fit uses the first rows of very long trials:
+# they begin at rest, so the state at the start is known. Whatever is simulated once (`evaluate`)
+# uses whole trials; there the rest of a cut trial is held out.
 
-    plant: Plant  # Plant with the fitted values and their standard errors
-    free: tuple[str, ...]  # Names of the fitted parameters
-    cost: float  # Half the sum of squares, prior included
-    rms: dict[str, float]  # Root mean square residual of each signal, in its unit
+MOST_OF_TRIAL: Final = 3e6
+"""Most state updates in one simulation of a trial: 20 800 rows of the link with every effect and
+one joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the
+exact derivatives of the former; a diagnosis needs about twenty of them."""
+
+MOST_OF_ALL: Final = 10e6
+"""Most state updates in one simulation of all trials; `make demo` needs 1 % of it [assumed]."""
+
+LEAST_ROWS: Final = 200
+"""Fewest rows that a cut trial keeps [assumed]."""
+
+REST_FRACTION: Final = 0.25
+"""Largest fraction of a cut trial at rest before the motion [assumed]."""
+
+
+def shortened(trials: Sequence[Trial], model: StepModel) -> tuple[Trial, ...]:
+    """Cut trials to the limits, for a model with its longest internal step."""
+    substeps = [max(1, math.ceil(t.step_s / model.max_substep_s - 1e-9)) for t in trials]
+    cost = len(model.states) * np.array(substeps)
+    updates = np.minimum(cost * np.array([len(t) for t in trials]), MOST_OF_TRIAL)
+    most = min(_level(updates, MOST_OF_ALL), MOST_OF_TRIAL)
+    return tuple(
+        _first_rows(t, max(LEAST_ROWS, int(most / c))) for t, c in zip(trials, cost, strict=True)
+    )
+
+
+def _level(sizes: NDArray[np.float64], most: float) -> float:
+    """Level w with sum(min(size, w)) = most; infinite if the sum of all sizes is below."""
+    left = most
+    for place, size in enumerate(np.sort(sizes)):
+        level = left / (len(sizes) - place)
+        if size > level:
+            return level
+        left -= float(size)
+    return math.inf
+
+
+def _first_rows(trial: Trial, rows: int) -> Trial:
+    """First rows of a trial, with only the end of a long rest before the motion."""
+    if rows >= len(trial):
+        return trial
+    rest = trial.meta.rest_samples
+    start = max(0, rest - int(REST_FRACTION * rows))
+    meta = msgspec.structs.replace(trial.meta, rest_samples=rest - start)
+    columns = {name: column[start : start + rows] for name, column in trial.columns.items()}
+    return replace(trial, meta=meta, columns=columns)
+
+
+class SignalFit(NamedTuple):
+    """One signal of one trial at some values of the free parameters."""
+
+    trial: Trial
+    signal: str
+    measured: NDArray[np.bool_]  # (n,), rows with a measurement, m of them
+    residual: Array  # (m,)
+    jacobian: Array  # (m, free)
 
 
 class Objective:
     """Residuals of a plant over trials, as a function of some parameters.
 
-    `plant` sets the other parameters and the priors of the free ones; the values of `prior` are the
-    centres of the priors (by default, those of `plant`).
+    `plant` sets the other parameters and the priors of the free ones. Only signals whose names
+    start with one of `signals` count. `scale` holds the residual of signals in an earlier fit, in
+    their units. The values of `prior` are the centres of the priors (by default, those of `plant`).
     """
 
     def __init__(
@@ -299,7 +193,6 @@ class Objective:
         free: Sequence[str],
         signals: Sequence[str],
         scale: Mapping[str, float] | None = None,
-        max_substep_s: float | None = None,
         prior: Plant | None = None,
     ) -> None:
         self.plant, self.free = plant, tuple(free)
@@ -308,10 +201,9 @@ class Objective:
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
-            if max_substep_s is not None:
-                model = replace(model, max_substep_s=max_substep_s)
-            same = [t for t in trials if t.meta.dof == dof]
-            used += shortened(same, model, model.max_substep_s)
+            if kind == "driven":
+                model = replace(model, max_substep_s=DRIVEN_SUBSTEP_S)
+            used += shortened([t for t in trials if t.meta.dof == dof], model)
             own = [name for name in self.free if name in names(model.parameters)]
             self._models[dof] = CompiledModel(model, own)
         self.trials = tuple(used)
@@ -322,55 +214,41 @@ class Objective:
         self.high = np.array([q.high for q in chosen])
         self.prior_deviation = np.array([prior_deviation_of(q) for q in chosen])
         self._centre = np.array([(prior or plant).parameters[n].value for n in self.free])
-        self._last: tuple[bytes, Array, Array] = (b"", np.empty(0), np.empty(0))
+        self._simulated: tuple[bytes, list[SignalFit]] = (b"", [])
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their Jacobian (n, len(free)); those of the priors come last."""
-        key = values.tobytes()
-        if key != self._last[0]:
-            with ThreadPoolExecutor(WORKERS) as pool:
-                parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
-            prior = (values - self._centre) / self.prior_deviation
-            residual = np.concatenate([r for rows in parts for r, _ in rows.values()] + [prior])
-            jacobian = np.concatenate(
-                [j for rows in parts for _, j in rows.values()]
-                + [np.diag(1 / self.prior_deviation)]
-            )
-            if not (np.abs(jacobian) < LARGEST_DERIVATIVE).all():
-                residual = np.full_like(residual, np.inf)  # unstable: the fit must not step here
-            self._last = (key, residual, jacobian)
-        return self._last[1], self._last[2]
+        fits = self._simulate(values)
+        prior = (values - self._centre) / self.prior_deviation
+        residual = np.concatenate([*(f.residual for f in fits), prior])
+        jacobian = np.concatenate([*(f.jacobian for f in fits), np.diag(1 / self.prior_deviation)])
+        if not (np.abs(jacobian) < LARGEST_DERIVATIVE).all():
+            residual = np.full_like(residual, np.inf)  # unstable: the fit must not step here
+        return residual, jacobian
 
     def rms(self, values: Array) -> dict[str, float]:
         """Weighted root mean square residual of each signal, in its unit."""
         squares: dict[str, list[Array]] = {}
-        for k in range(len(self.trials)):
-            for signal, (residual, _) in self._trial(k, values).items():
-                if len(residual):
-                    squares.setdefault(signal, []).append(residual**2 * CORRELATED_SAMPLES)
+        for f in self._simulate(values):
+            if len(f.residual):
+                squares.setdefault(f.signal, []).append(f.residual**2 * CORRELATED_SAMPLES)
         return {
             signal: float(np.sqrt(np.mean(np.concatenate(rows)))) * self.scale(signal)
             for signal, rows in squares.items()
         }
 
-    def runaway_trials(self, values: Array) -> list[str]:
+    def unstable_trials(self, values: Array) -> list[str]:
         """Files of the trials on which the simulation or its derivatives do not stay finite."""
-        return [
-            str(trial.path) for k, trial in enumerate(self.trials)
-            if not all(
-                np.isfinite(r).all() and (np.abs(j) < LARGEST_DERIVATIVE).all()
-                for r, j in self._trial(k, values).values()
-            )
-        ]  # fmt: skip
+        unstable = (
+            str(f.trial.path) for f in self._simulate(values)
+            if not np.isfinite(f.residual).all()
+            or not (np.abs(f.jacobian) < LARGEST_DERIVATIVE).all()
+        )  # fmt: skip
+        return list(dict.fromkeys(unstable))
 
     def standard_errors(self, values: Array) -> Array:
-        """Standard errors at the solution (`models.plant.identification.fit`)."""
-        rows = [
-            (trial, np.isfinite(self._measured[k][signal]), *values_of)
-            for k, trial in enumerate(self.trials)
-            for signal, values_of in self._trial(k, values).items()
-        ]
-        by_load, by_part = grouped_rows(rows)
+        """Standard errors at the solution, see `cluster_errors`."""
+        by_load, by_part = grouped(self._simulate(values))
         information = np.diag(self.prior_deviation**-2.0)
         information = information + sum(g.information for g in by_load.values())
         margin = AT_BOUND * (self.high - self.low)
@@ -389,17 +267,24 @@ class Objective:
         default = usual_error(unit, [m[signal] for m in self._measured if signal in m])
         return max(self._scale.get(signal, default), LEAST_SCALE.get(unit, 0.5) * default)
 
-    def _trial(self, index: int, values: Array) -> dict[str, tuple[Array, Array]]:
-        """Residual and Jacobian of each signal of a trial."""
+    def _simulate(self, values: Array) -> list[SignalFit]:
+        """Every signal of every trial; the last result is reused."""
+        if values.tobytes() != self._simulated[0]:
+            with ThreadPoolExecutor(WORKERS) as pool:
+                parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
+            self._simulated = (values.tobytes(), [fit for part in parts for fit in part])
+        return self._simulated[1]
+
+    def _trial(self, index: int, values: Array) -> list[SignalFit]:
         trial, measured = self.trials[index], self._measured[index]
         compiled = self._models[trial.meta.dof]
-        model, own = compiled.model, compiled.wrt
+        model = compiled.model
         known = names(model.parameters)
+        columns = [self.free.index(name) for name in compiled.wrt]
         p = trial_parameters(model, trial)
-        columns = [self.free.index(name) for name in own]
-        p[[known.index(name) for name in own]] = values[columns]
+        p[[known.index(name) for name in compiled.wrt]] = values[columns]
         y, slopes = differentiate_trial(compiled, trial, p)
-        result: dict[str, tuple[Array, Array]] = {}
+        fits = []
         for k, signal in enumerate(names(model.outputs)):
             if signal not in measured or not signal.startswith(self._signals):
                 continue
@@ -407,9 +292,18 @@ class Objective:
             residual = (y[:, k] - measured[signal]) * factor
             jacobian = np.zeros((len(y), len(self.free)))
             jacobian[:, columns] = slopes[:, k] * factor[:, None]
-            seen = np.isfinite(measured[signal])
-            result[signal] = (residual[seen], jacobian[seen])
-        return result
+            rows = np.isfinite(measured[signal])
+            fits.append(SignalFit(trial, signal, rows, residual[rows], jacobian[rows]))
+        return fits
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of a fit."""
+
+    plant: Plant  # Plant with the fitted values and their standard errors
+    cost: float  # Half the sum of squares, prior included
+    rms: dict[str, float]  # Root mean square residual of each signal, in its unit
 
 
 def fit_objective(
@@ -432,20 +326,117 @@ def fit_objective(
     if not np.isfinite(objective(first)[0]).all():
         raise InputError(
             f"plant {objective.plant.name!r}",
-            f"does not stay finite on {', '.join(objective.runaway_trials(first)) or 'a trial'}",
+            f"does not stay finite on {', '.join(objective.unstable_trials(first)) or 'a trial'}",
             "start from other values of its parameters, or check the conditions of the trials",
         )
-    found = least_squares(
+    solution = least_squares(
         residuals, first, lambda values: objective(values)[1],
         bounds=(objective.low, objective.high), x_scale="jac", method="trf",
         max_nfev=evaluations, ftol=tolerance, xtol=1e-6, gtol=1e-8,
     )  # fmt: skip
-    values = np.clip(found.x, objective.low, objective.high)
+    values = np.clip(solution.x, objective.low, objective.high)
     residual, _ = objective(values)
-    errors = objective.standard_errors(values)
     plant = objective.plant.with_values(
         dict(zip(objective.free, values, strict=True)),
-        dict(zip(objective.free, errors, strict=True)),
+        dict(zip(objective.free, objective.standard_errors(values), strict=True)),
     )
-    cost = 0.5 * float(residual @ residual)
-    return Solution(plant, objective.free, cost, objective.rms(values))
+    return Solution(plant, 0.5 * float(residual @ residual), objective.rms(values))
+
+
+# Standard errors. The curvature of the cost treats residuals as independent noise. But the error of
+# a reduced model is alike in rows of one payload, or of one part of the motion, however many they
+# are. The fit is therefore repeated, linearised, with one group of rows left out at a time.
+
+LEAST_GROUPS: Final = 3
+"""Fewest groups whose scatter is used [assumed]."""
+
+TWO_SIDED: Final = 0.975
+
+
+class Group(NamedTuple):
+    """Rows that are left out together."""
+
+    information: Array  # (k, k), J'J of the rows
+    score: Array  # (k,), J'r of the rows
+
+
+Groups = dict[Hashable, Group]
+
+
+def grouped(fits: Sequence[SignalFit]) -> tuple[Groups, Groups]:
+    """Group the rows by payload (by trial if payloads are few), and by part of the motion."""
+    few = len({f.trial.meta.payload_kg for f in fits}) < LEAST_GROUPS
+    by_load: Groups = {}
+    by_part: Groups = {}
+
+    def add(groups: Groups, key: Hashable, residual: Array, jacobian: Array) -> None:
+        information, score = groups.get(key, (0.0, 0.0))
+        groups[key] = Group(jacobian.T @ jacobian + information, jacobian.T @ residual + score)
+
+    for f in fits:
+        key = f.trial.name if few else f.trial.meta.payload_kg
+        add(by_load, key, f.residual, f.jacobian)
+        part = motion_parts(f.trial)[f.measured]
+        for number in np.unique(part):
+            rows = part == number
+            add(by_part, int(number), f.residual[rows], f.jacobian[rows])
+    return by_load, by_part
+
+
+def motion_parts(trial: Trial) -> NDArray[np.int_]:
+    """Part of the motion that each row belongs to: signs of angle and rate of the first joint.
+
+    Returns shape (n,), 0 to 3; zeros if no angle or position of the first joint was measured.
+    """
+    for name in ("angle_1_rad", "position_1_m"):
+        if name in trial.columns and len(trial) > 1:
+            angle = trial.columns[name] - np.nanmean(trial.columns[name])
+            return np.asarray(2 * (angle > 0) + (np.gradient(angle) > 0), dtype=np.int_)
+    return np.zeros(len(trial), dtype=int)
+
+
+def cluster_errors(
+    groupings: Sequence[Mapping[Hashable, Group]], information: Array, low: Array, high: Array
+) -> Array:
+    """Standard errors from the curvature and the grouping with the larger variance together.
+
+    `information` has shape (k, k). `low` and `high` (k,) are the largest changes of each parameter
+    down and up, because a refit stays within the bounds. A parameter at a bound (no room on one
+    side) is left out of the jackknife and has the error of the curvature alone.
+    """
+    curvature = np.diag(np.linalg.pinv(information, hermitian=True))
+    free = np.flatnonzero((low < 0) & (high > 0))
+    largest = np.zeros(len(information))
+    for groups in groupings:
+        inner = [Group(g.information[np.ix_(free, free)], g.score[free]) for g in groups.values()]
+        variance = _jackknife_variance(
+            inner, information[np.ix_(free, free)], low[free], high[free]
+        )
+        largest[free] = np.maximum(largest[free], variance)
+    return np.asarray(np.sqrt(curvature + largest))
+
+
+def _jackknife_variance(
+    groups: Sequence[Group], information: Array, low: Array, high: Array
+) -> Array:
+    """Variance of each parameter, leaving one group out at a time; zero for too few groups.
+
+    The delete-a-group jackknife [Efron & Tibshirani 1993]; with few groups the sandwich estimate
+    is too small [Cameron & Miller 2015]::
+
+        d_g = (H − H_g)⁻¹ s_g,   H = J'J with priors,  H_g = J_g'J_g,  s_g = J_g'r_g
+        V = (G − 1)/G Σ (d_g − mean d)²
+
+    G groups give G − 1 degrees of freedom: the error is widened so that twice the error is a 95 %
+    interval of Student's t.
+    """
+    count = len(groups)
+    if count < LEAST_GROUPS:
+        return np.zeros(len(information))
+    changes = np.array(
+        [np.linalg.lstsq(information - g.information, g.score, rcond=1e-12)[0] for g in groups]
+    )
+    changes = np.clip(changes, low, high)
+    scatter = np.sum((changes - changes.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
+    widened = float(student_t.ppf(TWO_SIDED, count - 1)) / 2.0
+    return np.asarray(scatter * max(widened, 1.0) ** 2)

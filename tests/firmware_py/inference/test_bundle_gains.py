@@ -21,7 +21,7 @@ from firmware_py.log.recorder import recording
 from firmware_py.realtime.clock import SimClock
 from firmware_py.robot import build_bus, with_bundle_gains
 from firmware_py.signals import tick_dtype
-from models.plant.identification.identify import read_servo_gains
+from models.commands.identify import read_servo_gains
 
 ROBOT = Path("robot.toml")
 TEXT = 'bundle = "b"\n[bus]\nport = "p"\n[[servos]]\nid = 1\nmodel = "H54-200-S500-R"\n'

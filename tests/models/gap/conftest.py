@@ -9,9 +9,9 @@ import pytest
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
 from models.gap.diagnosis import diagnose
-from models.gap.estimation.noise_floor_fit import with_noise_floor
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names

@@ -6,17 +6,14 @@ import pytest
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
-from models.gap.estimation.noise_floor_fit import (
-    noise_floor_for,
-    nuisance_and_variation,
-    with_noise_floor,
-)
+from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
 from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.gap.search.null_distribution import KnownError, null_distribution_of
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.effects import EFFECTS
+from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import read_plant, scope_of
 
 FRICTION_NM_S_RAD = 4.0

@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.motion import GLIDE_S, Motion
 from models.gap.calibration.recorded_motion import recorded_motion
-from models.gap.residuals.residuals import trial_group_key
+from models.plant.identification.noise_floor import trial_group_key
 from models.rig.parameters import read_rig
 from models.rig.protocol import TrialCase, run_case
 

@@ -6,9 +6,13 @@ import pytest
 from models.gap.estimation.curve_transfer import transferred
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import coefficient_count, cosine_transform
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import (
+    TrialGroup,
+    coefficient_count,
+    cosine_transform,
+    trial_group_key,
+)
 
 PERIOD_S, ROWS, STEP_S, REST = 2.0, 300, 0.017, 40
 HZ = DEFAULT_SETTINGS.highest_frequency_hz

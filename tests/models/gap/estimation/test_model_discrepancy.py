@@ -16,10 +16,9 @@ from models.gap.estimation.model_discrepancy import (
     write_patterns,
 )
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import coefficient_count
 from models.gap.search.null_distribution import calibrated_null_distribution
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import TrialGroup, coefficient_count, trial_group_key
 from models.plant.plant import read_plant
 
 COUNT, STEP_S = 200, 0.017

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.gap.estimation import measured_floor, noise_floor
-from models.gap.estimation.noise_floor_fit import noise_floor_of, with_noise_floor
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import (
-    coefficient_count,
-    cosine_transform,
-    inverse_cosine_transform,
-)
+from models.gap.estimation import noise_floor
+from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.document import FloorRecord
+from models.plant.identification.noise_floor import (
+    TrialGroup,
+    coefficient_count,
+    cosine_transform,
+    floor_from_residuals,
+    inverse_cosine_transform,
+    trial_group_key,
+    with_noise_floor,
+)
 
 COUNT, STEP_S = 512, 0.017
 
@@ -57,7 +60,8 @@ def trials(make_trial):
 def test_whitened_noise_has_unit_variance_however_slow_it_is(trials, pole):
     rng = np.random.default_rng(3)
     group = group_of(trials)
-    floor = measured_floor.floor_from_residuals([group], trials, [spectra(ar_noise(rng, 8, pole))])
+    rows = spectra(ar_noise(rng, 8, pole))
+    floor = noise_floor.NoiseFloor.of(floor_from_residuals([group], trials, [rows]))
     fresh = replace(floor, curves={}, model={"x": np.zeros_like(floor.noise["x"])})
     whitener = fresh.whitener(group, trials)
     white = np.einsum("skij,jsk->isk", whitener, spectra(ar_noise(rng, 8, pole)))
@@ -68,9 +72,8 @@ def test_an_error_that_repeats_is_found_as_the_models(trials):
     rng = np.random.default_rng(4)
     group = group_of(trials)
     error = 3.0 * np.sin(2 * np.pi * 1.0 * STEP_S * np.arange(COUNT))
-    floor = measured_floor.floor_from_residuals(
-        [group], trials, [spectra(ar_noise(rng, 8, 0.0) + error)]
-    )
+    rows = spectra(ar_noise(rng, 8, 0.0) + error)
+    floor = noise_floor.NoiseFloor.of(floor_from_residuals([group], trials, [rows]))
     assert np.max(floor.model["x"]) > 20 * np.max(floor.noise["x"])
     mean = floor.mean(group, trials)[0, 0]
     assert np.std(inverse_cosine_transform(mean, COUNT) - error) < 0.8

@@ -6,13 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap.estimation.measured_floor import (
-    floor_from_residuals,
-    with_amplified_scatter,
-    with_repeated_trials,
-)
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
+from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
+from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import (
+    TrialGroup,
+    floor_from_residuals,
+    trial_group_key,
+)
 
 SIZE = 155
 DEVIATION_HERE = {0.0: 1.0, 2.0: 10.0}
@@ -43,7 +44,7 @@ def floor_and_residuals(rng, trials, kept):
     key = trial_group_key(trials[0])
     group = TrialGroup(key, tuple(range(len(trials))), ("x",), SIZE)
     rows = residual_rows(rng, trials, dict.fromkeys(DEVIATION_HERE, 1.0))
-    floor = floor_from_residuals([group], trials, [rows])
+    floor = NoiseFloor.of(floor_from_residuals([group], trials, [rows]))
     own = [trials[k] for k in kept]
     group = replace(group, trials=tuple(range(len(own))))
     return floor, SimpleNamespace(groups=[group], trials=own, settings=DEFAULT_SETTINGS)

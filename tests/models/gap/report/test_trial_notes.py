@@ -10,8 +10,8 @@ from models.gap.odd_trials import OddTrial
 from models.gap.report.changed_conditions import ChangedCondition
 from models.gap.report.trial_notes import notes_in_words
 from models.gap.residuals.group_words import motion_in_words
-from models.gap.residuals.residuals import trial_group_key
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import trial_group_key
 from models.trials.trial import Trial, TrialMeta
 
 

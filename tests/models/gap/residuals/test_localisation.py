@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from models.gap.residuals.localisation import GapRegion, locate_gap, location_sentence
-from models.gap.residuals.residuals import TrialGroup, trial_group_key
-from models.gap.residuals.spectrum import coefficient_count, cosine_transform
 from models.gap.settings import DEFAULT_SETTINGS
+from models.plant.identification.noise_floor import (
+    TrialGroup,
+    coefficient_count,
+    cosine_transform,
+    trial_group_key,
+)
 
 COUNT, STEP_S = 512, 0.017
 

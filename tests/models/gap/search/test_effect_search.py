@@ -11,10 +11,10 @@ from models.gap.estimation.gauss_newton import FitPoint
 from models.gap.report.gap_results import errors_in_floors, gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects
-from models.gap.residuals.residuals import rows_that_follow
 from models.gap.search.candidate import Candidate, SearchResult, may_pass
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.evaluation import compare_with_trials
+from models.plant.identification.noise_floor import rows_that_follow
 from models.plant.plant import read_plant
 
 

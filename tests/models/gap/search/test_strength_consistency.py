@@ -13,9 +13,10 @@ from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
 from models.gap.residuals.fit_parameters import FitParameter
-from models.gap.residuals.residuals import Residuals, TrialGroup
+from models.gap.residuals.residuals import Residuals
 from models.gap.search.strength_consistency import strength_consistency_of
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import TrialGroup
 
 EFFECTS = ("dead_time", "viscous_friction", "current_bias", "unmodelled_payload")
 STRICT = msgspec.structs.replace(DEFAULT_SETTINGS, tolerated_difference_fraction=0.0)

@@ -1,13 +1,20 @@
 """Identification of plants whose parameters are known, from their own noisy runs."""
 
 import json
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
 from models.plant.identification.fit import Objective, fit_objective
-from models.plant.identification.identify import identify
+from models.plant.identification.identify import (
+    SHAPE,
+    identify,
+    starts_with_alike_servos,
+    starts_with_option,
+)
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
@@ -90,7 +97,8 @@ def test_known_parameters_come_back(synthetic, seed, option):
 def test_the_plane_that_no_trial_moves_is_like_the_other(synthetic):
     true, rng = drawn(3)
     start = read_plant()
-    found = identify(start, trials_of(true, synthetic, rng, (0.0, 2.0), (1,))).plant
+    trials = list(trials_of(true, synthetic, rng, (0.0, 2.0), (1,)))
+    found = identify(start, trials).plant
     for name, q in found.parameters.items():
         if name.startswith(("root_stiffness_1", "coulomb_friction_1", "creep_share_1")):
             assert found.parameters[name.replace("_1", "_2", 1)].value == q.value
@@ -110,7 +118,7 @@ def test_occluded_markers_only_cost_certainty(synthetic):
                 column = trial.columns[f"m{i + 1:02d}_{axis}_m"]
                 column[hidden[:, i]] = np.nan
         start = true.with_values({"root_stiffness_1_nm_rad": 300.0, "edge_gain": 0.9})
-        objective = Objective(start, "driven", [trial], free, ("tip", "di"), None, 2.2e-3)
+        objective = Objective(start, "driven", [trial], free, ("tip", "di"))
         results.append(fit_objective(objective).plant.parameters)
     whole, part = results
     assert part["edge_gain"].value == pytest.approx(whole["edge_gain"].value, rel=0.02)
@@ -137,7 +145,7 @@ def test_two_joints_are_told_apart(synthetic):
     first = {"root_stiffness_1_nm_rad": 400.0, "coulomb_friction_1_nm": 5.0}
     trials = [synthetic(true.with_values(own | first), 1.0, count=300, rng=rng, dof=2)]
     free = (*own, *first)
-    objective = Objective(true, "driven", trials, free, ("tip", "di", "current"), None, 2.2e-3)
+    objective = Objective(true, "driven", trials, free, ("tip", "di", "current"))
     q = fit_objective(objective).plant.parameters
     for name, value in (own | first).items():
         assert q[name].value == pytest.approx(value, rel=0.05), name
@@ -171,3 +179,60 @@ def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeyp
     assert set(evaluated["dof"]["1"]["payloads"]) == {"0", "2"}
     assert main(["evaluate", str(tmp_path / "trials"), "--plant", "nowhere.toml"]) == 2
     assert "nowhere.toml: is missing" in capsys.readouterr().err
+
+
+# Further starts of the drive's fit: only where they may lead to another valley of the cost
+
+
+def with_shapes(first, second):
+    values = {
+        name.format(j=j): value
+        for j, shape in ((1, first), (2, second)) for name, value in zip(SHAPE, shape, strict=True)
+    }  # fmt: skip
+    return read_plant().with_values(values)
+
+
+def shapes(plant):
+    return [tuple(plant.parameters[n.format(j=j)].value for n in SHAPE) for j in (1, 2)]
+
+
+def test_either_joint_lends_its_goals_shape_to_the_other():
+    held, interpolated = (0.0, 0.3, 0.003), (1.0, 1.0, 0.0)
+    starts = starts_with_alike_servos(with_shapes(held, interpolated))
+    assert [shapes(start) for start in starts] == [2 * [held], 2 * [interpolated]]
+    plant, start = with_shapes(held, interpolated), starts[0]
+    changed = {n for n, q in start.parameters.items() if q.value != plant.parameters[n].value}
+    assert changed == {n.format(j=2) for n in SHAPE}
+
+
+@pytest.mark.parametrize("second", [(0.0, 1.0, 0.0), (0.25, 0.3, 0.003)])
+def test_servos_that_do_alike_need_no_further_start(second):
+    assert starts_with_alike_servos(with_shapes((0.0, 0.3, 0.003), second)) == []
+
+
+def freed(plant, start):
+    before = plant.parameters
+    return {n: q.value for n, q in start.parameters.items() if q != before[n]}
+
+
+def test_a_cascade_is_tried_with_every_option_and_both_joints_get_it():
+    plant = read_plant()
+    starts = starts_with_option(plant)
+    assert [set(freed(plant, s)) for s in starts] == [
+        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
+        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
+        {f"velocity_feedforward_{j}" for j in (1, 2)}
+        | {f"position_integral_{j}_per_s2" for j in (1, 2)},
+        {f"setpoint_weight_{j}" for j in (1, 2)},
+    ]
+    for start in starts:
+        assert all(start.parameters[n].role == "nuisance" for n in freed(plant, start))
+
+
+@pytest.mark.parametrize("change", [{"value": 0.2}, {"role": "nuisance"}])
+def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
+    plant = read_plant()
+    q = msgspec.structs.replace(plant.parameters["velocity_feedforward_1"], **change)
+    known = replace(plant, parameters={**plant.parameters, q.name: q})
+    begins = {n.split("_1")[0] for s in starts_with_option(known) for n in freed(known, s)}
+    assert {b for b in begins if "_2" not in b} == {"profile_acceleration", "setpoint_weight"}
