@@ -20,26 +20,27 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded, read_toml
-from models.trials.checks.markers import (
-    judge_gaps,
-    judge_markers,
-    judge_rest,
-    judge_run,
-    judge_tip,
-    longest_gaps,
-    without_zeros,
+from models.trials.checks.clocks import (
+    judge_base_offset,
+    judge_clock,
+    judge_common_clock,
+    judge_fixed_base,
+    judge_frame_rate,
+    judge_given_offset,
 )
-from models.trials.checks.motion import judge_motion
+from models.trials.checks.markers import judge_markers, without_zeros
 from models.trials.checks.payloads import judge_conditions
 from models.trials.checks.pose import RestPose, judge_base, judge_pose, rest_pose
 from models.trials.checks.signals import (
-    check_common_clock,
+    judge_gaps,
     judge_goal_sources,
     judge_shared_signals,
     judge_signals,
     judge_steps,
     judge_times,
+    longest_gaps,
 )
+from models.trials.checks.trials import judge_whole
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import (
     Synchronisation,
@@ -123,6 +124,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
         for side in filter(None, (servo, series)):
             verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
+        verdict.findings += judge_fixed_base(series, mapping.meta(0))
         rest_rad = _first_angles([*servo, *series], mapping.dof)
         series = _aligned(series, mapping, verdict, rest_rad, source)
     for side in (servo, series):
@@ -131,14 +133,17 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         series = _merged(servo, series, source, mapping, verdict, epoch_s - servo_epoch_s)
     elif link:
         remedy = "give the angles as a second file with --servo"
-        check_common_clock(series, mapping.meta(0), verdict, remedy)
+        verdict.clock, late = judge_common_clock(series, mapping.meta(0), remedy)
+        verdict.findings += late
+    if link:
+        verdict.findings += judge_base_offset(series, mapping.meta(0))
     series = without_sync(_without_base(series))
     verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
     start_s = max(s.time_s[0] for s in series)
     verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
     verdict.findings += judge_gaps(verdict.gaps)
     if servo and not verdict.refused:
-        verdict.check_clock()
+        verdict.findings += judge_clock(verdict.clock) if verdict.clock else []
         if verdict.refused:
             _judge_whole_files(servo, series[:1], verdict)
     verdict.refuse(source.file)
@@ -146,8 +151,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     verdict.trial = trial
     if link:
         verdict.findings += judge_conditions(trial, is_described=bool(mapping.link))
-        verdict.findings += [*judge_rest(trial), *judge_tip(trial)]
-        verdict.findings += [*judge_motion(trial), *judge_run(trial)]
+        verdict.findings += judge_whole(trial)
     verdict.refuse(source.file)
     return trial
 
@@ -165,6 +169,8 @@ def _merged(
         clock = _clock(servo, series, source, mapping, verdict, apart_s)
     except InputError:
         _judge_whole_files(servo, series, verdict)
+        if not mapping.signals and not verdict.refused:
+            verdict.findings[:0] = judge_frame_rate(servo, series, mapping.meta(0))
         verdict.refuse(source.file)
         raise
     servo = shift_clock(servo, clock.offset_s)
@@ -302,5 +308,5 @@ def _clock(
     given_s = source.offset_s - apart_s
     if not mapping.signals:
         found = offset_near(servo, series, mapping.meta(0), given_s)
-        verdict.check_given_offset(given_s, found, apart_s)
+        verdict.findings += judge_given_offset(given_s, found, apart_s)
     return Synchronisation(given_s, np.nan, by="option")

@@ -18,7 +18,7 @@ from firmware_py.display_units import ANGLE, ANGLE_ERROR, DURATION, LENGTH
 from models.shared.kinematics import pointing_angles_rad
 from models.shared.pages import Figure, LegendEntry, Panel, Paragraph, Section, Table
 from models.shared.palette import ALARM, GRID, INK, MEASURED, MUTED, SIMULATED
-from models.trials.checks.finding import SHAPE_M
+from models.trials.checks.causes import SHAPE
 from models.trials.checks.motion import link_direction
 from models.trials.checks.pose import RestPose
 from models.trials.checks.verdict import ImportVerdict
@@ -156,10 +156,8 @@ def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
     """Write the page of a verdict."""
     from models.shared.pages import render_page  # loads Jinja
 
-    state = verdict.as_json()["verdict"]
-    lead = Paragraph(
-        f"The import was {state}." if state != "warned" else "Imported, with warnings."
-    )
+    warned = verdict.word == "warned"
+    lead = Paragraph("Imported, with warnings." if warned else f"The import was {verdict.word}.")
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / f"{verdict.name}.html"
     trial = verdict.trial
@@ -243,7 +241,7 @@ def _panels(verdict: ImportVerdict) -> Sequence[Panel]:
     pose, clock, trial = verdict.pose, verdict.clock, verdict.trial
     if pose is not None:
         apart = np.linalg.norm(pose.measured_m - pose.nominal_m, axis=1)
-        labels = [n if d > SHAPE_M[1] else "" for n, d in zip(pose.names, apart, strict=True)]
+        labels = [n if d > SHAPE.limits[1] else "" for n, d in zip(pose.names, apart, strict=True)]
         for axis in (0, 1):
             title = f"Markers at rest in the plane of {'xy'[axis]} and z"
             drawn = side_view(pose.measured_m, pose.nominal_m, axis, labels)
