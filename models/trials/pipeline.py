@@ -20,11 +20,10 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded, read_toml
+from models.trials.checks.base import judge_base_offset, judge_fixed_base
 from models.trials.checks.clocks import (
-    judge_base_offset,
     judge_clock,
     judge_common_clock,
-    judge_fixed_base,
     judge_frame_rate,
     judge_given_offset,
 )
@@ -44,6 +43,7 @@ from models.trials.checks.trials import judge_whole
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import (
     Synchronisation,
+    UnlikeMotionsError,
     offset_near,
     shift_clock,
     synchronise,
@@ -145,7 +145,8 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     if servo and not verdict.refused:
         verdict.findings += judge_clock(verdict.clock) if verdict.clock else []
         if verdict.refused:
-            _judge_whole_files(servo, series[:1], verdict)
+            drifts = bool(verdict.clock and verdict.clock.drifts)
+            _judge_whole_files(servo, series[: -len(servo)], mapping, verdict, drifts)
     verdict.refuse(source.file)
     trial = assemble_trial(series, mapping, verdict.name)
     verdict.trial = trial
@@ -167,10 +168,9 @@ def _merged(
     """Series of both files on one clock; their epochs are `apart_s` apart."""
     try:
         clock = _clock(servo, series, source, mapping, verdict, apart_s)
-    except InputError:
-        _judge_whole_files(servo, series, verdict)
-        if not mapping.signals and not verdict.refused:
-            verdict.findings[:0] = judge_frame_rate(servo, series, mapping.meta(0))
+    except InputError as error:
+        unlike = isinstance(error, UnlikeMotionsError)
+        _judge_whole_files(servo, series, mapping, verdict, unlike)
         verdict.refuse(source.file)
         raise
     servo = shift_clock(servo, clock.offset_s)
@@ -180,14 +180,23 @@ def _merged(
     return [*series, *servo]
 
 
-def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: ImportVerdict) -> None:
-    """Add findings on gaps in the whole files: a gap may explain why the clocks do not fit."""
+def _judge_whole_files(
+    servo: list[Series],
+    mocap: list[Series],
+    mapping: RecordingMap,
+    verdict: ImportVerdict,
+    may_be_rate: bool,
+) -> None:
+    """Put in front why the clocks of two files may not fit: a gap in one of them, or its rate."""
     gaps = [
         gap for side in (servo, mocap)
         for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
     ]  # fmt: skip
     verdict.gaps = gaps
-    verdict.findings[:0] = judge_gaps(gaps)
+    found = judge_gaps(gaps)
+    if may_be_rate and not mapping.signals:
+        found = found or judge_frame_rate(servo, mocap, mapping.meta(0))
+    verdict.findings[:0] = found
 
 
 def _table_to_world(series: Series, mapping: RecordingMap) -> Series:

@@ -113,6 +113,14 @@ LEFT_HANDED = Cause("swapped", REFUSES,
 SCALE = Cause("scale", (0.015, 0.05),  # relative error of the distances
     "the markers' distances are {scale:.4g} times those of the link{unit}",
     "correct link_length_m and link_width_m, or the unit of length")
+ROW_SPACING = Cause("scale", SCALE.limits,
+    "the rows of markers are {ratio:.4g} times as far apart as those of the link, the corners "
+    "{other:.4g} times",
+    "correct link_length_m (it fits at {found_m:.3f} m), or the heights of the rows")
+CORNER_SPACING = Cause("scale", (0.06, 0.3),  # markers sit a little inside of the edges
+    "the corners of a row are {ratio:.4g} times as far apart as those of the link, the rows "
+    "{other:.4g} times",
+    "correct link_width_m (it fits at {found_m:.3f} m), or the places of the corners")
 SAG = Cause("sag", WARNS,
     'align = "rest" takes the link for straight, but at rest it sags by about {sag_m:mm0}',
     'align by the base\'s markers, or give the frame with align = "none"')
@@ -124,7 +132,7 @@ CORNERS_TURNED = Cause("yaw", (0.035, 0.105),  # rad: 2° and 6°
     "set yaw_deg = {yaw_deg:.1f} under [frame], or correct the order of the corners")
 TILT = Cause("tilt", (0.0262, 0.087),  # rad: 1.5° and 5°
     "the link leans by {tilt_rad:deg} at rest, which puts its tip {aside_m:mm0} aside: a prebend "
-    "of the link, or a tilted frame",
+    "of the link, a tilted frame, or an encoder's zero",
     'level the motion capture\'s frame, or map markers of the base and set align = "base"')
 LEANS_AGAINST = Cause("sign", REFUSES,
     "the link leans by {tilt_rad:deg} against its angles at rest, and not at all against these "
@@ -158,10 +166,14 @@ FIXED_BASE = Cause("base", REFUSES,
     "the base's markers move by {moved_m:mm} only, where a plate that turns with the link moves by "
     "{due_m:mm0}: they are on a fixed stand",
     'leave b01 … b04 out of [markers], and set align = "rest" or "none" under [frame]')
-BASE_OFFSET = Cause("base offset", (0.004, 0.012),  # m, beyond three standard errors
-    "{markers} move on circles about an axis {found_m:.3f} m below the base plate (± "
-    "{error_m:mm}), base_offset_m says {stated_m:.3f} m",
-    "set base_offset_m = {found_m:.3f}")
+BASE_OFFSET = Cause("base offset", (0.004, 0.012),  # m
+    "the base's markers move on circles about axes {found_m:.3f} m below the base plate, "
+    "base_offset_m says {stated_m:.3f} m",
+    "set base_offset_m = {found_m:.3f}, in link.toml too")
+ROOT_PATH = Cause("base offset", (0.010, math.inf),  # m
+    "the first marker row moves as on a base plate {found_m:.3f} m above the joint axes, "
+    "base_offset_m says {stated_m:.3f} m",
+    "measure it, and correct base_offset_m or the place of the first row")
 
 # Times, steps and clocks.
 
@@ -251,7 +263,7 @@ MOVED_ASIDE = Cause("yaw", CORNERS_TURNED.limits,  # rad: 2° and 6°
     "correct yaw_deg under [frame], or the order of the corners")
 GAIN = Cause("gain", (0.15, 0.3),  # deviation from one; the bend adds 0.1 at 2 kg
     "the link turns {gain:.3g} times as far as the angle says{unit}",
-    "check the angle's unit, the gear ratio and base_offset_m")
+    "check the angle's unit, the gear ratio, base_offset_m, and that the log is of this take")
 GOAL_AGAINST = Cause("goal", REFUSES,
     "goal and angle of joint {joint} {what}", "correct the sign or unit of goal_{joint}_rad")
 GOAL_BEHIND = Cause("goal", WARNS,

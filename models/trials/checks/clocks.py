@@ -1,27 +1,24 @@
-"""Clocks of a recording, and base markers, whose motion the clocks are compared by."""
+"""Clocks of the files of a recording: uncertain, drifting, late, or at a wrong rate."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.motion import LEAST_MOTION_RAD
 from models.trials.clock import Synchronisation, synchronise
-from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.recordings.series import Series, row_centre_m
-from models.trials.trial import Array, TrialMeta
+from models.trials.recordings.series import Series
+from models.trials.trial import TrialMeta
 
-RATES_HZ: Final = (30, 50, 60, 100, 120, 150, 180, 200, 240, 250, 300, 360)
-"""Usual frame rates of motion capture."""
 FITS: Final = 0.98
 """Correlation at which another frame rate explains a motion that does not fit."""
+RATE_STEP: Final = 1.02
+"""Ratio of neighbouring rates in the search: over ten seconds the motion still fits by 0.99."""
 
 
 def judge_clock(clock: Synchronisation) -> list[ImportFinding]:
@@ -77,92 +74,18 @@ def judge_frame_rate(
     servo: list[Series], mocap: list[Series], meta: TrialMeta
 ) -> list[ImportFinding]:
     """Finding if two files that do not fit do so once the motion capture has another rate."""
-    ratios = sorted({a / b for a in RATES_HZ for b in RATES_HZ if a != b}, key=lambda r: abs(r - 1))
-    best = 0.0, 1.0
-    for factor in ratios:
+
+    def fit(factor: float) -> float:
         stretched = [replace(s, time_s=factor * s.time_s) for s in mocap]
         try:
-            clock = synchronise(servo, stretched, meta)
+            return synchronise(servo, stretched, meta).correlation
         except InputError:
-            continue
-        best = max(best, (clock.correlation, factor))
-    if best[0] < FITS:
+            return 0.0
+
+    near = max((RATE_STEP**k for k in range(-70, 71)), key=fit)  # a quarter to four times
+    factor = max(near * (1 + 0.002 * np.arange(-10, 11)), key=fit)
+    correlation = fit(factor)
+    if correlation < FITS or abs(factor - 1) < RATE_STEP - 1:
         return []
     file = mocap[0].path.name
-    return causes.FRAME_RATE.found(file=file, factor=best[1], correlation=best[0])
-
-
-STILL: Final = 0.2
-"""Motion of the base's markers, relative to that of a plate that turns with the link, below which
-they are not on that plate."""
-LEAST_TURN_RAD: Final = 0.1
-"""Turn of the link from end to end at which the base's motion is judged."""
-
-
-def judge_fixed_base(series: Sequence[Series], meta: TrialMeta) -> list[ImportFinding]:
-    """Finding on base markers that stand still while the link turns."""
-    names = meta.layout.row(0)
-    for s in series:
-        if not all(f"{name}_z_m" in s.columns for name in (*BASE_MARKERS, *names)):
-            continue
-        root_m = row_centre_m(np.array([s.position_m(n) for n in names]), meta.layout.corners_m)
-        base_m = np.stack([s.position_m(n) for n in BASE_MARKERS], axis=1)
-        seen = np.isfinite(root_m).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
-        if seen.sum() < 3:
-            continue
-        # From the base's centre the link turns a little more than the joint, by its bend.
-        from_base_m = (root_m - base_m.mean(axis=1))[seen]
-        first = from_base_m[0] / np.linalg.norm(from_base_m[0])
-        cosines = from_base_m @ first / np.linalg.norm(from_base_m, axis=1)
-        turn_rad = float(np.percentile(np.arccos(np.clip(cosines, -1, 1)), 95))
-        moved_m = np.linalg.norm(base_m[seen] - base_m[seen][0], axis=2)
-        due_m = turn_rad * meta.link_width_m / 2
-        most_m = float(np.percentile(moved_m, 95, axis=0).max())
-        if turn_rad > LEAST_TURN_RAD and most_m < STILL * due_m:
-            return causes.FIXED_BASE.found(moved_m=most_m, due_m=due_m)
-    return []
-
-
-def judge_base_offset(series: Sequence[Series], meta: TrialMeta) -> list[ImportFinding]:
-    """Finding if the base's markers move on circles of another height than `base_offset_m`.
-
-    A marker at p on the plate is at b = c + R(angles) p, and c is the crossing of the joint axes:
-    linear in c and in the p of all markers, whose mean height is the base offset. No frame or
-    origin of the map enters but its axes.
-    """
-    angles = [f"angle_{j}_rad" for j in range(1, meta.dof + 1)]
-    servo = next((s for s in series if all(n in s.columns for n in angles)), None)
-    mocap = next((s for s in series if f"{BASE_MARKERS[0]}_x_m" in s.columns), None)
-    if servo is None or mocap is None:
-        return []
-    inside = (mocap.time_s >= servo.time_s[0]) & (mocap.time_s <= servo.time_s[-1])
-    time_s = mocap.time_s[inside]
-    angle_rad = np.column_stack([np.interp(time_s, servo.time_s, servo.columns[n]) for n in angles])
-    names = [n for n in BASE_MARKERS if f"{n}_x_m" in mocap.columns]
-    base_m = np.stack([mocap.position_m(n)[inside] for n in names], axis=1)
-    kept = np.isfinite(angle_rad).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
-    if kept.sum() < 20 or angle_rad[kept].std(axis=0).max() < LEAST_MOTION_RAD:
-        return []
-    found_m, error_m = _height_above_axes(base_rotation(angle_rad[kept]), base_m[kept].mean(axis=1))
-    off_m = found_m - meta.base_offset_m
-    if abs(off_m) <= 3 * error_m:
-        return []
-    return causes.BASE_OFFSET.beyond(
-        off_m, markers="the base's markers", found_m=found_m, error_m=error_m,
-        stated_m=meta.base_offset_m,
-    )  # fmt: skip
-
-
-def _height_above_axes(turn: Array, centre_m: Array) -> tuple[float, float]:
-    """Height of a plate's centre (n, 3) above the crossing of the axes, with its standard error.
-
-    `turn` (n, 3, 3) is the plate's rotation. Neighbouring samples share their errors, so residuals
-    count once in ten.
-    """
-    count = len(turn)
-    design = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), turn], axis=2)
-    flat, target = design.reshape(-1, 6), centre_m.reshape(-1)
-    terms, *_ = np.linalg.lstsq(flat, target, rcond=None)
-    left = target - flat @ terms
-    covariance = np.linalg.pinv(flat.T @ flat) * 10 * left @ left / max(len(left) - 6, 1)
-    return float(terms[5]), float(np.sqrt(covariance[5, 5]))
+    return causes.FRAME_RATE.found(file=file, factor=factor, correlation=correlation)

@@ -129,6 +129,7 @@ def _between_payloads(means: Mapping[float, float], what: str) -> str:
     return ""
 
 
+STANDARD_M_S2: Final = 9.81
 UNITS: Final = (
     ("in pounds", 0.45359), ("in newtons", 1 / 9.81), ("in ounces", 0.02835), ("in grams", 1e-3),
     ("in kg that were divided by 2.2 as if they were pounds", 2.2046),
@@ -153,6 +154,10 @@ def payload_unit_cause(factor: float, error: float) -> str | None:
     return name if misses[name] <= 1 else None
 
 
+UPRIGHT: Final = 0.9
+"""Least gravity along an upright or hanging link, relative to standard gravity."""
+
+
 class PayloadFactor(NamedTuple):
     """Weight that the current shows, per weight that `payload_kg` states."""
 
@@ -175,7 +180,8 @@ def payload_factor(trials: Sequence[Trial], value: Mapping[str, float]) -> Paylo
     """
     joint = _moved_most(trials)
     payloads = [t.meta.payload_kg for t in trials]
-    if max(payloads) - min(payloads) < 1e-6 or any(t.meta.gravity[2] >= 0 for t in trials):
+    along = [abs(t.meta.gravity[2]) for t in trials]
+    if np.ptp(payloads) < 1e-6 or np.ptp(along) > 0 or along[0] < UPRIGHT * STANDARD_M_S2:
         return None
     rows, targets = [], []
     for t in trials:
@@ -207,11 +213,10 @@ def payload_factor(trials: Sequence[Trial], value: Mapping[str, float]) -> Paylo
     gravity = -trials[0].meta.gravity[2]
     own_nm = sum(m * (gravity * r + swing_1_s2 * (r**2 + extra)) for m, r, extra in masses)
     own_nm += swing_1_s2 * value[f"rotor_inertia_{joint + 1}_kg_m2"]
-    if own_a <= 0 or per_kg <= 0:
+    if per_kg <= 0 or own_a * own_nm <= 0:
         return None
-    return PayloadFactor(
-        per_kg * constant, math.sqrt(covariance[1, 1]) * constant, per_kg / own_a * own_nm
-    )
+    error = math.sqrt(covariance[1, 1]) * constant
+    return PayloadFactor(per_kg * constant, error, float(per_kg / own_a * own_nm))
 
 
 def judge_payload_unit(trials: Sequence[Trial], value: Mapping[str, float]) -> list[ImportFinding]:
@@ -220,21 +225,17 @@ def judge_payload_unit(trials: Sequence[Trial], value: Mapping[str, float]) -> l
         found = payload_factor(group, value)
         if found is None:
             continue
-        unit = payload_unit_cause(found.by_current, found.error)
-        # A wrong torque constant changes the current of the link's own weight as well.
-        of_all = abs(math.log(found.by_current)) - abs(
-            math.log(found.by_current / found.by_own_weight)
-        )
-        if unit and abs(math.log(found.by_own_weight)) > 0.5 * abs(math.log(found.by_current)):
+        by_current, by_own = math.log(found.by_current), math.log(found.by_own_weight)
+        if abs(by_own) < abs(by_own - by_current):  # the link's own weight is off as well
+            if abs(by_current) > NOT_ONE:
+                return causes.TORQUE_CONSTANT.found(factor=found.by_current)
+        elif unit := payload_unit_cause(found.by_current, found.error):
             return causes.PAYLOAD_UNIT.found(factor=found.by_current, error=found.error, unit=unit)
-        if abs(math.log(found.by_current)) > NOT_ONE and of_all < 0:
-            return causes.TORQUE_CONSTANT.found(factor=found.by_current)
     return []
 
 
 GRAVITY_M_S2: Final = (9.7, 9.9)
 """Gravity on the ground, 9.76 to 9.83 m/s², with a margin; a balloon carries part of it."""
-STANDARD_M_S2: Final = 9.81
 PRESSURE_PA: Final = 1e3
 """Pressure below which the unit is not Pa: the link has some tens of kPa."""
 FAST: Final = 0.5

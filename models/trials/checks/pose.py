@@ -38,6 +38,11 @@ LEAST_SAG_M: Final = 0.005
 LYING_RAD: Final = np.radians(30.0)
 """Tilt above which the upward axis is wrong, as opposed to a tilted frame."""
 SMALL_TILT_RAD: Final = causes.TILT.limits[1]
+ZERO_RAD: Final = 0.14
+"""Angle at rest above which an upright link tells of a wrong zero: the servo's first samples may
+miss those of the markers by 5° where a recording starts in the motion."""
+UNLIKE_SPACING: Final = 0.03
+"""Relative difference of the scales along and across the link above which its size is wrong."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,8 @@ class RestPose:
     tilt_upright_rad: float  # Tilt against the nominal link at zero angles
     axis: Array  # Direction of the link, (3,)
     scale: float  # Measured distances, relative to the nominal ones
+    spacing: tuple[float, float]  # The same along the link and across it; NaN if unknown
+    size_m: tuple[float, float]  # Length and width of the nominal link
     misfit_m: Array  # Distance of each marker from its place after the best rigid motion, (k,)
     row_heights_m: Array  # Mean height of each row, (rows,); NaN if it was occluded
     sag_m: float  # Sag of the tip of a nominal link under its weight
@@ -108,6 +115,8 @@ def rest_pose(
         tilt_upright_rad=_tilt_rad(rotation @ turn),
         axis=rotation @ turn[:, 2],
         scale=float(sizes[0] / sizes[1]),
+        spacing=_spacing((measured - shift) @ (rotation @ turn), upright[order], rows[order]),
+        size_m=(meta.link_length_m, meta.link_width_m),
         misfit_m=np.linalg.norm(placed @ rotation.T + shift - measured, axis=1),
         row_heights_m=np.array(heights),
         sag_m=float(np.linalg.norm(sag, axis=1).max()),
@@ -149,6 +158,21 @@ def _stiffness_ratio(straight: Array, sag: Array, order: Order, measured: Array)
     ratios = np.linspace(0.0, MOST_SAG, 13)
     tilts = [_tilt_rad(fit_rigid_motion((straight + r * sag)[order], measured)[0]) for r in ratios]
     return float(ratios[int(np.argmin(tilts))])
+
+
+def _spacing(measured: Array, nominal: Array, rows: Order) -> tuple[float, float]:
+    """Measured over nominal distances of the rows along the link, and of the corners across it.
+
+    Both places are in the frame of the link.
+    """
+    along = [np.std([p[rows == r, 2].mean() for r in np.unique(rows)]) for p in (measured, nominal)]
+    across = [
+        np.linalg.norm(np.concatenate([v - v.mean(axis=0) for r in np.unique(rows)
+                                       if len(v := p[rows == r, :2])]))
+        for p in (measured, nominal)
+    ]  # fmt: skip
+    ratios = [a / b if b > SAME_CORNER_M else np.nan for a, b in (along, across)]
+    return float(ratios[0]), float(ratios[1])
 
 
 def _tilt_rad(rotation: Array) -> float:
@@ -327,29 +351,38 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
 
     `default_up` is the upward axis of the format, used if the map does not state one.
     """
-    if causes.SCALE.level(pose.scale - 1) and unit_of_length(pose.scale):
-        return _scale(pose)  # the shape in another unit fits no order of the names
-    found = _names(pose, mapping, default_up) or _scale(pose)
+    size = _scale(pose)
+    if size and unit_of_length(pose.scale):
+        return size  # the shape in another unit fits no order of the names
+    found = _names(pose, mapping, default_up) or size
     if mapping.frame.align == "rest" and pose.sag_m > ORIGIN_M:
         found += causes.SAG.found(sag_m=pose.sag_m)
-    zero = _encoder_zero(pose)
-    if zero:
+    if zero := _encoder_zero(pose):
         return found + zero
-    if mapping.frame.align == "none" and not _is_refused(_scale(pose)):
+    if mapping.frame.align == "none" and not any(f.level == "refused" for f in size):
         found += _frame(pose, mapping, default_up)
+        if not size:  # which shifts the height of the rows
+            found += _origin(pose, mapping)
     if not found:
         worst = int(np.argmax(pose.misfit_m))
         found += causes.SHAPE.beyond(pose.misfit_m[worst], name=pose.names[worst])
     return found
 
 
-def _is_refused(findings: Sequence[ImportFinding]) -> bool:
-    return any(f.level == "refused" for f in findings)
-
-
 def _scale(pose: RestPose) -> list[ImportFinding]:
-    unit = unit_of_length(pose.scale)
-    return causes.SCALE.beyond(pose.scale - 1, scale=pose.scale, unit=unit)
+    """Finding on a wrong unit of length, or a wrong length or width of the link."""
+    along, across = pose.spacing
+    if not abs(along / across - 1) > UNLIKE_SPACING:  # or one of them is unknown
+        unit = unit_of_length(pose.scale)
+        return causes.SCALE.beyond(pose.scale - 1, scale=pose.scale, unit=unit)
+    return [
+        *causes.ROW_SPACING.beyond(
+            along - 1, ratio=along, other=across, found_m=along * pose.size_m[0]
+        ),
+        *causes.CORNER_SPACING.beyond(
+            across - 1, ratio=across, other=along, found_m=across * pose.size_m[1]
+        ),
+    ]
 
 
 def _encoder_zero(pose: RestPose) -> list[ImportFinding]:
@@ -357,7 +390,7 @@ def _encoder_zero(pose: RestPose) -> list[ImportFinding]:
     joint = int(np.argmax(np.abs(pose.rest_rad)))
     rest_rad = float(pose.rest_rad[joint])
     upright = pose.tilt_upright_rad < min(SMALL_TILT_RAD, pose.tilt_rad / 3)
-    if not upright or abs(rest_rad) < SMALL_TILT_RAD:
+    if not upright or abs(rest_rad) < ZERO_RAD:
         return []
     return causes.ZERO.found(joint=joint + 1, rest_rad=rest_rad, offset_rad=-rest_rad)
 
@@ -374,7 +407,7 @@ def _names(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
 
 
 def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
-    """Findings on upward axis, yaw, tilt and origin."""
+    """Findings on upward axis, yaw and tilt."""
     if pose.tilt_rad > LYING_RAD:
         in_file = world_rotation(mapping.frame, default_up).T @ pose.axis
         k = int(np.argmax(np.abs(in_file)))
@@ -389,7 +422,7 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
         found.append(
             causes.TILT.at(level or "warning", tilt_rad=pose.tilt_rad, aside_m=pose.tip_aside_m)
         )
-    return found + _origin(pose, mapping)
+    return found
 
 
 ORIGIN_M: Final = causes.ORIGIN.limits[0]
@@ -402,6 +435,9 @@ def _is_tilt(pose: RestPose) -> bool:
 
 
 def _origin(pose: RestPose, mapping: RecordingMap) -> list[ImportFinding]:
+    """Finding on the origin of an upright link."""
+    if pose.tilt_rad > LYING_RAD:
+        return []
     tilted = _is_tilt(pose)
     x, y, z = offset = np.array([0.0, 0.0, pose.offset_m[2]]) if tilted else pose.offset_m
     distance = float(np.linalg.norm(offset))

@@ -167,8 +167,8 @@ LARGEST_A: Final = 100.0
 LEAST_A: Final = 0.01
 """Peak current of a motion below which its unit is not A: friction of the smallest servo needs 0.02
 to 0.04 A (docs/sources.md, "The servo")."""
-LARGEST_DEG: Final = 720.0
-"""Angle above which it is not in degrees either."""
+LARGEST_DEG: Final = 360.0
+"""Angle above which it is not in degrees either; below zero, half of it."""
 
 
 def _units(series: Series, dof: int) -> list[ImportFinding]:
@@ -177,9 +177,9 @@ def _units(series: Series, dof: int) -> list[ImportFinding]:
     for j in range(1, dof + 1):
         angle, current = (series.columns.get(n) for n in (f"angle_{j}_rad", f"current_{j}_a"))
         for name in (f"goal_{j}_rad", f"angle_{j}_rad"):
-            reached = _largest(series.columns.get(name, np.zeros(1)))
-            unit, remedy = "deg", 'unit = "deg"'
-            if reached > LARGEST_DEG:
+            values = series.columns.get(name, np.zeros(1))
+            reached, unit, remedy = _largest(values), "deg", 'unit = "deg"'
+            if reached > LARGEST_DEG or np.nanmin(values) < -LARGEST_DEG / 2:
                 unit = "counts of the encoder"
                 remedy = "scale = 0.0015339 (4096 counts per turn) and offset"
             if reached > LARGEST_RAD:

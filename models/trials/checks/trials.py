@@ -15,6 +15,7 @@ from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.checks import causes
+from models.trials.checks.base import judge_root_path
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.clocks import judge_common_clock
 from models.trials.checks.goals import judge_goals, judge_standing_goals
@@ -70,10 +71,11 @@ def check_trial(trial: Trial) -> ImportVerdict:
 
 def judge_whole(trial: Trial) -> list[ImportFinding]:
     """Findings on a whole trial of the link."""
-    return [
-        *judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial),
-        *judge_marker_run(trial),
-    ]  # fmt: skip
+    found = [*judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial)]
+    found += judge_marker_run(trial)
+    if all(f.level == "warning" for f in found) and (path := judge_root_path(trial)):
+        return [f for f in found if f.cause != "gain"] + path  # the path explains the gain
+    return found
 
 
 def _map_of(meta: TrialMeta) -> RecordingMap:
