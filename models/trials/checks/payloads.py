@@ -186,17 +186,18 @@ def payload_factor(trials: Sequence[Trial], value: Mapping[str, float]) -> Paylo
     rows, targets = [], []
     for t in trials:
         q, current = t.angle_rad[:, joint], t.current_a[:, joint]
-        seen = np.isfinite(t.tip_m[:, joint]) & np.isfinite(current)
-        if q.std() < LEAST_MOTION_RAD or seen.mean() < 0.5:
+        if q.std() < LEAST_MOTION_RAD or not np.isfinite(current).all():
             return None
         rate = np.gradient(q, t.step_s)
         swing_1_s2, reach_m = rate.var() / q.var(), t.meta.base_offset_m + t.meta.link_length_m
-        lever = (-t.meta.gravity[2] + swing_1_s2 * reach_m) * t.tip_m[:, joint]
+        aside_m = t.tip_m[:, joint]
+        aside_m = np.where(np.isfinite(aside_m), aside_m, reach_m * np.sin(q))
+        lever = (-t.meta.gravity[2] + swing_1_s2 * reach_m) * aside_m
         friction = np.tanh(rate / MOVING_RAD_S)
         kg = t.meta.payload_kg
         design = [-np.sin(q), -kg * lever, friction, kg * friction, np.ones_like(q)]
-        rows.append(np.column_stack(design)[seen])
-        targets.append(current[seen])
+        rows.append(np.column_stack(design))
+        targets.append(current)
     matrix, target = np.concatenate(rows), np.concatenate(targets)
     terms, *_ = np.linalg.lstsq(matrix, target, rcond=None)
     left = target - matrix @ terms

@@ -354,7 +354,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
     size = _scale(pose)
     if size and unit_of_length(pose.scale):
         return size  # the shape in another unit fits no order of the names
-    found = _names(pose, mapping, default_up) or size
+    found = [*(_names(pose, mapping, default_up) or size)]
     if mapping.frame.align == "rest" and pose.sag_m > ORIGIN_M:
         found += causes.SAG.found(sag_m=pose.sag_m)
     if zero := _encoder_zero(pose):
@@ -372,7 +372,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
 def _scale(pose: RestPose) -> list[ImportFinding]:
     """Finding on a wrong unit of length, or a wrong length or width of the link."""
     along, across = pose.spacing
-    if not abs(along / across - 1) > UNLIKE_SPACING:  # or one of them is unknown
+    if not abs(along - across) > UNLIKE_SPACING * across:  # or one of them is unknown
         unit = unit_of_length(pose.scale)
         return causes.SCALE.beyond(pose.scale - 1, scale=pose.scale, unit=unit)
     return [
