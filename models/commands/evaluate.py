@@ -19,7 +19,7 @@ from models.plant.document import Evaluation
 from models.plant.identification.doubts import evaluation_doubts, refuse_other_links
 from models.plant.identification.evaluation import CLOCK_LIMIT_S, evaluate_plant
 from models.plant.plant import read_plant
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 
 EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
 
@@ -31,7 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
-    trials = read_trial_directories([args.trials], plant.signals)
+    trials = read_usable_trials([args.trials], plant.signals)
     refuse_other_links(plant, args.plant, trials)
     result = evaluate_plant(plant, trials)
     emit(args, msgspec.to_builtins(result), evaluation_text(result))

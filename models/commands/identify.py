@@ -27,7 +27,7 @@ from models.plant.identification.identify import identify
 from models.plant.identification.noise_floor import check_duration, with_noise_floor
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
-from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_trial_directories
+from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_usable_trials
 from models.trials.files import conditions_beside
 
 EXAMPLE = (
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     _check_out(args)
     gains = read_servo_gains(args.gains) if args.gains is not None else ()
     plant = read_plant(args.plant)
-    trials = read_trial_directories([args.trials], plant.signals)
+    trials = read_usable_trials([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
     refuse_other_links(plant, args.plant, trials)
     for trial in trials:

@@ -29,7 +29,7 @@ from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
 from firmware_py.log.recording import read_recording
 from models.commands.output_paths import check_output_directory
-from models.trials.checks.finding import OFFSET_M, ImportFinding
+from models.trials.checks.causes import ORIGIN, ImportFinding
 from models.trials.checks.page import clock_text, write_verdict
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.files import check_trial_name, read_trial, write_trial
@@ -185,7 +185,7 @@ def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dic
     }
     pose, clock = verdict.pose, verdict.clock
     judged = mapping.frame.align != "none" or any(f.cause == "tilt" for f in verdict.findings)
-    if pose is not None and not judged and pose.tip_aside_m > OFFSET_M[0]:
+    if pose is not None and not judged and pose.tip_aside_m > ORIGIN.limits[0]:
         lean, aside = ANGLE.text(pose.tilt_rad), LENGTH.text(pose.tip_aside_m, 0)
         result["lean"] = f"at rest the link leans by {lean}, {aside} at its tip"
     if servo is not None and clock is not None:

@@ -29,7 +29,7 @@ from models.bundle.files import check_bundle_directory
 from models.commands.output_paths import check_output_directory
 from models.plant.document import Provenance
 from models.study.study import study_summary
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
 
@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--candidate", "changes nothing with --study-only", "leave out one")
     check_output_directory(args.out)
     check_bundle_directory(args.out)
-    everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
+    everything = of_phases(read_usable_trials([args.trials]), args.phase_deg, args.trials)
     own = of_dof(everything, args.dof, args.trials)
     training, held_out = own.split()
     unseen = [t for where in args.unseen for t in _of_directory(where, args)]
@@ -160,7 +160,7 @@ def _report(
 
 def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
     return of_dof(
-        of_phases(read_trial_directories([where]), args.phase_deg, where), args.dof, where
+        of_phases(read_usable_trials([where]), args.phase_deg, where), args.dof, where
     )
 
 

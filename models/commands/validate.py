@@ -2,7 +2,8 @@
 
 Every trial of the directory is checked as an import is: rest pose against the nominal link, names,
 signs, joints, clock, rest rows; then what they hold together: size of the link, trials to test on,
-joints that move apart. Trials of another plant are read and their columns checked.
+joints that move apart. With --plant, the current over the payloads tells their unit and the torque
+constant. Trials of another plant are read and their columns checked.
 
 Exit 0 passed or warned, 1 a trial would be refused.
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 from firmware_py.console import DONE, NEGATIVE, emit
 from models.plant.plant import read_plant
 from models.trials.checks.page import write_verdict
+from models.trials.checks.payloads import judge_payload_unit
 from models.trials.checks.trials import check_trial, check_trials
 from models.trials.files import read_trials
 
@@ -27,19 +29,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--plant",
         type=Path,
         metavar="PLANT",
-        help="plant document, of a plant that is not the link",
+        help="plant of these trials: its weight and torque constant tell the payloads' unit",
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="write a page for each trial")
 
 
 def run(args: argparse.Namespace) -> int:
-    signals = read_plant(args.plant).signals if args.plant else None
-    trials = read_trials(args.trials, signals)
-    if signals:
+    plant = read_plant(args.plant) if args.plant else None
+    trials = read_trials(args.trials, plant.signals if plant else None)
+    if plant and plant.load != "link":
         emit(args, {"verdict": "passed", "trials": {}}, f"{len(trials)} trials read")
         return DONE
     verdicts = [check_trial(trial) for trial in trials]
     shared = check_trials(trials)
+    if plant:
+        values = {name: parameter.value for name, parameter in plant.parameters.items()}
+        shared += judge_payload_unit(trials, values)
     if args.out:
         for verdict in verdicts:
             write_verdict(verdict, args.out)
@@ -52,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     }
     lines = []
     for verdict in verdicts:
-        lines.append(f"{verdict.name}: {verdict.as_json()['verdict']}")
+        lines.append(f"{verdict.name}: {verdict.word}")
         lines += [f"  {f.level}: {f.text}; {f.remedy}" for f in verdict.findings]
     lines += [f"all trials: {f.level}: {f.text}; {f.remedy}" for f in shared]
     emit(args, result, "\n".join([*lines, f"{len(verdicts)} trials {result['verdict']}"]))

@@ -18,7 +18,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
+
+Array = NDArray[np.float64]
 
 REFERENCE_PRESSURE_PA: Final = 41_300.0
 WALL_STIFFNESS_N_M: Final = 60e3 - REFERENCE_PRESSURE_PA * 0.15 / 4
@@ -138,6 +143,26 @@ class LinkScale:
             length**2 / self.root_nm_rad + length**3 / (3 * self.bending_n_m2)
             + length / self.shear_n
         )  # fmt: skip
+
+    def deflection(self, z_m: Array, tip_n: float, own_n_m: float) -> tuple[Array, Array]:
+        """Displacement across the link in m and turn of the section in rad at heights z.
+
+        Timoshenko's beam on a root patch of stiffness k, with a force F at its tip and q per length
+        (its own weight):
+
+            w(z) = (F L + q L²/2) z/k + [F z + q (L z - z²/2)] / κGA
+                   + [F (L z²/2 - z³/6) + q z² (6 L² - 4 L z + z²)/24] / EI
+
+        The section turns by the parts of w' that are not shear.
+        """
+        length, z = self.link.length_m, np.asarray(z_m)
+        root = (tip_n * length + own_n_m * length**2 / 2) / self.root_nm_rad
+        shear = (tip_n * z + own_n_m * (length * z - z**2 / 2)) / self.shear_n
+        bent = tip_n * (length * z**2 / 2 - z**3 / 6)
+        bent = bent + own_n_m * z**2 * (6 * length**2 - 4 * length * z + z**2) / 24
+        turn = tip_n * (length * z - z**2 / 2)
+        turn = turn + own_n_m * (length**2 * z / 2 - length * z**2 / 2 + z**3 / 6)
+        return root * z + shear + bent / self.bending_n_m2, root + turn / self.bending_n_m2
 
     @property
     def first_mode_rad_s(self) -> float:

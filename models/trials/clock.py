@@ -506,6 +506,8 @@ LONGEST_S: Final = 10_000.0
 """Longest recording whose offset is searched: a million coarse steps."""
 MIN_CORRELATION: Final = 0.9
 """Smallest correlation of two files with the same motion."""
+SAME_MOTION: Final = 0.97
+"""Correlation above which two files certainly hold one motion; bend leaves 0.99 and more."""
 SYNC: Final = "sync_v"
 """Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
 FINE_S: Final = 0.001
@@ -570,7 +572,8 @@ def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Syn
         raise _unlike(servo, mocap, fit.correlation, fit.offset_s)
     second = _second(mapped, peaks)
     if second is not None and _is_near(second.correlation, mapped[0].correlation):
-        raise InputError(
+        kind = InputError if fit.correlation > SAME_MOTION else UnlikeMotionsError
+        raise kind(
             servo[0].path,
             f"its angle and the motion in {mocap[0].path} agree at {fit.offset_s:.3f} s and nearly "
             f"as well at {second.offset_s:.3f} s (correlations {mapped[0].correlation:.4f} and "
@@ -761,10 +764,14 @@ def _is_near(second: float, first: float) -> bool:
     return 1 - second < NEAR_FACTOR * (1 - first) + NEAR_FLOOR
 
 
+class UnlikeMotionsError(InputError):
+    """Two files whose motions do not agree at any offset, or not well at several."""
+
+
 def _unlike(
     servo: list[Series], mocap: list[Series], correlation: float, offset_s: float
 ) -> InputError:
-    return InputError(
+    return UnlikeMotionsError(
         servo[0].path,
         f"its angle and the motion in {mocap[0].path} correlate by {correlation:.2f} at best "
         f"(at {offset_s:.3f} s)",

@@ -16,6 +16,7 @@ import math
 import re
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -505,3 +506,23 @@ def _check_rows(trial: Trial, signals: PlantSignals | None) -> None:
             f"rest_samples is {trial.meta.rest_samples}, the trial has {len(trial)} rows",
             "set rest_samples to the number of leading rows at rest",
         )
+
+
+def read_trial_directories(
+    directories: Sequence[Path], signals: PlantSignals | None = None
+) -> TrialSet:
+    """Read the trials of several directories.
+
+    If two directories hold a trial of the same name, the directory's name is put in front.
+    """
+    if len({d.resolve() for d in directories}) < len(directories):
+        raise InputError(directories[-1], "is given twice", "name each directory once")
+    sets = [read_trials(d, signals and dict(signals)) for d in directories]
+    if len(sets) == 1:
+        return sets[0]
+    names = [t.name for own in sets for t in own]
+    every = [
+        replace(t, name=f"{d.name}_{t.name}") if names.count(t.name) > 1 else t
+        for d, own in zip(directories, sets, strict=True) for t in own
+    ]  # fmt: skip
+    return TrialSet(tuple(sorted(every, key=lambda t: t.name)))

@@ -20,29 +20,30 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded, read_toml
-from models.trials.checks.markers import (
-    judge_gaps,
-    judge_markers,
-    judge_rest,
-    judge_run,
-    judge_tip,
-    longest_gaps,
-    without_zeros,
+from models.trials.checks.base import judge_base_offset, judge_fixed_base
+from models.trials.checks.clocks import (
+    judge_clock,
+    judge_common_clock,
+    judge_frame_rate,
+    judge_given_offset,
 )
-from models.trials.checks.motion import judge_motion
+from models.trials.checks.markers import judge_markers, without_zeros
 from models.trials.checks.payloads import judge_conditions
 from models.trials.checks.pose import RestPose, judge_base, judge_pose, rest_pose
 from models.trials.checks.signals import (
-    check_common_clock,
+    judge_gaps,
     judge_goal_sources,
     judge_shared_signals,
     judge_signals,
     judge_steps,
     judge_times,
+    longest_gaps,
 )
+from models.trials.checks.trials import judge_whole
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import (
     Synchronisation,
+    UnlikeMotionsError,
     offset_near,
     shift_clock,
     synchronise,
@@ -123,6 +124,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
         for side in filter(None, (servo, series)):
             verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
+        verdict.findings += judge_fixed_base(series, mapping.meta(0))
         rest_rad = _first_angles([*servo, *series], mapping.dof)
         series = _aligned(series, mapping, verdict, rest_rad, source)
     for side in (servo, series):
@@ -131,23 +133,26 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         series = _merged(servo, series, source, mapping, verdict, epoch_s - servo_epoch_s)
     elif link:
         remedy = "give the angles as a second file with --servo"
-        check_common_clock(series, mapping.meta(0), verdict, remedy)
+        verdict.clock, late = judge_common_clock(series, mapping.meta(0), remedy)
+        verdict.findings += late
+    if link:
+        verdict.findings += judge_base_offset(series, mapping.meta(0))
     series = without_sync(_without_base(series))
     verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
     start_s = max(s.time_s[0] for s in series)
     verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
     verdict.findings += judge_gaps(verdict.gaps)
     if servo and not verdict.refused:
-        verdict.check_clock()
+        verdict.findings += judge_clock(verdict.clock) if verdict.clock else []
         if verdict.refused:
-            _judge_whole_files(servo, series[:1], verdict)
+            drifts = bool(verdict.clock and verdict.clock.drifts)
+            _judge_whole_files(servo, series[: -len(servo)], mapping, verdict, drifts)
     verdict.refuse(source.file)
     trial = assemble_trial(series, mapping, verdict.name)
     verdict.trial = trial
     if link:
         verdict.findings += judge_conditions(trial, is_described=bool(mapping.link))
-        verdict.findings += [*judge_rest(trial), *judge_tip(trial)]
-        verdict.findings += [*judge_motion(trial), *judge_run(trial)]
+        verdict.findings += judge_whole(trial)
     verdict.refuse(source.file)
     return trial
 
@@ -163,8 +168,9 @@ def _merged(
     """Series of both files on one clock; their epochs are `apart_s` apart."""
     try:
         clock = _clock(servo, series, source, mapping, verdict, apart_s)
-    except InputError:
-        _judge_whole_files(servo, series, verdict)
+    except InputError as error:
+        unlike = isinstance(error, UnlikeMotionsError)
+        _judge_whole_files(servo, series, mapping, verdict, unlike)
         verdict.refuse(source.file)
         raise
     servo = shift_clock(servo, clock.offset_s)
@@ -174,14 +180,23 @@ def _merged(
     return [*series, *servo]
 
 
-def _judge_whole_files(servo: list[Series], mocap: list[Series], verdict: ImportVerdict) -> None:
-    """Add findings on gaps in the whole files: a gap may explain why the clocks do not fit."""
+def _judge_whole_files(
+    servo: list[Series],
+    mocap: list[Series],
+    mapping: RecordingMap,
+    verdict: ImportVerdict,
+    may_be_rate: bool,
+) -> None:
+    """Put in front why the clocks of two files may not fit: a gap in one of them, or its rate."""
     gaps = [
         gap for side in (servo, mocap)
         for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
     ]  # fmt: skip
     verdict.gaps = gaps
-    verdict.findings[:0] = judge_gaps(gaps)
+    found = judge_gaps(gaps)
+    if may_be_rate and not mapping.signals:
+        found = found or judge_frame_rate(servo, mocap, mapping.meta(0))
+    verdict.findings[:0] = found
 
 
 def _table_to_world(series: Series, mapping: RecordingMap) -> Series:
@@ -302,5 +317,5 @@ def _clock(
     given_s = source.offset_s - apart_s
     if not mapping.signals:
         found = offset_near(servo, series, mapping.meta(0), given_s)
-        verdict.check_given_offset(given_s, found, apart_s)
+        verdict.findings += judge_given_offset(given_s, found, apart_s)
     return Synchronisation(given_s, np.nan, by="option")

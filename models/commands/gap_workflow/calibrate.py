@@ -24,7 +24,7 @@ from models.plant.plant import read_plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
 from models.shared.worker_pool import worker_pool
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 from models.trials.trial import TrialSet
 
 EXAMPLE = "dropstitch calibrate build/trials --plant build/plant.json"
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
             str(args.plant), f"has the load {plant.load!r}, and only links are drawn",
             "run gap without a calibration",
         )  # fmt: skip
-    trials = read_trial_directories(args.trials, plant.signals)
+    trials = read_usable_trials(args.trials, plant.signals)
     make = _make(args.link, trials)
     refuse_other_links(plant, args.plant, trials)
     # CasADi and MuJoCo are loaded here, so that a wrong option is refused at once.

@@ -23,7 +23,7 @@ from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_do
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import read_rig
 from models.shared.catalogue import parse_strengths
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 from models.trials.files import conditions_beside
 from models.trials.trial import TrialSet
 
@@ -156,7 +156,7 @@ def _inputs(document: GapDocument, args: argparse.Namespace) -> DiagnosisInputs:
 
 def _trials(inputs: DiagnosisInputs, plant: Plant) -> TrialSet:
     """Trials of the diagnosis, checked by their hash."""
-    trials = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    trials = read_usable_trials([Path(d) for d in inputs.trials], plant.signals)
     if inputs.dof is not None:
         trials = trials.where(lambda t: t.meta.dof == inputs.dof)
     if inputs.trials_sha256 and trials.content_sha256() != inputs.trials_sha256:

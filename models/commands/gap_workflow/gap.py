@@ -17,7 +17,7 @@ from firmware_py.errors import InputError
 from models.commands.output_paths import check_output_directory
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
 
@@ -51,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_output_directory(args.out, DIAGNOSIS_FILES, [args.plant])
     plant = read_plant(args.plant)
-    trials = read_trial_directories(args.trials, plant.signals)
+    trials = read_usable_trials(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.gap.calibration.calibration_files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis

@@ -24,7 +24,7 @@ from models.commands.output_paths import check_output_directory, is_same_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant
 from models.rig.parameters import RigParameters
-from models.trials.checks.trials import read_trial_directories
+from models.trials.checks.trials import read_usable_trials
 from models.trials.files import write_trial
 from models.trials.trial import Trial
 
@@ -105,7 +105,7 @@ def repeat_diagnosis(
     write_own_trial(trial, own)
     progress.step("motion run on the rig", 2)
     inputs = msgspec.structs.replace(inputs, trials=(*inputs.trials, str(own.resolve())))
-    every = read_trial_directories([Path(d) for d in inputs.trials], plant.signals)
+    every = read_usable_trials([Path(d) for d in inputs.trials], plant.signals)
     every = every.where(lambda t: t.meta.dof == trial.meta.dof)
     inputs = msgspec.structs.replace(inputs, trials_sha256=every.content_sha256())
     patterns = patterns_beside(Path(inputs.plant), plant.sha256())

@@ -22,6 +22,7 @@ from models.plant.identification.fit import Objective
 from models.plant.identification.identify import LINK_SIGNALS, Identification, free_parameters
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
+from models.trials.checks.payloads import payload_unit_cause
 from models.trials.checks.trials import refuse_mixed_links
 from models.trials.trial import Trial
 
@@ -217,9 +218,11 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
                 "payloads"
             )
         else:
+            unit = payload_unit_cause(inverse, deviation[k] / value)
+            units = f", or the payloads are {unit}" if unit else ""
             warnings.append(
                 f"the payloads speak for {name} of about {value / inverse:.2g} N.m/A, not "
                 f"{value:.3g}: give that of your servo in link.toml, or fit it (role = "
-                '"nuisance" in the file given to --plant)'
+                f'"nuisance" in the file given to --plant){units}'
             )
     return warnings

@@ -1,94 +1,31 @@
-"""Findings on what is missing: mapped markers, gaps in time, occlusions, rest rows.
+"""Markers over a run: absent, occluded, moving at rest, held, exchanged or out of place.
 
-Occlusions that an export wrote as zeros: all three coordinates of a marker exactly zero.
-
-Markers whose position is constant for a while although the link moves.
-
-Distances between markers in a section and to the next one, compared with those at rest.
-
-A section of the link keeps its shape, and the bend to its neighbours is small. On every rig, with
-each effect and a load that nearly folds the link, distances change by less than 3 % (7 % on a link
-with another payload). Two exchanged markers of a square section change them by 29 % and more.
-
-Findings on the tip: its distance from the centre of the last marker row, and single jumps.
-
-The tip is defined as the centre of the last marker row (docs/trials.md). A recording may use its
-name for another point: in Motive the pivot of a rigid body may be anywhere, and an asset may be the
-wrong one.
-
-Findings on a whole run: markers held, exchanged or out of place; goals, phase of joint 2.
+Distances between markers of a section, and to the next one, are compared with those at rest: a
+section keeps its shape, and the bend to its neighbours is small. On every rig, with each effect and
+a load that nearly folds the link, distances change by less than 3 % (7 % on a link with another
+payload). Two exchanged markers of a square section change them by 29 % and more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import ANGLE, LENGTH
+from firmware_py.display_units import LENGTH
 from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
-from models.trials.checks.finding import (
-    GAP_S,
-    REST_MOVE_M,
-    REST_ROWS,
-    SHAPE_M,
-    UNSEEN,
-    ImportFinding,
-    level_of,
-)
-from models.trials.checks.goals import judge_goals
-from models.trials.checks.motion import LEAST_MOTION_RAD
+from models.trials.checks import causes
+from models.trials.checks.causes import Cause, ImportFinding
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, row_centre_m
+from models.trials.recordings.series import Series
 from models.trials.trial import Array, Trial
 
-
-@dataclass(frozen=True)
-class Gap:
-    """Longest time without a sample in a series."""
-
-    file: str  # Name of the file
-    start_s: float  # Last sample before the gap, on the trial's clock
-    length_s: float  # Time to the next sample
-    step_s: float  # Usual step of the series
-
-
-def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list[Gap]:
-    """Longest gap of every series between the first and the last time of a trial."""
-    gaps = []
-    for s in series:
-        inside = s.time_s[(s.time_s >= start_s - 1.0) & (s.time_s <= end_s + 1.0)]
-        if len(inside) < 2:
-            continue
-        steps = np.diff(inside)
-        k = int(np.argmax(steps))
-        gaps.append(
-            Gap(s.path.name, float(inside[k] - start_s), float(steps[k]), float(np.median(steps)))
-        )
-    return gaps
-
-
-def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
-    """Findings on gaps that would be bridged by interpolation."""
-    found = []
-    for gap in gaps:
-        bridged_s = gap.length_s if gap.length_s > 1.5 * gap.step_s else 0.0
-        level = level_of(bridged_s, GAP_S)
-        if level:
-            found.append(
-                ImportFinding(
-                    level, "gap",
-                    f"{gap.file} has no samples for {gap.length_s:.3f} s from "
-                    f"{gap.start_s:.2f} s on",
-                    "cut the recording there, or record it again",
-                )
-            )  # fmt: skip
-    return found
+Rows = NDArray[np.intp]
 
 
 def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[ImportFinding]:
@@ -98,80 +35,40 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
     given = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
     if not given:
         return []
-    found = []
+    found: list[ImportFinding] = []
     for name, source in mapping.markers.items():
         if f"{name}_x_m" not in columns:
-            found.append(
-                ImportFinding(
-                    "refused", "absent",
-                    f"{name} is mapped to {source!r}, which the file does not hold",
-                    "correct [markers] in MAP.toml",
-                )
-            )  # fmt: skip
+            found += causes.ABSENT_MARKER.found(name=name, source=source)
     missing = [n for n in markers if n not in given and n not in mapping.markers]
-    if missing and set(given) != {"tip"}:
-        found.append(
-            ImportFinding(
-                "warning", "absent",
-                f"the file holds no {', '.join(missing)}: there is no Deformation Index without",
-                "map them under [markers], or use the plant without DI",
-            )
-        )  # fmt: skip
+    if missing and given != ["tip"]:
+        found += causes.NOT_MAPPED.found(names=", ".join(missing))
     for name in given:
         unseen = float(np.mean(~np.isfinite(columns[f"{name}_x_m"])))
-        level = level_of(unseen, UNSEEN)
-        if level:
-            found.append(
-                ImportFinding(
-                    level, "occluded", f"{name} is unseen in {unseen:.0%} of the rows",
-                    "check its name, or record it again with the marker in view",
-                )
-            )  # fmt: skip
+        found += causes.OCCLUDED.beyond(unseen, name=name)
     return found
 
 
 def judge_rest(trial: Trial) -> list[ImportFinding]:
     """Findings on the rest rows of a trial with markers."""
-    markers_m = trial.markers_m
+    markers_m, rest = trial.markers_m, trial.meta.rest_samples
     if not np.isfinite(markers_m).any():
         return []
-    rest = trial.meta.rest_samples
-    if rest < REST_ROWS[0]:
-        return [
-            ImportFinding(
-                "refused" if rest < REST_ROWS[1] else "warning", "rest",
-                f"{rest} row{'' if rest == 1 else 's'} at rest before the motion, the reference of "
-                "the Deformation Index",
-                f"start both recordings at least {REST_ROWS[0]} rows before the motion",
-            )
-        ]  # fmt: skip
-    moved = _largest_move_m(markers_m[:rest])
-    level = level_of(moved, REST_MOVE_M)
-    if level:
-        return [
-            ImportFinding(
-                level, "rest",
-                f"a marker moves by {LENGTH.text(moved)} within the {rest} rest rows",
-                "correct rest_samples, or let the link come to rest first",
-            )
-        ]  # fmt: skip
-    return []
+    if rest < causes.REST_ROWS[0]:
+        level: causes.Level = "refused" if rest < causes.REST_ROWS[1] else "warning"
+        return [causes.SHORT_REST.at(level, rows=f"{rest} row{'' if rest == 1 else 's'}")]
+    third = max(rest // 3, 1)
+    first_m, last_m = seen_mean(markers_m[:third]), seen_mean(markers_m[rest - third : rest])
+    moved_m = np.linalg.norm(last_m - first_m, axis=-1)
+    most_m = float(np.nanmax(moved_m)) if np.isfinite(moved_m).any() else 0.0
+    return causes.REST_MOVES.beyond(most_m, rest=rest)
 
 
-def _largest_move_m(markers_m: Array) -> float:
-    """Largest distance between a marker's mean places in the first and the last third of rows."""
-    third = max(len(markers_m) // 3, 1)
-    ends = []
-    for rows in (markers_m[:third], markers_m[-third:]):
-        seen = np.isfinite(rows)
-        count = seen.sum(axis=0)
-        ends.append(
-            np.where(
-                count > 0, np.where(seen, rows, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan
-            )
-        )
-    moved = np.linalg.norm(ends[1] - ends[0], axis=-1)
-    return float(np.nanmax(moved)) if np.isfinite(moved).any() else 0.0
+def seen_mean(rows_m: Array) -> Array:
+    """Mean over rows (n, …) without those that were not seen; NaN if none was."""
+    seen = np.isfinite(rows_m)
+    count = seen.sum(axis=0)
+    total = np.where(seen, rows_m, 0.0).sum(axis=0)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def without_zeros(
@@ -200,13 +97,67 @@ def without_zeros(
         result.append(replace(s, columns=columns) if counts else s)
     if not counts:
         return series, []
-    listed = ", ".join(f"{name} in {n}" for name, n in counts.items())
     seen_s = np.concatenate(times_s)
-    text = (
-        f"markers are at exactly 0, 0, 0 between {seen_s.min():.2f} s and {seen_s.max():.2f} s "
-        f"({listed} samples), as some exports write an occlusion"
-    )
-    return result, [ImportFinding("warning", "zeros", text, remedy)]
+    return result, causes.ZEROS.found(
+        first_s=seen_s.min(), last_s=seen_s.max(), remedy=remedy,
+        listed=", ".join(f"{name} in {n}" for name, n in counts.items()),
+    )  # fmt: skip
+
+
+MOST_NAMED: Final = 4
+"""Most findings of one kind that are listed one by one."""
+
+
+def judge_marker_run(trial: Trial) -> list[ImportFinding]:
+    """Findings on markers that hold, exchange or leave their positions during a trial."""
+    markers_m, names, time_s = trial.markers_m, trial.meta.layout.names, trial.time_s
+    if not np.isfinite(markers_m).any():
+        return []
+    texts: dict[Cause, list[str]] = {
+        causes.HELD: [], causes.EXCHANGED: [], causes.OUT_OF_PLACE: []
+    }  # fmt: skip
+    for held in held_markers(trial):
+        markers_m[held.first : held.last + 1, list(held.places)] = np.nan
+        verb = "holds its position" if len(held.places) == 1 else "hold their positions"
+        meanwhile = "the link moves" if len(held.places) == len(names) else "the neighbours move"
+        where = _rows(np.arange(held.first, held.last + 1), time_s)
+        texts[causes.HELD].append(
+            f"{_listed(names, held.places)} {verb} {where}, while {meanwhile} by "
+            f"{LENGTH.text(held.moved_m, 0)}"
+        )
+    for wrong in misplaced_markers(markers_m, trial.meta.layout, trial.meta.rest_samples):
+        which, where = _listed(names, wrong.places), _rows(wrong.rows, time_s)
+        if wrong.exchanged:
+            texts[causes.EXCHANGED].append(f"{which} are exchanged {where}")
+            continue
+        texts[causes.OUT_OF_PLACE].append(
+            f"{which} {'is' if len(wrong.places) == 1 else 'are'} out of place {where}: distances "
+            f"to the neighbours are wrong by up to {LENGTH.text(wrong.off_m, 0)}"
+        )
+    found: list[ImportFinding] = []
+    for cause, of_cause in texts.items():
+        listed = of_cause[:MOST_NAMED]
+        if len(of_cause) > MOST_NAMED:
+            listed[-1] += f"; and {len(of_cause) - MOST_NAMED} times more in this trial"
+        found += [finding for text in listed for finding in cause.found(text=text)]
+    return found
+
+
+def _listed(names: Sequence[str], places: Iterable[int]) -> str:
+    """Names of markers in words."""
+    listed = [names[k] for k in places]
+    if len(listed) == len(names) > 1:
+        return "all markers"
+    return " and ".join(filter(None, [", ".join(listed[:-1]), listed[-1]]))
+
+
+def _rows(rows: Rows, time_s: Array) -> str:
+    """Rows in words, counted as in the trial's file: its header is row 1."""
+    first, last = int(rows[0]), int(rows[-1])
+    if first == last:
+        return f"in row {first + 2} ({time_s[first]:.2f} s)"
+    of = "" if len(rows) == last - first + 1 else f"{len(rows)} of the "
+    return f"in {of}rows {first + 2} to {last + 2} ({time_s[first]:.2f} s to {time_s[last]:.2f} s)"
 
 
 SAME_M: Final = 1e-9
@@ -235,19 +186,18 @@ class HeldMarkers(NamedTuple):
 
 def held_markers(trial: Trial) -> list[HeldMarkers]:
     """Holds of markers that contradict the link's motion, in the order of the rows."""
-    markers_m, time_s = trial.markers_m, trial.time_s
+    markers_m = trial.markers_m
     same = np.all(np.abs(np.diff(markers_m, axis=0)) <= SAME_M, axis=2)
-    found: dict[tuple[int, int], list[int]] = {}
-    ways_m: dict[tuple[int, int], float] = {}
+    found: dict[tuple[int, int], dict[int, float]] = {}
     for place in range(markers_m.shape[1]):
-        for run in _runs(same[:, place], time_s):
-            if run not in ways_m:
-                ways_m[run] = -1.0
+        for run in _runs(same[:, place], trial.time_s):
             way_m = _way_m(trial, markers_m, same, place, run)
             if way_m > 0:
-                found.setdefault(run, []).append(place)
-                ways_m[run] = max(ways_m[run], way_m)
-    return [HeldMarkers(tuple(found[run]), *run, ways_m[run]) for run in sorted(found)]
+                found.setdefault(run, {})[place] = way_m
+    return [
+        HeldMarkers(tuple(ways_m), *run, max(ways_m.values()))
+        for run, ways_m in sorted(found.items())
+    ]
 
 
 def _runs(same: Array, time_s: Array) -> list[tuple[int, int]]:
@@ -279,8 +229,6 @@ def _way_m(trial: Trial, markers_m: Array, same: Array, place: int, run: tuple[i
     return way_m if way_m > MOVED_M else 0.0
 
 
-Rows = NDArray[np.intp]
-
 IN_SECTION: Final = 0.15
 """Relative change above which a distance within a section is wrong: ten times the rigs' largest."""
 TO_NEXT: Final = 0.25
@@ -300,8 +248,8 @@ PRESENT: Final = 0.2
 """Fraction of a stretch in which a marker must be wrong to be named."""
 MOST_STRETCHES: Final = 50
 """Number of the longest stretches that are checked one by one; all others form one finding."""
-_CELLS: Final = 200_000
-"""Most distances in memory at once."""
+ROWS_AT_ONCE: Final = 2000
+"""Most rows whose distances are in memory, and most of a stretch that name its markers."""
 
 
 class Misplaced(NamedTuple):
@@ -317,16 +265,12 @@ class _Distances:
     """Pairs of markers, their distances at rest and the limits of change."""
 
     def __init__(self, markers_m: Array, layout: MarkerLayout, rest: int) -> None:
-        pairs = [
-            (i, j)
-            for i, j in combinations(range(layout.count), 2)
-            if j // layout.corners - i // layout.corners <= 1
-        ]
-        self.first, self.second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+        first, second = np.triu_indices(layout.count, 1)
+        near = second // layout.corners - first // layout.corners <= 1
+        self.first, self.second = first[near], second[near]
         nominal_m = np.array([(x, y, z) for z in layout.rows_m for x, y in layout.corners_m])
         self.rest_m = self.of(nominal_m[None])[0]
-        self.chunk = max(_CELLS // max(len(pairs), 1), 1)
-        at_rest_m = self.of(markers_m[: min(max(rest, 1), self.chunk)])
+        at_rest_m = self.of(markers_m[: min(max(rest, 1), ROWS_AT_ONCE)])
         seen = np.isfinite(at_rest_m).any(axis=0)
         self.rest_m[seen] = np.nanmedian(at_rest_m[:, seen], axis=0)
         same = self.first // layout.corners == self.second // layout.corners
@@ -334,28 +278,24 @@ class _Distances:
 
     def of(self, markers_m: Array) -> Array:
         """Distances, shape (n, pairs); NaN if a marker is occluded."""
-        apart_m = markers_m[:, self.first] - markers_m[:, self.second]
-        return np.asarray(np.linalg.norm(apart_m, axis=2))
+        return np.asarray(
+            np.linalg.norm(markers_m[:, self.first] - markers_m[:, self.second], axis=2)
+        )
 
     def off_m(self, markers_m: Array) -> Array:
         """Changes of the distances, shape (n, pairs); 0 if a marker is occluded."""
         return np.asarray(np.nan_to_num(np.abs(self.of(markers_m) - self.rest_m)))
 
-    def chunks(self, rows: Rows) -> list[Rows]:
-        """Split rows into parts whose distances fit into memory."""
-        return np.array_split(rows, len(rows) // self.chunk + 1)
-
 
 def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list[Misplaced]:
-    """Markers, (n, markers, 3), whose distances to neighbours are wrong, by stretches of rows."""
+    """Markers, (n, markers, 3), whose distances to neighbours are wrong, by stretches of rows.
+
+    The same markers in several stretches are one entry; the longest comes first.
+    """
     distances = _Distances(markers_m, layout, rest)
-    wrong = np.concatenate(
-        [
-            (distances.off_m(markers_m[rows]) > distances.limit_m).any(axis=1)
-            for rows in distances.chunks(np.arange(len(markers_m)))
-        ]
-    )
-    rows = np.flatnonzero(wrong)
+    parts = range(0, len(markers_m), ROWS_AT_ONCE)
+    wrong = [distances.off_m(markers_m[k : k + ROWS_AT_ONCE]) > distances.limit_m for k in parts]
+    rows = np.flatnonzero(np.concatenate([part.any(axis=1) for part in wrong]))
     if not len(rows):
         return []
     stretches = np.split(rows, np.flatnonzero(np.diff(rows) > JOINED_ROWS + 1) + 1)
@@ -369,15 +309,26 @@ def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list
     if stretches[MOST_STRETCHES:]:
         rest_rows = np.sort(np.concatenate(stretches[MOST_STRETCHES:]))
         found.append(_out_of_place(distances, markers_m, rest_rows))
-    return _merged(found)
+    merged: dict[tuple[tuple[int, ...], bool], Misplaced] = {}
+    for one in found:
+        other = merged.get(key := (one.places, one.exchanged))
+        if other is not None:
+            rows = np.sort(np.concatenate([other.rows, one.rows]))
+            one = Misplaced(*key, rows, max(one.off_m, other.off_m))
+        merged[key] = one
+    return sorted(merged.values(), key=lambda one: -len(one.rows))
+
+
+def _sample(stretch: Rows, count: int) -> Rows:
+    every = np.linspace(0, len(stretch) - 1, min(len(stretch), count)).astype(int)
+    return np.asarray(stretch[every])
 
 
 def _exchanges(
     distances: _Distances, markers_m: Array, stretch: Rows, before_m: Array
 ) -> list[Misplaced]:
     """Exchanges of two markers that correct the distances of a stretch, or none."""
-    sample = stretch[np.linspace(0, len(stretch) - 1, min(len(stretch), SAMPLED_ROWS)).astype(int)]
-    sampled_m, start_m = markers_m[sample], markers_m[stretch[0]]
+    sampled_m, start_m = markers_m[_sample(stretch, SAMPLED_ROWS)], markers_m[stretch[0]]
     off_m = distances.off_m(sampled_m)
     often = ((off_m > distances.limit_m).mean(axis=0) >= 0.5).astype(float)
     counts = np.bincount(distances.first, often, markers_m.shape[1])
@@ -403,332 +354,24 @@ def _exchanges(
         swaps.append(swap)
         right = (distances.off_m(sampled_m[:, order]) <= distances.limit_m).all(axis=1)
         if right.mean() >= RIGHT_AGAIN:
-            most_m = float(off_m.max())
-            return [Misplaced(pair, True, stretch, most_m) for pair in swaps]
+            return [Misplaced(pair, True, stretch, float(off_m.max())) for pair in swaps]
     return []
 
 
 def _out_of_place(distances: _Distances, markers_m: Array, stretch: Rows) -> Misplaced:
     """Markers of a stretch without which no distance is wrong; both of two equal candidates."""
-    named, most_m, count = np.zeros(markers_m.shape[1]), 0.0, markers_m.shape[1]
-    for rows in distances.chunks(stretch):
-        off_m = distances.off_m(markers_m[rows])
-        most_m = max(most_m, float(off_m.max()))
-        table = np.zeros((len(rows), count, count), dtype=bool)
-        table[:, distances.first, distances.second] = off_m > distances.limit_m
-        table |= table.transpose(0, 2, 1)
-        while table.any():
-            wrong = table.sum(axis=2)
-            most = wrong.max(axis=1, keepdims=True)
-            worst = (wrong == most) & (most > 0)
-            named += worst.sum(axis=0)
-            table &= ~(worst[:, :, None] | worst[:, None, :])
-    least = min(PRESENT * len(stretch), named.max())
-    return Misplaced(tuple(int(k) for k in np.flatnonzero(named >= least)), False, stretch, most_m)
-
-
-def _merged(found: list[Misplaced]) -> list[Misplaced]:
-    """One entry for the same markers in several stretches, the longest first."""
-    merged: dict[tuple[tuple[int, ...], bool], Misplaced] = {}
-    for one in found:
-        key = (one.places, one.exchanged)
-        if key in merged:
-            rows = np.sort(np.concatenate([merged[key].rows, one.rows]))
-            one = Misplaced(*key, rows, max(one.off_m, merged[key].off_m))
-        merged[key] = one
-    return sorted(merged.values(), key=lambda one: -len(one.rows))
-
-
-REFUSED_ROWS: Final = 0.1
-"""Fraction of rows above which a tip beyond the limit is more than outliers [assumed]."""
-ROW_SHAPE_M: Final = 0.01
-"""Change of a distance within the last row above which its centre is not used in a sample."""
-FEWEST_SEEN: Final = 3
-"""Fewest visible markers of a row, or all of a smaller row."""
-REACH: Final = (0.5, 1.3)
-"""Distance of the tip from the joint axes, relative to a straight link's: a link bent to a half
-circle has 0.64; a larger distance means another unit or origin."""
-UNITS: Final = (("mm", 1e3), ("cm", 1e2), ("inches", 39.37), ("feet", 3.281), ("km", 1e-3))
-"""Units in which a tip may be, and how many of them are 1 m."""
-SAME_UNIT: Final = 0.05
-"""Largest relative error of the distance from the joint axes at which a unit is recognised."""
-CONSTANT: Final = 0.1
-"""Largest change of a constant offset, relative to its length."""
-SAME_PLACE_M: Final = 1e-3
-"""Largest distance between tip and marker at the same place."""
-JUMP_M: Final = 0.02
-"""Smallest distance from the midpoint of the adjacent samples at which the tip jumps."""
-JUMP_NOISE: Final = 20.0
-"""Smallest jump, relative to the median of that distance."""
-_TURNED: Final = (
-    ("x is negated", (0, 1, 2), (-1, 1, 1)),
-    ("y is negated", (0, 1, 2), (1, -1, 1)),
-    ("z is negated", (0, 1, 2), (1, 1, -1)),
-    ("x and y are exchanged", (1, 0, 2), (1, 1, 1)),
-    ("x and z are exchanged", (2, 1, 0), (1, 1, 1)),
-    ("y and z are exchanged", (0, 2, 1), (1, 1, 1)),
-)
-"""Mistakes in the axes of the tip: order and signs that undo them."""
-
-
-def judge_tip(trial: Trial) -> list[ImportFinding]:
-    """Findings on the tip of a trial of the link.
-
-    It is compared with the centre of the last marker row where that is visible, and with the reach
-    of the link. A trial without a tip, or of another plant, has no findings.
-    """
-    if not trial.meta.link_length_m or "tip_x_m" not in trial.columns:
-        return []
-    tip_m = trial.tip_m
-    seen = np.flatnonzero(np.isfinite(tip_m).all(axis=1))
-    if not len(seen):
-        return []
-    rows, apart_m = _apart(trial)
-    found = _reach(trial, tip_m[seen])
-    if found and not _marker_at(trial, rows):
-        return found
-    off_m = np.linalg.norm(apart_m, axis=1)
-    found = _beside_row(trial, rows, apart_m) if len(rows) else []
-    if any(f.level == "refused" for f in found):
-        return found
-    usual_m = float(np.median(off_m)) if len(rows) else 0.0
-    wrong = rows[off_m > usual_m + SHAPE_M[1]]
-    others = np.setdiff1d(_jumps(trial, seen), rows)
-    if len(wrong):
-        off = LENGTH.text(off_m.max(), 0)
-        found.append(_at_rows(trial, wrong, f"up to {off} from the centre of {_row_name(trial)}"))
-    if len(others):
-        found.append(_at_rows(trial, others, "off its course"))
-    return found
-
-
-def _reach(trial: Trial, tip_m: Array) -> list[ImportFinding]:
-    """Finding on a tip far from the link."""
-    reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
-    size_m = float(np.median(np.linalg.norm(tip_m, axis=1)))
-    low, high = REACH
-    if low * reach_m <= size_m <= high * reach_m:
-        return []
-    units = [
-        unit for unit, per_m in UNITS if abs(size_m / (per_m * reach_m) - 1) < SAME_UNIT
-    ]  # fmt: skip
-    cause = f": it is in {units[0]}" if units else ""
-    return [
-        ImportFinding(
-            "refused", "tip",
-            f"the tip is {size_m:.3g} m from the joint axes, the end of the link "
-            f"{reach_m:.3g} m{cause}",
-            "correct the unit or place of tip (tip_x_m, tip_y_m, tip_z_m), or link_length_m",
-        )
-    ]  # fmt: skip
-
-
-def _apart(trial: Trial) -> tuple[Rows, Array]:
-    """Rows in which the last marker row is valid, and the tip's place from its centre."""
-    none = np.empty(0, dtype=np.intp), np.empty((0, 3))
-    layout = trial.meta.layout
-    if f"{layout.names[-1]}_x_m" not in trial.columns:
-        return none
-    row_m = trial.marker_rows_m[:, -1]
-    first, second = np.triu_indices(layout.corners, 1)
-    distance_m = np.linalg.norm(row_m[:, first] - row_m[:, second], axis=2)
-    seen = np.isfinite(row_m).all(axis=2)
-    known = np.isfinite(distance_m).any(axis=0)
-    usual_m = np.zeros(len(first))
-    usual_m[known] = np.nanmedian(distance_m[:, known], axis=0)
-    if len(first) and usual_m.max() < SAME_PLACE_M:
-        return none  # all in one place, so these are no markers
-    changed = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
-    apart_m = trial.tip_m - row_centre_m(np.moveaxis(row_m, 1, 0), layout.corners_m)
-    kept = (seen.sum(axis=1) >= min(FEWEST_SEEN, layout.corners)) & (changed < ROW_SHAPE_M)
-    rows = np.flatnonzero(kept & np.isfinite(apart_m).all(axis=1))
-    return rows, apart_m[rows]
-
-
-def _beside_row(trial: Trial, rows: Rows, apart_m: Array) -> list[ImportFinding]:
-    """Finding on a tip that is not the centre of the last marker row in the whole run."""
-    off_m = np.linalg.norm(apart_m, axis=1)
-    usual_m, most_m = float(np.median(off_m)), float(np.quantile(off_m, 1 - REFUSED_ROWS))
-    level = "refused" if most_m > SHAPE_M[1] else level_of(usual_m, SHAPE_M)
-    if level is None:
-        return []
-    where = f"from the centre of the last marker row ({_row_name(trial)})"
-    if usual_m > SHAPE_M[0]:
-        text = f"the tip is {LENGTH.text(usual_m)} {where}{_cause(trial, rows, apart_m)}"
-    else:
-        part = float(np.mean(off_m > SHAPE_M[1]))
-        text = f"the tip is beyond {LENGTH.text(SHAPE_M[1], 0)} {where} in {part:.0%} of the rows"
-    return [
-        ImportFinding(
-            level, "tip", text,
-            "correct tip in [markers] of the map (the pivot of its rigid body), or leave it out to "
-            "have it computed, and import again",
-        )
-    ]  # fmt: skip
-
-
-def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
-    """Probable cause of the tip's distance, in words."""
-    tip_m, off_m = trial.tip_m[rows], np.linalg.norm(apart_m, axis=1)
-    marker = _marker_at(trial, rows)
-    if marker:
-        return f": it is marker {marker}"
-    for words, order, signs in _TURNED:
-        left_m = tip_m[:, order] * signs - (tip_m - apart_m)
-        if np.median(np.linalg.norm(left_m, axis=1)) < min(SHAPE_M[0], CONSTANT * np.median(off_m)):
-            return f": {words}"
-    turn = base_rotation(trial.angle_rad[rows])
-    for frame, offset_m in (
-        ("link", np.einsum("nji,nj->ni", turn, apart_m)), ("world", apart_m),
-    ):  # fmt: skip
-        middle_m = np.median(offset_m, axis=0)
-        change_m = float(np.median(np.linalg.norm(offset_m - middle_m, axis=1)))
-        if change_m < max(CONSTANT * float(np.linalg.norm(middle_m)), SAME_PLACE_M):
-            listed = ", ".join(f"{LENGTH.factor * v:+.0f}" for v in middle_m)
-            return f", by dx, dy, dz = {listed} {LENGTH.name} in the frame of the {frame}"
-    return ", by no constant offset: an axis, a unit or a point is wrong"
-
-
-def _marker_at(trial: Trial, rows: Rows) -> str:
-    """Name of the marker at the tip's place, empty for none."""
-    if not len(rows):
-        return ""
-    distance_m = np.linalg.norm(trial.markers_m[rows] - trial.tip_m[rows, None], axis=2)
-    for name, own_m in zip(trial.meta.layout.names, distance_m.T, strict=True):
-        known_m = own_m[np.isfinite(own_m)]
-        if len(known_m) and np.median(known_m) < SAME_PLACE_M:
-            return name
-    return ""
-
-
-def _jumps(trial: Trial, seen: Rows) -> Rows:
-    """Rows in which the tip jumps from the adjacent samples, or leaves the reach of the link."""
-    tip_m = trial.tip_m[seen]
-    reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
-    beyond = np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m
-    if len(seen) >= 3:
-        middle_m = 0.5 * (tip_m[:-2] + tip_m[2:])
-        bent_m = np.linalg.norm(tip_m[1:-1] - middle_m, axis=1)
-        limit_m = max(JUMP_M, JUMP_NOISE * float(np.median(bent_m)))
-        around_m = np.linalg.norm(tip_m[2:] - tip_m[:-2], axis=1)
-        beyond[1:-1] |= (bent_m > limit_m) & (bent_m > around_m)
-    return np.asarray(seen[beyond])
-
-
-def _row_name(trial: Trial) -> str:
-    names: Sequence[str] = trial.meta.layout.row(-1)
-    return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
-
-
-def _at_rows(trial: Trial, rows: Rows, what: str) -> ImportFinding:
-    """Warning on single rows, counted as in the trial's file: its header is row 1."""
-    first = int(rows[0])
-    where = f"row {first + 2} ({trial.time_s[first]:.2f} s)"
-    if len(rows) > 1:
-        where = f"{len(rows)} rows from {where} on"
-    return ImportFinding(
-        "warning", "tip", f"the tip is {what} in {where}",
-        f"correct the tip there: the centre of {_row_name(trial)}, or interpolate it",
-    )  # fmt: skip
-
-
-MOST_NAMED: Final = 4
-"""Most findings of one kind that are listed one by one."""
-PHASE_RAD: Final = 0.3
-"""Difference of the goals' phase from the declared one that causes a warning."""
-SINUSOIDAL: Final = 0.9
-"""Smallest fraction of a goal's variance in a sine of the period that defines its phase."""
-
-
-def judge_run(trial: Trial) -> list[ImportFinding]:
-    """Findings on the markers over a whole trial, and on its goals."""
-    found = [*judge_goals(trial), *_phase(trial)]
-    markers_m = trial.markers_m
-    if not np.isfinite(markers_m).any():
-        return found
-    names, time_s = trial.meta.layout.names, trial.time_s
-    held = held_markers(trial)
-    texts = []
-    for h in held:
-        markers_m[h.first : h.last + 1, list(h.places)] = np.nan
-        verb = "holds its position" if len(h.places) == 1 else "hold their positions"
-        meanwhile = "the link moves" if len(h.places) == len(names) else "the neighbours move"
-        texts.append(
-            f"{_listed(names, h.places)} {verb} {_rows(np.arange(h.first, h.last + 1), time_s)}, "
-            f"while {meanwhile} by {LENGTH.text(h.moved_m, 0)}"
-        )
-    found += _findings(texts, "held", "leave these cells empty where the marker was not seen")
-    texts, swapped = [], []
-    for m in misplaced_markers(markers_m, trial.meta.layout, trial.meta.rest_samples):
-        where = _rows(m.rows, time_s)
-        if m.exchanged:
-            swapped.append(f"{_listed(names, m.places)} are exchanged {where}")
-            continue
-        verb = "is" if len(m.places) == 1 else "are"
-        texts.append(
-            f"{_listed(names, m.places)} {verb} out of place {where}: distances to the neighbours "
-            f"are wrong by up to {LENGTH.text(m.off_m, 0)}"
-        )
-    found += _findings(swapped, "swapped", "exchange them in these rows and correct the tip")
-    return found + _findings(
-        texts, "place", "leave these cells empty, or label the markers again and export anew"
-    )
-
-
-def _findings(texts: Sequence[str], cause: str, remedy: str) -> list[ImportFinding]:
-    """A warning for each text; many of one kind are counted."""
-    told = list(texts[:MOST_NAMED])
-    if len(texts) > MOST_NAMED:
-        told[-1] += f"; and {len(texts) - MOST_NAMED} times more in this trial"
-    return [ImportFinding("warning", cause, text, remedy) for text in told]
-
-
-def _listed(names: Sequence[str], places: Iterable[int]) -> str:
-    """Names of markers in words."""
-    listed = [names[k] for k in places]
-    if len(listed) == len(names) > 1:
-        return "all markers"
-    return " and ".join(filter(None, [", ".join(listed[:-1]), listed[-1]]))
-
-
-def _rows(rows: NDArray[np.intp], time_s: Array) -> str:
-    """Rows in words, counted as in the trial's file: its header is row 1."""
-    first, last = int(rows[0]), int(rows[-1])
-    if first == last:
-        return f"in row {first + 2} ({time_s[first]:.2f} s)"
-    of = "" if len(rows) == last - first + 1 else f"{len(rows)} of the "
-    return f"in {of}rows {first + 2} to {last + 2} ({time_s[first]:.2f} s to {time_s[last]:.2f} s)"
-
-
-def _phase(trial: Trial) -> list[ImportFinding]:
-    """Finding if joint 2 leads joint 1 by another phase than the conditions state."""
-    meta = trial.meta
-    if meta.dof != 2 or meta.motion != "sinusoid":
-        return []
-    # The second half of the first cycle and the first half of the second: joint 2 is faded in.
-    start_s = trial.time_s[min(meta.rest_samples, len(trial) - 1)] + 0.5 * meta.period_s
-    cycle = (trial.time_s >= start_s) & (trial.time_s < start_s + meta.period_s)
-    if trial.time_s[-1] < start_s + 0.9 * meta.period_s or cycle.sum() < 8:
-        return []
-    turn = 2 * np.pi * (trial.time_s[cycle] - start_s) / meta.period_s
-    design = np.column_stack([np.ones_like(turn), np.sin(turn), np.cos(turn)])
-    phases = []
-    for goal in trial.goal_rad[cycle].T:
-        terms, *_ = np.linalg.lstsq(design, goal, rcond=None)
-        left = np.var(goal - design @ terms)
-        if np.std(goal) < LEAST_MOTION_RAD or left > (1 - SINUSOIDAL) * np.var(goal):
-            return []
-        phases.append(np.arctan2(terms[2], terms[1]))
-    lead = float(phases[1] - phases[0])
-    off = float(np.angle(np.exp(1j * (lead - meta.phase_2_rad))))
-    if abs(off) <= PHASE_RAD:
-        return []
-    shown = float(np.angle(np.exp(1j * (lead + 1e-9))))
-    return [
-        ImportFinding(
-            "warning", "phase",
-            f"goal 2 leads goal 1 by {ANGLE.text(shown, 0)}, phase_2_rad says "
-            f"{ANGLE.text(meta.phase_2_rad, 0)}",
-            f"set phase_2_rad = {shown:.4g} under [trial], or correct the sign of a goal",
-        )
-    ]  # fmt: skip
+    count, sample = markers_m.shape[1], _sample(stretch, ROWS_AT_ONCE)
+    off_m = distances.off_m(markers_m[sample])
+    wrong = np.zeros((len(sample), count, count), dtype=bool)
+    wrong[:, distances.first, distances.second] = off_m > distances.limit_m
+    wrong |= wrong.transpose(0, 2, 1)
+    named = np.zeros(count)
+    while wrong.any():
+        pairs = wrong.sum(axis=2)
+        most = pairs.max(axis=1, keepdims=True)
+        worst = (pairs == most) & (most > 0)
+        named += worst.sum(axis=0)
+        wrong &= ~(worst[:, :, None] | worst[:, None, :])
+    least = min(PRESENT * len(sample), named.max())
+    places = tuple(int(k) for k in np.flatnonzero(named >= least))
+    return Misplaced(places, False, stretch, float(off_m.max()))

@@ -1,27 +1,26 @@
-"""Findings on the signals of a file: times and step, duplicated signals, stuck angles, clock.
+"""Times and signals of the files of a recording: steps, gaps, units, doubled signals, samples.
 
-Findings on single samples of a servo: an angle that wraps, a wrong angle or current.
+Most findings are on series, before they become a trial, because a file keeps its own sample times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import ANGLE, DURATION
-from firmware_py.errors import InputError
-from models.trials.checks.finding import COMMON_CLOCK_S, STUCK_RAD, ImportFinding, level_of
+from firmware_py.display_units import SMALL_CURRENT
+from models.trials.checks import causes
+from models.trials.checks.causes import ImportFinding
 from models.trials.checks.motion import LARGEST_RAD, LEAST_MOTION_RAD
-from models.trials.checks.verdict import ImportVerdict
-from models.trials.clock import synchronise
 from models.trials.files import STEP_RANGE_S, STEP_TOLERANCE
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series
-from models.trials.trial import Array, TrialMeta
+from models.trials.trial import Array
 
 EVEN_STEP: Final = 0.05
 """Largest relative deviation from the median step of nine steps in ten, in an even file."""
@@ -31,20 +30,50 @@ SAME_SIGNAL: Final = 0.01
 """Difference of a signal between two files, relative to its range, in one sample of twenty."""
 
 
+@dataclass(frozen=True)
+class Gap:
+    """Longest time without a sample in a series."""
+
+    file: str  # Name of the file
+    start_s: float  # Last sample before the gap, on the trial's clock
+    length_s: float  # Time to the next sample
+    step_s: float  # Usual step of the series
+
+
+def longest_gaps(series: Sequence[Series], start_s: float, end_s: float) -> list[Gap]:
+    """Longest gap of every series between the first and the last time of a trial."""
+    gaps = []
+    for s in series:
+        inside = s.time_s[(s.time_s >= start_s - 1.0) & (s.time_s <= end_s + 1.0)]
+        if len(inside) < 2:
+            continue
+        steps = np.diff(inside)
+        k = int(np.argmax(steps))
+        gaps.append(
+            Gap(s.path.name, float(inside[k] - start_s), float(steps[k]), float(np.median(steps)))
+        )
+    return gaps
+
+
+def judge_gaps(gaps: Sequence[Gap]) -> list[ImportFinding]:
+    """Findings on gaps that would be bridged by interpolation."""
+    found = []
+    for gap in gaps:
+        bridged_s = gap.length_s if gap.length_s > 1.5 * gap.step_s else 0.0
+        found += causes.GAP.beyond(bridged_s, file=gap.file, start_s=gap.start_s)
+    return found
+
+
 def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
     """Findings on the unit of the times of one file."""
     for s in series:
-        step_s = float(np.median(np.diff(s.time_s)))
+        steps = np.diff(s.time_s)
+        step_s = float(np.median(steps))
+        if np.all(s.time_s == np.round(s.time_s)) and np.median(np.abs(steps)) == 1.0:
+            return causes.FRAME_NUMBERS.found(file=s.path.name)
         if not STEP_RANGE_S[0] <= step_s <= STEP_RANGE_S[1]:
-            unit = '"ms"' if step_s > 1 else '"s"'
-            return [
-                ImportFinding(
-                    "refused", "time",
-                    f"the samples of {s.path.name} are {step_s:.3g} s apart: its times have "
-                    "another unit",
-                    f"set unit = {unit} for time_s in MAP.toml",
-                )
-            ]  # fmt: skip
+            unit = "ms" if step_s > 1 else "s"
+            return causes.TIME_UNIT.found(file=s.path.name, step_s=step_s, unit=unit)
     return []
 
 
@@ -59,15 +88,7 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
         even = np.percentile(np.abs(steps / usual_s - 1), 90) <= EVEN_STEP
         other = abs(own_s - mapping.step_s) > STEP_TOLERANCE * mapping.step_s
         if even and other and own_s > FINE_STEP * mapping.step_s:
-            return [
-                ImportFinding(
-                    "warning", "step",
-                    f"the samples of {s.path.name} are {DURATION.text(own_s)} apart and the "
-                    f"trial's rows {DURATION.text(mapping.step_s)}: its goals are held from sample "
-                    "to sample and come late or early",
-                    f"set step_s = {own_s:.4g} in MAP.toml",
-                )
-            ]  # fmt: skip
+            return causes.STEP.found(file=s.path.name, own_s=own_s, step_s=mapping.step_s)
     return []
 
 
@@ -81,46 +102,15 @@ def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> li
         used = own.columns[name][inside]
         differ = np.abs(np.interp(own.time_s[inside], other.time_s, other.columns[name]) - used)
         seen = np.isfinite(differ)
-        if not seen.any():
-            continue
-        if np.percentile(differ[seen], 95) > SAME_SIGNAL * np.ptp(used[seen]):
+        if seen.any() and np.percentile(differ[seen], 95) > SAME_SIGNAL * np.ptp(used[seen]):
             differing[name] = own, other, float(np.max(differ[seen]))
     if not differing:
         return []
     name, (own, other, most) = next(iter(differing.items()))
     more = f", and so do {len(differing) - 1} others" if len(differing) > 1 else ""
-    return [
-        ImportFinding(
-            "warning", "twice",
-            f"{name} in {own.path.name} and in {other.path.name} differ by up to {most:.3g}{more}: "
-            f"what {own.path.name} holds is used",
-            "leave it out of the file that is wrong",
-        )
-    ]  # fmt: skip
-
-
-def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
-    """Findings on signals with identical values, and on angles that jump or do not move."""
-    encoders, wrapped = judge_encoders(series, dof)
-    return [*_doubled(series, dof), *encoders, *_stuck(series, dof, wrapped)]
-
-
-def _doubled(series: Sequence[Series], dof: int) -> list[ImportFinding]:
-    joints = range(1, dof + 1)
-    kinds = ("angle_{}_rad", "current_{}_a")
-    names = [kind.format(j) for kind in kinds for j in joints]
-    found = []
-    for s in series:
-        moving = {n: s.columns[n] for n in names if n in s.columns and np.nanstd(s.columns[n]) > 0}
-        for (one, x), (other, y) in combinations(moving.items(), 2):
-            if np.array_equal(x, y, equal_nan=True):
-                found.append(
-                    ImportFinding(
-                        "refused", "doubled", f"{one} and {other} hold the same values",
-                        "map each to its own column",
-                    )
-                )  # fmt: skip
-    return found
+    return causes.SHARED_SIGNAL.found(
+        name=name, own=own.path.name, other=other.path.name, most=most, more=more
+    )
 
 
 def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
@@ -131,72 +121,95 @@ def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
         for j in (1, 2):
             goal, angle = (columns.get(f"{kind}_{j}_rad") for kind in ("goal", "angle"))
             if goal and angle and goal.source == angle.source:
-                return [
-                    ImportFinding(
-                        "warning", "goal",
-                        f"goal and angle of joint {j} are both taken from {goal.source!r}: the "
-                        "servo's own error is lost",
-                        "map the goals, or say in 'notes' under [trial] that they were not logged",
-                    )
-                ]  # fmt: skip
+                return causes.GOAL_FROM_ANGLE.found(joint=j, source=goal.source)
     return []
 
 
-def _stuck(series: Sequence[Series], dof: int, wrapped: set[int]) -> list[ImportFinding]:
-    """Findings on angles that do not move while their goal, sampled with them, moves."""
-    found = []
+def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
+    """Findings on the signals of the joints, each file for itself."""
+    found: list[ImportFinding] = []
     for s in series:
-        for j in (j for j in range(1, dof + 1) if j not in wrapped):
-            angle, goal = (s.columns.get(f"{kind}_{j}_rad") for kind in ("angle", "goal"))
-            if angle is None or goal is None or np.nanmax(np.abs(goal)) > LARGEST_RAD:
+        found += [*_doubled(s, dof), *_units(s, dof)]
+        for j in range(1, dof + 1):
+            names = [n for n in (f"angle_{j}_rad", f"goal_{j}_rad") if n in s.columns]
+            if f"current_{j}_a" in s.columns:
+                found += _current_spikes(s, f"current_{j}_a", _step_times_s(series, j))
+            if any(_largest(s.columns[n]) > LARGEST_RAD for n in names):
+                continue  # in another unit
+            wraps = [wrap for n in names for wrap in _wraps(s, n)]
+            if wraps or f"angle_{j}_rad" not in names:
+                found += wraps
                 continue
-            moved, first, last = _longest_hold(angle, goal)
-            level = level_of(moved, STUCK_RAD)
-            if level:
-                found.append(
-                    ImportFinding(
-                        level, "stuck",
-                        f"angle_{j}_rad does not change for "
-                        f"{DURATION.text(s.time_s[last] - s.time_s[first])} from "
-                        f"{s.time_s[first]:.2f} s on, while its goal moves by {ANGLE.text(moved)}",
-                        "check torque and current limit of the servo, or cut the recording there",
-                    )
-                )  # fmt: skip
+            found += _angle_spikes(s, f"angle_{j}_rad")
+            if len(names) == 2:
+                found += _stuck(s, j)
     return found
 
 
-def _longest_hold(angle: Array, goal: Array) -> tuple[float, int, int]:
-    """Largest change of the goal over rows of constant angle, with first and last row."""
+def _largest(values: Array) -> float:
+    seen = np.abs(values[np.isfinite(values)])
+    return float(seen.max()) if len(seen) else 0.0
+
+
+def _doubled(series: Series, dof: int) -> list[ImportFinding]:
+    names = [kind.format(j) for kind in ("angle_{}_rad", "current_{}_a") for j in range(1, dof + 1)]
+    moving = {n: v for n in names if (v := series.columns.get(n)) is not None and np.nanstd(v) > 0}
+    return [
+        finding
+        for (one, x), (other, y) in combinations(moving.items(), 2)
+        if np.array_equal(x, y, equal_nan=True)
+        for finding in causes.DOUBLED_SIGNAL.found(one=one, other=other)
+    ]
+
+
+LARGEST_A: Final = 100.0
+"""Current above which its unit is not A."""
+LEAST_A: Final = 0.01
+"""Peak current of a motion below which its unit is not A: friction of the smallest servo needs 0.02
+to 0.04 A (docs/sources.md, "The servo")."""
+LARGEST_DEG: Final = 360.0
+"""Angle above which it is not in degrees either; below zero, half of it."""
+
+
+def _units(series: Series, dof: int) -> list[ImportFinding]:
+    """Findings on angles in degrees or counts, currents in mA or counts, and the reverse."""
+    found = []
+    for j in range(1, dof + 1):
+        angle, current = (series.columns.get(n) for n in (f"angle_{j}_rad", f"current_{j}_a"))
+        for name in (f"goal_{j}_rad", f"angle_{j}_rad"):
+            values = series.columns.get(name, np.zeros(1))
+            reached, unit, remedy = _largest(values), "deg", 'unit = "deg"'
+            if reached > LARGEST_DEG or np.nanmin(values) < -LARGEST_DEG / 2:
+                unit = "counts of the encoder"
+                remedy = "scale = 0.0015339 (4096 counts per turn) and offset"
+            if reached > LARGEST_RAD:
+                found += causes.UNIT.found(name=name, reached=reached, unit=unit, remedy=remedy)
+        if current is None:
+            continue
+        reached = _largest(current)
+        if reached > LARGEST_A:
+            found += causes.UNIT.found(
+                name=f"current_{j}_a", reached=reached, unit="mA, or in counts of the servo",
+                remedy='unit = "mA", or the servo\'s A per count as scale,',
+            )  # fmt: skip
+        moves = angle is not None and np.nanstd(angle) > LEAST_MOTION_RAD
+        if moves and 0 < reached < LEAST_A:
+            found += causes.SMALL_CURRENT.found(
+                joint=j, reached=SMALL_CURRENT.significant(reached, 2)
+            )
+    return found
+
+
+def _stuck(series: Series, joint: int) -> list[ImportFinding]:
+    """Finding on an angle that does not move while its goal, sampled with it, moves."""
+    angle, goal = (series.columns[f"{kind}_{joint}_rad"] for kind in ("angle", "goal"))
     starts = np.flatnonzero(np.concatenate([[True], np.diff(angle) != 0]))
     ends = np.append(starts[1:], len(angle)) - 1
     low, high = np.minimum.reduceat(goal, starts), np.maximum.reduceat(goal, starts)
     k = int(np.nanargmax(np.where(ends > starts, high - low, 0.0)))
-    return float(high[k] - low[k]) if ends[k] > starts[k] else 0.0, int(starts[k]), int(ends[k])
-
-
-def check_common_clock(
-    series: list[Series], meta: TrialMeta, verdict: ImportVerdict, remedy: str
-) -> None:
-    """Add the clock to a verdict, and a finding if the markers lag or lead the angles."""
-    angles = [s for s in series if "angle_1_rad" in s.columns]
-    if not angles or not any("m01_x_m" in s.columns for s in series):
-        return
-    if not np.nanstd(angles[0].columns["angle_1_rad"]) > LEAST_MOTION_RAD:
-        return
-    try:
-        clock = synchronise(angles, series, meta)
-    except InputError:
-        return  # the checks of the motion report signs and joints
-    verdict.clock = clock
-    level = level_of(clock.offset_s, COMMON_CLOCK_S)
-    if level and abs(clock.offset_s) > clock.error_s:
-        late = "late" if clock.offset_s > 0 else "early"
-        verdict.findings.append(
-            ImportFinding(
-                level, "clock",
-                f"the markers are {abs(clock.offset_s):.3f} s {late} against the angles", remedy,
-            )
-        )  # fmt: skip
+    first_s, last_s = series.time_s[starts[k]], series.time_s[ends[k]]
+    moved = float(high[k] - low[k]) if ends[k] > starts[k] else 0.0
+    return causes.STUCK.beyond(moved, joint=joint, held_s=last_s - first_s, first_s=first_s)
 
 
 WRAP_RAD: Final = 0.5
@@ -219,65 +232,47 @@ SETTLED_S: Final = 0.1
 MOST_NAMED: Final = 3
 
 
-def judge_encoders(series: Sequence[Series], dof: int) -> tuple[list[ImportFinding], set[int]]:
-    """Findings on angles and goals that wrap, and on spikes; with the joints that wrap."""
-    found: list[ImportFinding] = []
-    wrapped: set[int] = set()
-    for s in series:
-        for j in range(1, dof + 1):
-            if f"current_{j}_a" in s.columns:
-                found += _current_spikes(s, f"current_{j}_a", _step_times_s(series, j))
-            names = [n for n in (f"angle_{j}_rad", f"goal_{j}_rad") if n in s.columns]
-            if any(np.nanmax(np.abs(s.columns[n])) > LARGEST_RAD for n in names):
-                continue  # in another unit
-            wraps = [wrap for n in names if (wrap := _wrap(s, n))]
-            found += wraps
-            if wraps:
-                wrapped.add(j)
-            elif f"angle_{j}_rad" in names:
-                found += _spikes(s, f"angle_{j}_rad")
-    return found, wrapped
-
-
-def _wrap(series: Series, name: str) -> ImportFinding | None:
+def _wraps(series: Series, name: str) -> list[ImportFinding]:
     """Finding if a column jumps by a turn between two samples."""
     jumps = np.diff(series.columns[name])
     at = np.flatnonzero(np.abs(np.abs(jumps) - 2 * np.pi) < WRAP_RAD)
     if not len(at):
-        return None
+        return []
     k = int(at[0])
-    times = f", and {len(at) - 1} times more" if len(at) > 1 else ""
-    return ImportFinding(
-        "refused", "wrap",
-        f"{name} jumps by {ANGLE.text(jumps[k])} from sample {k + 1} to {k + 2} "
-        f"({series.time_s[k]:.2f} s){times}: its count starts again after a turn",
-        "write it without jumps: where it counts from 0 to 360 deg, subtract 360 deg above 180 deg",
+    return causes.WRAP.found(
+        name=name, jump=jumps[k], sample=k + 1, next=k + 2, at_s=series.time_s[k],
+        times=f", and {len(at) - 1} times more" if len(at) > 1 else "",
     )  # fmt: skip
 
 
-def _spikes(series: Series, name: str) -> list[ImportFinding]:
+def _there_and_back(values: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Size of the jump there and back at each inner sample, and whether both ways are alike.
+
+    A sample beside the one that jumps has unlike ways.
+    """
+    there, back = np.diff(values)[:-1], np.diff(values)[1:]
+    size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
+    return size, np.asarray(size > 0.5 * np.maximum(np.abs(there), np.abs(back)))
+
+
+def _angle_spikes(series: Series, name: str) -> list[ImportFinding]:
     """Finding on samples with an angle that jumps and returns faster than a joint can turn."""
     angle, time_s = series.columns[name], series.time_s
-    there, back = np.diff(angle)[:-1], np.diff(angle)[1:]
+    size, alike = _there_and_back(angle)
+    turn = np.abs(np.diff(angle, 2))
+    seen = turn[np.isfinite(turn)]
+    usual = float(np.median(seen)) if len(seen) else 0.0
     step_s = 0.5 * (time_s[2:] - time_s[:-2])
-    size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    turn = np.abs(back - there)
-    limit = np.maximum(SPIKE_RAD_S2 * step_s**2, SPIKE_NOISE * _usual(turn))
-    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else it is an adjacent sample
+    limit = np.maximum(SPIKE_RAD_S2 * step_s**2, SPIKE_NOISE * usual)
     at = np.flatnonzero((size > SPIKE_RAD) & (turn > limit) & alike) + 1
     if not len(at):
         return []
-    return [
-        ImportFinding(
-            "warning", "spike",
-            f"{name} jumps by {ANGLE.text(size[at - 1].max())} and back in {_listed(at, time_s)}: "
-            "no joint moves like that",
-            "correct the sample by its neighbours, or cut the recording there",
-        )
-    ]  # fmt: skip
+    return causes.ANGLE_SPIKE.found(
+        name=name, jump=size[at - 1].max(), where=_listed(at, time_s)
+    )  # fmt: skip
 
 
-def _step_times_s(series: Sequence[Series], joint: int) -> Array:
+def _step_times_s(series: Iterable[Series], joint: int) -> Array:
     """Times at which a goal steps: the servo's current responds for one or two samples."""
     name, times = f"goal_{joint}_rad", [np.zeros(0)]
     for s in (s for s in series if name in s.columns):
@@ -300,10 +295,8 @@ def _current_spikes(series: Series, name: str, steps_s: Array) -> list[ImportFin
     current, time_s = series.columns[name], series.time_s
     if not np.isfinite(current).all() or len(current) < 8:
         return []
-    there, back = np.diff(current)[:-1], np.diff(current)[1:]
-    size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    alike = size > 0.5 * np.maximum(np.abs(there), np.abs(back))  # else it is an adjacent sample
-    beyond = (size > SPIKE_TIMES * np.percentile(size, 95)) & alike & (size > SPIKE_A)
+    size, alike = _there_and_back(current)
+    beyond = (size > max(SPIKE_TIMES * np.percentile(size, 95), SPIKE_A)) & alike
     others = np.delete(current, np.flatnonzero(beyond) + 1)
     at = np.flatnonzero(beyond & (size > SPIKE_PART * np.ptp(others))) + 1
     apart_s = np.abs(time_s[at, None] - steps_s).min(axis=1, initial=np.inf)
@@ -311,14 +304,9 @@ def _current_spikes(series: Series, name: str, steps_s: Array) -> list[ImportFin
     if not len(at):
         return []
     k = int(at[np.argmax(size[at - 1])])
-    return [
-        ImportFinding(
-            "warning", "spike",
-            f"{name} jumps to {current[k]:.3g} A and back in {_listed(at, time_s)}, the others lie "
-            f"between {others.min():.3g} and {others.max():.3g} A",
-            "correct the sample by its neighbours: one such sample changes a fit",
-        )
-    ]  # fmt: skip
+    return causes.CURRENT_SPIKE.found(
+        name=name, jump=current[k], where=_listed(at, time_s), low=others.min(), high=others.max()
+    )
 
 
 def _listed(at: NDArray[np.intp], time_s: Array) -> str:
@@ -327,8 +315,3 @@ def _listed(at: NDArray[np.intp], time_s: Array) -> str:
     listed = ", ".join(f"{k + 1} ({time_s[k]:.2f} s)" for k in first)
     more = f" and {len(at) - len(first)} more" if len(at) > len(first) else ""
     return f"sample{'s' if len(at) > 1 else ''} {listed}{more}"
-
-
-def _usual(change: Array) -> float:
-    seen = change[np.isfinite(change)]
-    return float(np.median(seen)) if len(seen) else 0.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.checks.trials import read_trial_directories, refuse_unusable
+from models.trials.checks.trials import read_usable_trials, refuse_unusable
 from models.trials.files import write_trial
 
 
@@ -24,7 +24,7 @@ def swing(make_trial):
 def test_names_that_two_directories_hold_are_told_apart(swing, tmp_path):
     for place, factor in (("first", 1.0), ("second", 1.01)):
         write_trial(swing(factor), tmp_path / place)
-    found = read_trial_directories([tmp_path / "first", tmp_path / "second"], {})
+    found = read_usable_trials([tmp_path / "first", tmp_path / "second"], {})
     first, second = (t.name for t in found)
     assert first.startswith("first_") and second == first.replace("first", "second")
 
@@ -33,7 +33,7 @@ def test_a_copy_is_no_repetition(swing, tmp_path):
     for place in ("first", "second"):
         write_trial(swing(), tmp_path / place)
     with pytest.raises(InputError, match="is a copy of"):
-        read_trial_directories([tmp_path / "first", tmp_path / "second"], {})
+        read_usable_trials([tmp_path / "first", tmp_path / "second"], {})
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_a_frame_tilted_about_the_origin_is_a_tilt_and_no_shift(degrees):
     aside_m = HEIGHT_M * np.sin(np.radians(abs(degrees)))
     assert pose.tip_aside_m == pytest.approx(aside_m, abs=1e-4)
     assert f"{1e3 * aside_m:.0f}\xa0mm" in finding.text
-    assert "a prebend of the link, or a tilted frame" in finding.text
+    assert "a prebend of the link, a tilted frame" in finding.text
     assert 'align = "base"' in finding.remedy and "origin_m" not in finding.remedy
 
 

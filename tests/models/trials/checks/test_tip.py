@@ -9,7 +9,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from models.shared.kinematics import base_rotation
-from models.trials.checks.markers import judge_tip
+from models.trials.checks.tip import judge_tip
 from models.trials.checks.trials import check_trial, refuse_unusable
 from models.trials.files import write_trial
 

@@ -7,10 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.motion import Motion
+from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
+from models.trials.checks.payloads import judge_payload_unit, payload_unit_cause
 from models.trials.checks.trials import check_trial, check_trials, judge_doubled
+from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
 STEP_S, REST = 0.017, 60
@@ -111,6 +115,70 @@ def test_payloads_that_do_not_fit_the_current_are_told(shown_kg, words):
     ]
     found = [f for f in check_trials(TrialSet(tuple(trials))) if f.cause == "payload"]
     assert [words in f.text for f in found] == ([True] if words else [])
+
+
+PLANT_VALUES = {name: q.value for name, q in read_plant().parameters.items()}
+
+
+def declared(factor):
+    """Trials of 0, 1 and 2 kg whose payloads are stated in another unit."""
+    trials = [swung(kg) for kg in (0.0, 1.0, 2.0)]
+    metas = [msgspec.structs.replace(t.meta, payload_kg=factor * t.meta.payload_kg) for t in trials]
+    return [replace(t, meta=meta) for t, meta in zip(trials, metas, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"),
+    [
+        (1.0, ""), (2.2046, "in pounds"), (9.81, "in newtons"), (35.27, "in ounces"),
+        (1e3, "in grams"), (1 / 2.2046, "divided by 2.2"),
+    ],
+)  # fmt: skip
+def test_the_unit_of_the_payloads_is_told_by_the_current_and_the_plant(factor, unit):
+    found = judge_payload_unit(declared(factor), PLANT_VALUES)
+    assert [f.cause for f in found] == ["payload unit"] * bool(unit)
+    assert all(unit in f.text for f in found)
+
+
+def test_a_wrong_torque_constant_is_not_taken_for_a_unit():
+    wrong = PLANT_VALUES | {"torque_constant_1_nm_a": 2.2 * 6.83}
+    (found,) = judge_payload_unit(declared(1.0), wrong)
+    assert found.cause == "torque constant"
+
+
+@pytest.mark.parametrize(
+    ("factor", "error", "unit"),
+    [
+        (0.48, 0.02, "in pounds"), (1.05, 0.01, None), (0.7, 0.02, None), (0.5, 0.3, None),
+        (0.11, 0.01, "in newtons"),
+    ],
+)  # fmt: skip
+def test_a_factor_names_a_unit_only_where_one_fits_and_one_does_not(factor, error, unit):
+    assert payload_unit_cause(factor, error) == unit
+
+
+def test_payloads_in_pounds_are_told_by_validate_with_a_plant(tmp_path, capsys):
+    for trial in declared(2.2046):
+        write_trial(trial, tmp_path)
+    assert main(["validate", str(tmp_path), "--plant", "models/plant/nominal.toml"]) == 0
+    assert "the payloads seem to be in pounds" in capsys.readouterr().out
+
+
+def test_servo_logs_of_other_takes_are_told_by_the_bend():
+    """Angles of one motion are alike; the currents of two payloads are exchanged."""
+
+    def taken(kg, shown_kg):
+        trial = swung(kg, shown_kg=shown_kg)
+        tip_rad = (1.05 + 0.05 * kg) * trial.columns["angle_1_rad"]
+        return changed(trial, tip_x_m=1.01 * np.sin(tip_rad), tip_y_m=0 * tip_rad,
+                       tip_z_m=1.01 * np.cos(tip_rad))  # fmt: skip
+
+    def told(*shown_kg):
+        takes = [taken(kg, shown) for kg, shown in zip((0.0, 1.0, 2.0), shown_kg, strict=True)]
+        return {f.cause for f in check_trials(TrialSet(tuple(takes)))} & {"servo log", "payload"}
+
+    assert told(0.0, 1.0, 2.0) == set()
+    assert told(2.0, 1.0, 0.0) == {"servo log"}
 
 
 def test_the_load_of_one_joint_is_compared_where_both_move_alike():

@@ -105,7 +105,8 @@ def test_wrong_bags_and_topics_get_one_sentence(session, write_map, refused, tmp
     assert "topic /js is missing; it has /goals, /joint_states" in sentence({"/js": "joints"})
     assert "cannot be read as 'tip'" in sentence({"/joint_states": "tip"})
     assert "has no joint 'elbow'" in sentence({"/joint_states": "joints"}, joints=["elbow"])
-    assert "nothing holds goal_1_rad" in sentence({"/joint_states": "joints"})
+    units = {"joints": ["base", "tilt"][: session.dof], "effort_unit": "mA"}
+    assert "nothing holds goal_1_rad" in sentence({"/joint_states": "joints"}, **units)
     (tmp_path / "empty").mkdir()
     map_ = write_map(session.dof, topics=TOPICS)
     assert "is no readable ROS 2 bag" in refused(

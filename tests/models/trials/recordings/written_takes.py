@@ -8,6 +8,7 @@ default changes the take in one way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -17,6 +18,9 @@ import tomli_w
 from scipy.interpolate import CubicSpline
 
 from firmware_py.link.link_description import STUDY_LINK
+from firmware_py.link.marker_layout import square_corners_m
+from models.shared.kinematics import base_corners_m
+from models.trials.recordings.mapping import BASE_MARKERS
 from models.trials.trial import LINK_CONDITIONS, Array, Trial
 
 RATE_HZ: Final = 120.0
@@ -54,6 +58,10 @@ class WrittenTake:
     lost: float = 0.0  # Fraction of the log's samples that are lost singly
     occluded: float = 0.0  # Fraction of marker cells that are blank
     scale: float = 1.0  # Of the file's positions
+    base: str = ""  # {"", "plate", "stand"}, What carries the base's markers; "" for none
+    rate_hz: float = RATE_HZ  # Frame rate that the export states, of frames at `RATE_HZ`
+    changes: Callable[[dict[str, Any]], None] | None = None  # Of the map, in place
+    signals: Callable[[Trial], Trial] | None = None  # Of the trial before its log is written
 
     def write(self, trial: Trial, directory: Path, seed: int) -> list[str]:
         """Write the files; return the arguments of the import command without --out."""
@@ -70,10 +78,14 @@ class WrittenTake:
         if self.align == "none":
             frame |= {"origin_m": ORIGIN_M.tolist(), "yaw_deg": self.yaw_deg}
         markers = {name: f"Link:{self.names.get(name, name)}" for name in STUDY_LINK.layout.names}
+        if self.base:
+            markers |= {name: f"Base:{name}" for name in BASE_MARKERS}
         document = {
             "trial": trial_table, "frame": frame | self.wrong, "markers": markers,
             "servo_columns": columns,
         }  # fmt: skip
+        if self.changes is not None:
+            self.changes(document)
         (directory / "map.toml").write_text(tomli_w.dumps(document))
         return [
             str(directory / "take.csv"), "--as", "motive", "--servo", str(directory / "servo.csv"),
@@ -84,7 +96,13 @@ class WrittenTake:
         time_s = trial.time_s
         last_s = min(self.last_s, time_s[-1])
         frames_s = np.arange(max(self.first_s, time_s[0]), last_s, 1 / RATE_HZ)
-        places_m = CubicSpline(time_s, trial.markers_m)(frames_s)
+        markers_m = trial.markers_m
+        if self.base:
+            meta, angle_rad = trial.meta, trial.angle_rad * float(self.base == "plate")
+            corners_m = square_corners_m(meta.link_width_m)
+            base_m = base_corners_m(angle_rad, meta.base_offset_m, corners_m)
+            markers_m = np.concatenate([markers_m, base_m], axis=1)
+        places_m = CubicSpline(time_s, markers_m)(frames_s)
         places_m = places_m + NOISE_M * rng.standard_normal(places_m.shape)
         turn = np.radians(-self.yaw_deg)
         about_z = np.array(
@@ -95,8 +113,10 @@ class WrittenTake:
         if self.millimetres:
             in_file = 1e3 * in_file
         in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
-        kept = [k for k, name in enumerate(STUDY_LINK.layout.names) if name not in self.absent]
-        labels = [f"Link:{STUDY_LINK.layout.names[k]}" for k in kept for _ in "XYZ"]
+        names = [f"Link:{name}" for name in STUDY_LINK.layout.names]
+        names += [f"Base:{name}" for name in BASE_MARKERS] if self.base else []
+        kept = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
+        labels = [names[k] for k in kept for _ in "XYZ"]
         unit = "Millimeters" if self.millimetres else "Meters"
         head = [
             f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
@@ -109,7 +129,7 @@ class WrittenTake:
         ]
         cells = in_file[:, kept].reshape(len(frames_s), -1)
         rows = [
-            f"{k},{k / RATE_HZ:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
+            f"{k},{k / self.rate_hz:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
             for k, row in enumerate(cells.tolist())
         ]
         path.write_text("\n".join([*head, *rows]) + "\n")
@@ -117,6 +137,7 @@ class WrittenTake:
     def _write_servo(
         self, trial: Trial, path: Path, rng: np.random.Generator
     ) -> dict[str, dict[str, Any]]:
+        trial = self.signals(trial) if self.signals is not None else trial
         time_s = trial.time_s
         kept = (time_s >= self.first_s) & (time_s <= self.last_s)
         start_s, length_s = self.gap_s
