@@ -44,8 +44,8 @@ from models.trials.checks.finding import (
     ImportFinding,
     level_of,
 )
-from models.trials.recordings.frame import fit_rigid_motion, nominal_markers_m, world_rotation
 from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.series import fit_rigid_motion, nominal_markers_m, world_rotation
 from models.trials.trial import Array, TrialMeta
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -26,7 +26,7 @@ from firmware_py.log.logged_run import OUTSIDE, LoggedMotion, LoggedRun, logged_
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.motion import KINDS, Motion
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
+from firmware_py.signals import PAYLOAD, joint_signals, tip_names
 from models.trials.recordings.mapping import RecordingMap, Scalar
 from models.trials.recordings.series import Series
 from models.trials.trial import Array, rows_at_rest
@@ -37,15 +37,8 @@ expects at rest."""
 _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
 
 
-class LogEnd(NamedTuple):
-    """Early end of the motion in a log."""
-
-    row: int  # First row that is not part of the motion
-    text: str  # Sentence on what is left out, and why
-
-
-def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
-    """Rows of a log in which the robot followed its motion, and the reason for an early end.
+def motion_rows(log: Recording) -> tuple[Recording, str | None]:
+    """Rows of a log in which the robot followed its motion, and why the others are left out.
 
     The first alert ends them, or a stop before the end of the motion. Rows of a stop after the
     motion stay: they hold its last goals.
@@ -71,7 +64,7 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
     goals = _motion_goals(replace(log, columns=left))
     if len(goals) == 0 or len(goals) - rows_at_rest(goals) < LEAST_MOVING_ROWS:
         raise InputError(log.path, f"{text}, and hardly any motion is left", "record it again")
-    return replace(log, columns=left), LogEnd(row, text)
+    return replace(log, columns=left), text
 
 
 def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
@@ -119,7 +112,7 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     return msgspec.structs.replace(
         mapping,
         trial=trial | mapping.trial,
-        step_s=step_s if mapping.step_s == PERIOD_S else mapping.step_s,
+        step_s=mapping.step_s if mapping.step_named else step_s,
     )
 
 

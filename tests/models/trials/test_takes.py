@@ -3,8 +3,7 @@
 import pytest
 
 from firmware_py.errors import InputError
-from models.trials.recordings.mapping import RecordingMap, TakeRules
-from models.trials.recordings.takes import find_takes
+from models.trials.recordings.mapping import RecordingMap, TakeRules, find_takes
 
 
 @pytest.fixture
@@ -65,7 +64,7 @@ def test_a_name_that_fits_in_many_ways_is_taken_apart_at_once(tmp_path):
     ("table", "what"),
     [("file,trial,trial\na,1,2\n", "column 'trial' stands twice"),
      ("file,trial\na,1\na,2\n", "take 'a' stands twice"),
-     ("file,trial\na,1,2\n", "line 2 has 3 cells, the header 2"),
+     ("file,trial\na,1,2\n", "row 2 has 3 cells, the header 2"),
      ("file,offset_s\na,soon\n", "offset_s is 'soon'"), ("file,offset_s\na,inf\n", "'inf'"),
      ("", "has no column 'file'"), ("file\n", "with a row"), ("file\n" + "a\n" * 10**6, "MB")],
 )  # fmt: skip

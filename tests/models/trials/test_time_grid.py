@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.trials.recordings.assembly import assemble_trial, sampled, time_grid
+from models.trials.recordings.assembly import assemble_trial, time_grid
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series
 
@@ -47,14 +47,14 @@ def test_goals_belong_to_samples_that_jitter(files, tmp_path):
 def test_a_finely_logged_goal_gives_the_phase_in_which_it_was_sent():
     log_s = np.arange(0, 3, 0.001)
     sent = np.floor((log_s - 0.0051) / STEP_S)
-    grid = time_grid(0.0123, 2.9, STEP_S, [sampled(log_s, sent)])
+    grid = time_grid(0.0123, 2.9, STEP_S, [(log_s, sent)])
     assert grid.in_phase
     assert (grid.time_s - 0.0051) % STEP_S == pytest.approx(0.0, abs=1e-3)
 
 
 def test_another_step_begins_on_a_sample():
     log_s = 0.0031 + np.arange(0, 3, 0.01)
-    grid = time_grid(0.0123, 2.9, STEP_S, [sampled(log_s, np.sin(log_s))])
+    grid = time_grid(0.0123, 2.9, STEP_S, [(log_s, np.sin(log_s))])
     assert not grid.in_phase
     assert grid.time_s[0] == pytest.approx(0.0131)
     assert np.diff(grid.time_s) == pytest.approx(STEP_S)
@@ -62,6 +62,6 @@ def test_another_step_begins_on_a_sample():
 
 def test_a_lost_sample_leaves_the_grid_where_it_was():
     log_s = np.delete(STEP_S * np.arange(100), 40)
-    grid = time_grid(0.0, 99 * STEP_S, STEP_S, [sampled(log_s, log_s)])
+    grid = time_grid(0.0, 99 * STEP_S, STEP_S, [(log_s, log_s)])
     assert grid.in_phase
     assert grid.time_s == pytest.approx(STEP_S * np.arange(100))

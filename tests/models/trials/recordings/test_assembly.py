@@ -5,7 +5,8 @@ import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.files import read_trial
-from models.trials.recordings.assembly import align_markers, assemble_trial
+from models.trials.pipeline import align_markers
+from models.trials.recordings.assembly import assemble_trial
 from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.recordings.series import Series, marker_columns
 
