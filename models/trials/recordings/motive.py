@@ -43,9 +43,8 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
             "holds none of the mapped markers; it has " + (", ".join(found[:20]) or "no names"),
             'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
         )
-    names = [
-        " ".join(filter(None, cell)) for cell in zip(labels["Name"], labels["Frame"], strict=True)
-    ]
+    cells = zip(labels["Name"][2:], labels["Frame"][2:], strict=True)
+    names = [*labels["Frame"][:2], *(" ".join(filter(None, cell)) for cell in cells)]
     time = labels["Frame"].index("Time (Seconds)")
     used = [time, *(k for axes in positions.values() for k in axes)]
     samples = read_numbers(path, lines, names, used, above=above)
