@@ -394,9 +394,9 @@ below the first row does not lag exactly like that above. On 13 rigs at 0 to 2 k
 the frame known to 0 to 3 mm, it is 0.04 [measured]."""
 UNCORRECTED_DEVIATION_S: Final = 0.004
 """The same without measured bend: the lag is 1 to 9 ms on the rig at 0 to 2 kg."""
-FLOOR_S: Final = 2.5e-4
+FLOOR_S: Final = 3e-4
 """Standard deviation of what shifts the whole motion, whatever it is compared with: play and
-wind-up of the gear behind the encoder. It is 0.2 ms on the same rigs [measured]."""
+wind-up of the gear behind the encoder. It is 0.2 to 0.4 ms on the same rigs [measured]."""
 RANGE_S: Final = 0.03
 """Half width of the search around the coarse offset."""
 MODEL_ERROR_S: Final = 0.25

@@ -94,7 +94,10 @@ def _wrong_map(
     if any(column.source in raw for column in others.values()):
         remedy = f"its columns stand under {other}: name them under {mapping.table}"
         return InputError(path, what, f"{remedy} in MAP.toml")
-    return InputError(path, what, f"{remedy} under {mapping.table} in MAP.toml")
+    of_servo = (
+        "; [servo_columns] is for the file of --servo" if mapping.table == "[columns]" else ""
+    )
+    return InputError(path, what, f"{remedy} under {mapping.table} in MAP.toml{of_servo}")
 
 
 def read_columns(path: Path) -> Columns:

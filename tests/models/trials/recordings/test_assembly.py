@@ -1,14 +1,20 @@
 """Goals belong to the samples that they follow; epochs keep their step; bases align frames."""
 
+import json
+
 import numpy as np
 import pytest
 
+from dropstitch.__main__ import main
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.files import read_trial
 from models.trials.pipeline import align_markers
 from models.trials.recordings.assembly import assemble_trial
 from models.trials.recordings.mapping import BASE_MARKERS, MocapFrame, RecordingMap
 from models.trials.recordings.series import Series, marker_columns
+from tests.models.trials.recordings.conftest import angle_rad
+from tests.models.trials.recordings.test_wrong_imports import rigid_trial
+from tests.models.trials.recordings.written_takes import WrittenTake
 
 META = {
     "dof": 1, "payload_kg": 1.0, "pressure_pa": 41300.0, "trial": 1, "motion": "step",
@@ -65,3 +71,23 @@ def test_the_base_aligns_the_frame_and_keeps_the_prebend(rigid_markers, tmp_path
     assert by["base"] == pytest.approx(bent_m[0], abs=1e-9)
     tip_x_m = by["rest"][12:, 0].mean()
     assert abs(tip_x_m) < 0.5 * bent_m[0, 12:, 0].mean()  # the prebend is laid on the axis
+
+
+@pytest.mark.parametrize(("bent_m", "warned"), [(0.016, True), (0.004, False)])
+def test_a_lean_that_the_rest_pose_takes_away_is_said(
+    bent_m, warned, rigid_markers, tmp_path, capsys
+):
+    trial = rigid_trial(angle_rad(0.017 * np.arange(300), 1))
+    for k, name in enumerate(STUDY_LINK.layout.names):
+        height = trial.markers_m[0, k, 2] / 1.01
+        trial.columns[f"{name}_x_m"] = trial.columns[f"{name}_x_m"] + bent_m * height**1.5
+    arguments = WrittenTake(align="rest").write(trial, tmp_path, 1)
+    out = ["--out", str(tmp_path / "trials")]
+    assert main(["import", *arguments, *out, "--json"]) == 0
+    printed, err = capsys.readouterr()
+    document = json.loads(printed)
+    assert document["removed_lean_tip_m"] == pytest.approx(bent_m, rel=0.4)
+    assert ("takes away a lean of" in err) == warned == (document["verdict"] == "warned")
+    assert ("takes away a lean" in (tmp_path / "trials" / "take.html").read_text()) == warned
+    assert main(["import", *arguments, *out]) == 0
+    assert "took away a lean of" in capsys.readouterr().out

@@ -16,7 +16,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
 from models.trials.files import read_trial
 from models.trials.recordings import robot_log
-from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.mapping import RecordingMap, read_mapping
 
 MAP = """
 [trial]
@@ -273,3 +273,11 @@ def test_goals_that_begin_beside_zero_have_the_amplitude_of_their_plan(tmp_path,
         path = log_of(tmp_path / f"{amplitude_rad}.mcap", records, 1, motion=json.dumps(known))
         found = [f["text"] for f in import_(path)[1]["findings"] if f["cause"] == "amplitude"]
         assert fits == (not found), amplitude_rad
+
+
+def test_a_step_that_the_map_states_counts_even_where_it_is_the_nominal_one(tmp_path):
+    log = read_recording(log_of(tmp_path / "a.mcap", records_of(1), 1, period_s="0.01"))
+    for head, step_s in (("", 0.01), ("step_s = 0.017\n", 0.017), ("step_s = 0.02\n", 0.02)):
+        (tmp_path / "map.toml").write_text(head + MAP)
+        mapping = robot_log.with_log_conditions(read_mapping(tmp_path / "map.toml"), log)
+        assert mapping.step_s == step_s
