@@ -87,17 +87,15 @@ def _wrong_map(
 ) -> InputError:
     """Error of a map that does not fit a table; it says which table of the map was used."""
     what += "; it has " + ", ".join(map(repr, list(raw)[:20]))
+    remedy += f" under {mapping.table} in MAP.toml"
     if mapping.table == "[columns]":
         others, other = mapping.servo_columns, "[servo_columns], for the file of --servo"
+        remedy += "; [servo_columns] is for the file of --servo"
     else:
         others, other = mapping.recording_columns, "[columns], for the recording itself"
     if any(column.source in raw for column in others.values()):
-        remedy = f"its columns stand under {other}: name them under {mapping.table}"
-        return InputError(path, what, f"{remedy} in MAP.toml")
-    of_servo = (
-        "; [servo_columns] is for the file of --servo" if mapping.table == "[columns]" else ""
-    )
-    return InputError(path, what, f"{remedy} under {mapping.table} in MAP.toml{of_servo}")
+        remedy = f"its columns stand under {other}: name them under {mapping.table} in MAP.toml"
+    return InputError(path, what, remedy)
 
 
 def read_columns(path: Path) -> Columns:
