@@ -308,15 +308,28 @@ def _aligned(
 def _rest_pose_of(
     series: list[Series], mapping: RecordingMap, rest_rad: Array | None
 ) -> RestPose | None:
-    means: dict[str, Array] = {}
-    for s in series:
-        names = [n for n in mapping.layout.names if s.has(n)]
-        rest = _rest_count(s, names)
-        for name in names:
-            rows = s.position_m(name)[:rest]
-            seen = np.isfinite(rows).all(axis=1)
-            means[name] = rows[seen].mean(axis=0) if seen.any() else np.full(3, np.nan)
-    return rest_pose(means, mapping.meta(0), rest_rad)
+    means_m = [_rest_means_m(s, mapping.layout.names) for s in series]
+    known = {name: mean_m for means in means_m for name, mean_m in means.items()}
+    return rest_pose(known, mapping.meta(0), rest_rad)
+
+
+def _rest_means_m(series: Series, markers: Sequence[str]) -> dict[str, Array]:
+    """Mean place (3,) of each marker in the leading samples in which none has moved.
+
+    It is NaN for a marker that was occluded in all of them.
+    """
+    places_m = {name: series.position_m(name) for name in markers if series.has(name)}
+    rest = len(series.time_s)
+    for column in (column[:rest] for place_m in places_m.values() for column in place_m.T):
+        first_m = column[int(np.argmax(np.isfinite(column)))]
+        moved = np.flatnonzero(np.abs(column - first_m) > _REST_RANGE_M)  # NaN does not count
+        rest = min(rest, int(moved[0])) if len(moved) else rest
+    means_m = {}
+    for name, place_m in places_m.items():
+        rows = place_m[: max(rest, 1)]
+        seen = np.isfinite(rows).all(axis=1)
+        means_m[name] = rows[seen].mean(axis=0) if seen.any() else np.full(3, np.nan)
+    return means_m
 
 
 def align_markers(
@@ -343,40 +356,26 @@ def _moved_onto(series: Series, nominal: dict[str, Array], mapping: RecordingMap
     A link with a prebend looks like a tilted frame, so aligning by the link itself is an option.
     """
     by_base = mapping.frame.align == "base"
-    names = [n for n in mapping.known_markers if series.has(n)]
-    rest = _rest_count(series, names)
-    markers_m = {n: series.position_m(n) for n in names}
-    pairs = [
-        (np.nanmean(markers_m[n][:rest], axis=0), nominal[n])
-        for n in names
-        if n in nominal and np.isfinite(markers_m[n][:rest]).any()
-    ]
+    markers_m = {n: series.position_m(n) for n in mapping.known_markers if series.has(n)}
+    means_m = _rest_means_m(series, mapping.known_markers)
+    seen = [n for n in nominal if n in means_m and np.isfinite(means_m[n]).all()]
     least = 3 if by_base else 4
-    if len(pairs) < least:
+    if len(seen) < least:
         raise InputError(
             series.path,
-            f"shows {len(pairs)} markers {'of the base ' if by_base else ''}at rest",
+            f"shows {len(seen)} markers {'of the base ' if by_base else ''}at rest",
             f"align needs at least {least}" + (": map b01 … b04" if by_base else ""),
         )
-    rotation, shift_m = fit_rigid_motion(*(np.array(side) for side in zip(*pairs, strict=True)))
+    rotation, shift_m = fit_rigid_motion(
+        np.array([means_m[n] for n in seen]), np.array([nominal[n] for n in seen])
+    )
     moved = {n: position @ rotation.T + shift_m for n, position in markers_m.items()}
     return replace(series, columns=series.columns | marker_columns(moved))
 
 
-def _rest_count(series: Series, names: Sequence[str]) -> int:
-    """Number of leading samples in which no marker has moved, at least one."""
-    rest = len(series.time_s)
-    for column in (series.columns[f"{name}_{axis}_m"][:rest] for name in names for axis in "xyz"):
-        seen = np.isfinite(column)
-        first_m = column[int(np.argmax(seen))]
-        moved = np.flatnonzero(np.abs(column - first_m) > _REST_RANGE_M)  # NaN does not count
-        rest = int(moved[0]) if len(moved) else rest
-    return max(rest, 1)
-
-
-def _removed_lean(pose: RestPose, mapping: RecordingMap) -> tuple[float, float] | None:
+def _removed_lean(pose: RestPose | None, mapping: RecordingMap) -> tuple[float, float] | None:
     """Lean in rad, and in m at the tip, that an alignment by the link itself takes away."""
-    if mapping.frame.align != "rest" or pose.tilt_rad > _LYING_RAD:
+    if pose is None or mapping.frame.align != "rest" or pose.tilt_rad > _LYING_RAD:
         return None
     meta = mapping.meta(0)
     reach_m = meta.base_offset_m + meta.link_length_m
@@ -387,8 +386,10 @@ def _judge_removed_lean(pose: RestPose, mapping: RecordingMap) -> list[ImportFin
     removed = _removed_lean(pose, mapping)
     if removed is None or removed[1] <= OFFSET_M[0]:
         return []
-    text = f'align = "rest" takes away a lean of {ANGLE.text(removed[0])}, '
-    text += f"{LENGTH.text(removed[1], 0)} at the tip: a prebend of the link, or a tilted frame"
+    text = (
+        f'align = "rest" takes away a lean of {_lean_words(*removed)}: a prebend of the link, or '
+        "a tilted frame"
+    )
     remedy = (
         'to keep a prebend, map markers of the base and set align = "base", or give the frame with '
         'align = "none"'
@@ -397,23 +398,20 @@ def _judge_removed_lean(pose: RestPose, mapping: RecordingMap) -> list[ImportFin
 
 
 def _lean(verdict: ImportVerdict, mapping: RecordingMap) -> dict[str, Any]:
-    """Facts on the lean of the link at rest, where no finding tells it."""
+    """Facts on the lean of the link at rest: removed, or left in without a finding that says so."""
     pose = verdict.pose
-    if pose is None:
-        return {}
     if (removed := _removed_lean(pose, mapping)) is not None:
-        tilt, aside = ANGLE.text(removed[0]), LENGTH.text(removed[1], 0)
-        return {
-            "removed_lean_rad": removed[0],
-            "removed_lean_tip_m": removed[1],
-            "lean": f'align = "rest" took away a lean of {tilt}, {aside} at the tip',
-        }
-    is_tilted = any(finding.cause == "tilt" for finding in verdict.findings)
-    if mapping.frame.align != "none" or is_tilted or pose.tip_aside_m <= OFFSET_M[0]:
+        lean = f'align = "rest" took away a lean of {_lean_words(*removed)}'
+        return {"removed_lean_rad": removed[0], "removed_lean_tip_m": removed[1], "lean": lean}
+    is_told = any(finding.cause == "tilt" for finding in verdict.findings)
+    if pose is None or mapping.frame.align != "none" or is_told or pose.tip_aside_m <= OFFSET_M[0]:
         return {}
-    tilt, aside = ANGLE.text(pose.tilt_rad), LENGTH.text(pose.tip_aside_m, 0)
-    lean = f"at rest the link leans by {tilt}, {aside} at its tip (a prebend, or a tilted frame)"
-    return {"lean": lean}
+    words = _lean_words(pose.tilt_rad, pose.tip_aside_m)
+    return {"lean": f"at rest the link leans by {words} (a prebend, or a tilted frame)"}
+
+
+def _lean_words(angle_rad: float, tip_m: float) -> str:
+    return f"{ANGLE.text(angle_rad)}, {LENGTH.text(tip_m, 0)} at the tip"
 
 
 def _without_base(series: list[Series]) -> list[Series]:

@@ -1,46 +1,7 @@
 """Map of recordings (MAP.toml): names, units, frame and conditions that the files lack.
 
-::
-
-    step_s = 0.017                     # uniform step of the trial
-    link = "link.toml"                 # beside the map: size, markers and gravity of your link
-    plant = "xl330_pendulum.toml"      # beside the map: [signals] of a plant that is not the link
-
-    [trial]                            # the trial's conditions (docs/trials.md)
-    dof = 1                            # schema, source, rest_samples and period_s may be left out
-    payload_kg = 1.0
-    motion = { from = "trajectory" }   # single value of the file, by its name in it
-    …
-
-    [conditions]                       # conditions that the plant declares: a number, or
-    duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # a single value
-
-    [columns]                          # table, C3D analog: column of the trial = its source
-    time_s      = { from = "stamp", unit = "ms" }
-    position_1_m = { from = "samples[].motor.position", unit = "mm" }   # path into nested JSON
-    angle_1_rad = { from = "Present Position", unit = "deg" }
-    current_1_a = { from = "cur", unit = "mA", scale = -1.0, offset = 0.0 }
-
-    [servo_columns]                    # the same for --servo, if it is another table
-
-    [markers]                          # motive, C3D, rosbag: name in the trial = name in the file
-    m01 = "Link:Marker 001"
-    tip = "EndEffector"
-
-    [topics]                           # rosbag: topic = joints | goals | markers | tip | m01 …
-    "/joint_states" = "joints"
-
-    [frame]                            # mocap frame -> world frame
-    up = "y"                           # axis of the file along which the link points at zero angle
-    mirror = "x"                       # axis of a left-handed file that is reversed
-    align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
-    origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
-    yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
-
-    [takes]                            # one map for many files: conditions by file name or table
-    pattern = "load{payload_kg}_take{trial}"   # of the file names, without suffix
-    table = "takes.csv"                # or a table with a column `file` and one for each condition
-    servo = "{name}.mcap"              # servo log of each take, beside it
+docs/trials.md, "Importing recordings", has a map for each format. One map may import many takes,
+whose conditions come from the names of their files or from a table.
 """
 
 from __future__ import annotations
@@ -88,23 +49,31 @@ class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Orientation and origin of the motion capture's frame in the world."""
 
+    # Axis of the file along which the link points at zero angle; None for that of the format
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    # Axis of a left-handed file that is reversed
     mirror: Literal["x", "y", "z"] | None = None
+    # What lays the markers on the nominal robot: the link's rest pose, the base plate's markers
     align: Literal["rest", "base", "none"] = "none"
+    # Crossing of the joint axes, after the turn to z-up
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Turn about z that takes the file's x to the world's x
     yaw_deg: float = 0.0
 
 
 class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`[takes]`: conditions and servo logs of many takes; see the module's docstring."""
+    """`[takes]`: conditions and servo logs of many takes."""
 
+    # Of the files' names without suffix, like "load{payload_kg}_take{trial}"
     pattern: str = ""
+    # Or a table with a column `file` and one for each condition, beside the map
     table: str = ""
+    # Servo log of each take, beside it, like "{name}.mcap"
     servo: str = ""
 
 
 class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Content of MAP.toml; the module's docstring has an example."""
+    """Content of MAP.toml, and what it names: the link, the plant's signals."""
 
     # Conditions of the trial, by key of its TOML file
     trial: dict[str, Scalar | ScalarSource] = {}

@@ -24,7 +24,7 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.log.logged_run import OUTSIDE, LoggedMotion, LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
-from firmware_py.motion import KINDS, Motion
+from firmware_py.motion import Motion
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PAYLOAD, joint_signals, tip_names
 from models.trials.recordings.mapping import RecordingMap, Scalar
@@ -136,31 +136,11 @@ def _early_stop(log: Recording) -> int | None:
     if not len(rows):
         return None
     row, facts = int(rows[0]), logged_run(log)
-    slots = _slots(log, facts)
-    if slots is not None and log.columns["tick"][row] >= slots:
+    if facts.slots is not None and log.columns["tick"][row] >= facts.slots:
         return None
     goals = _goals(log)
     from_rest = bool((goals[row:] == goals[max(row - 1, 0)]).all())
-    return None if from_rest and (slots is None or _outside(facts)) else row
-
-
-def _slots(log: Recording, facts: LoggedRun) -> int | None:
-    """Tick in which the motion should end; from the motion itself in earlier logs."""
-    if facts.slots is not None or facts.period_s is None:
-        return facts.slots
-    logged = facts.motion
-    kind = next((kind for kind in KINDS if kind == logged.kind), None)
-    try:
-        if logged.design is not None:
-            motion = Motion.designed(logged.design)
-        elif kind is not None and logged.period_s is not None:
-            motion = Motion(kind, period_s=logged.period_s)
-        else:
-            return None
-        rest_rows = int(log.metadata.get("rest_samples", "0"))
-    except (InputError, ValueError):
-        return None
-    return rest_rows + round(motion.duration_s / facts.period_s)
+    return None if from_rest and (facts.slots is None or _outside(facts)) else row
 
 
 def _goals(log: Recording) -> Array:
@@ -177,12 +157,8 @@ def _late_s(columns: dict[str, NDArray[Any]]) -> Array:
 
     It is counted from the usual time of a sample that is answered at the first attempt.
     """
-    status = columns["bus_status"]
+    status, after_ns = columns["bus_status"], columns["sample_late_ns"]
     at_once, again = status == BusStatus.OK, status == BusStatus.RETRIED
-    after_ns = columns["wake_ns"] + columns["read_ns"]
-    known_ns = columns.get("sample_late_ns")
-    if known_ns is not None and np.isfinite(known_ns).all():
-        after_ns = known_ns
     if not at_once.any() or not again.any():
         return np.zeros(len(status))
     late_s = np.where(again, 1e-9 * (after_ns - np.median(after_ns[at_once])), 0.0)
@@ -205,9 +181,8 @@ def _at_rows(
 
 
 def _outside(facts: LoggedRun) -> bool:
-    """Whether another program sent the goals; earlier logs then state an amplitude of zero."""
-    motion = facts.motion
-    return motion.design is None and motion.motion == OUTSIDE and not motion.amplitude_rad
+    """Whether another program sent the goals."""
+    return facts.motion.design is None and facts.motion.motion == OUTSIDE
 
 
 def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:
