@@ -41,6 +41,7 @@ def test_conditions_come_from_a_table(folder):
 @pytest.mark.parametrize(
     ("pattern", "what"),
     [("run{trial}", "does not fit"), ("load{mass}_take{trial}", "is no condition"),
+     ("load{gravity_m_s2}_take{trial}", "is no condition"),
      ("{motion}_take{trial}x", "does not fit"), ("load{trial}_{motion}", "no number"),
      ("load{trial}_take{trial}", "names a condition twice"), ("load", "does not fit"),
      ("load0.5_take1{notes}", "does not fit")],
