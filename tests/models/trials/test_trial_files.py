@@ -1,3 +1,5 @@
+"""Trial files: written and read bit for bit, and refused where a part is wrong."""
+
 import errno
 import os
 import re
@@ -340,3 +342,52 @@ def test_a_file_that_ends_within_a_number_is_refused(make_trial, swing_rad, tmp_
 def test_an_underscore_is_no_part_of_a_number(written):
     set_cell(written, 3, "time_s", "0.0_17")
     assert "row 3, column 'time_s': '0.0_17'" in refusal(written)
+
+
+@pytest.fixture
+def directory(make_trial, swing_rad, tmp_path):
+    for name in ("first", "second"):
+        write_trial(make_trial(swing_rad, name=name), tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("suffix", [".CSV", ".Csv"])
+def test_a_suffix_in_capitals_is_a_trial_too(directory, suffix):
+    before = read_trials(directory)
+    (directory / "first.csv").rename(directory / f"first{suffix}")
+    after = read_trials(directory)
+    assert [t.name for t in after] == ["first", "second"]
+    assert after.sha256() == before.sha256()
+
+
+@pytest.mark.parametrize("suffix", [".TOML", ".Toml"])
+def test_conditions_with_a_suffix_in_capitals_are_those_of_the_trial(directory, suffix):
+    before = read_trials(directory)
+    (directory / "first.toml").rename(directory / f"first{suffix}")
+    assert read_trials(directory).sha256() == before.sha256()
+
+
+@pytest.mark.parametrize("left", [("second",), ()])
+def test_conditions_without_samples_are_refused(directory, left):
+    for name in {"first", "second"} - set(left):
+        (directory / f"{name}.csv").unlink()
+    with pytest.raises(InputError, match=r"first\.toml: is a trial without samples: first\.csv is"):
+        read_trials(directory)
+
+
+def test_other_documents_lie_beside_trials(directory):
+    for name, content in {
+        "map": "[trial]\ntrial = 1\nrest_samples = 3\nmotion = 'step'\n[columns]\n",
+        "link": "name = 'link'\nmotion = 'none'\n", "damaged": "trial = ", "empty": "",
+    }.items():  # fmt: skip
+        (directory / f"{name}.toml").write_text(content)
+    assert [t.name for t in read_trials(directory)] == ["first", "second"]
+
+
+def test_two_files_of_one_name_are_refused(directory):
+    copy = directory / "first.CSV"
+    if copy.exists():
+        pytest.skip("the file system ignores the case")
+    copy.write_bytes((directory / "first.csv").read_bytes())
+    with pytest.raises(InputError, match="has the name of the trial first"):
+        read_trials(directory)
