@@ -14,31 +14,22 @@ import contextlib
 import itertools
 import os
 import sys
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import msgspec
-import numpy as np
 
 from firmware_py.console import BAD_INPUT, DONE, emit
-from firmware_py.display_units import ANGLE, DURATION, LENGTH
+from firmware_py.display_units import DURATION
 from firmware_py.errors import InputError
 from firmware_py.files.guarded_call import SECONDS, guarded_call
 from firmware_py.files.input_files import MOST_BYTES
-from firmware_py.log.recording import read_recording
 from models.commands.output_paths import check_output_directory
-from models.trials.checks.causes import ORIGIN, ImportFinding
-from models.trials.checks.page import clock_text, write_verdict
-from models.trials.checks.verdict import ImportVerdict
-from models.trials.files import check_trial_name, read_trial, write_trial
-from models.trials.pipeline import Source, check_earlier_import, inspect_import, recording_hash
+from models.trials.files import check_trial_name
+from models.trials.pipeline import Source, import_take
 from models.trials.recordings import KINDS
-from models.trials.recordings.mapping import RecordingMap, read_mapping
-from models.trials.recordings.robot_log import motion_rows, with_log_conditions
-from models.trials.recordings.table import read_scalars
-from models.trials.recordings.takes import Take, find_takes
+from models.trials.recordings.mapping import RecordingMap, Take, find_takes, read_mapping
 
 SECONDS_PER_BYTE: Final = 2e-6
 """Processor time by the size of a recording: five times that of a bag of joint states
@@ -70,7 +61,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Import every take and check the written trials like any others."""
     mapping = read_mapping(args.map)
     takes = find_takes(args.file, args.kind, mapping)
     single = args.name or takes[0].file.stem
@@ -131,11 +121,15 @@ def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
     """
     check_trial_name(name, "--name")
     args.out.mkdir(parents=True, exist_ok=True)
+    servo = args.servo or take.servo
+    offset_s = args.offset if args.offset is not None else take.offset_s
+    source = Source(take.file, args.kind, servo, offset_s)
     with TemporaryDirectory(prefix=".import-", dir=args.out) as scratch:
         answer = guarded_call(
-            lambda: msgspec.json.encode(_imported(args, take, name, Path(scratch))), take.file,
-            "export it again, or import less of it",
-            seconds=_seconds_for(take.file, args.servo or take.servo),
+            lambda: msgspec.json.encode(
+                import_take(source, take.mapping, name, args.out, Path(scratch))
+            ),
+            take.file, "export it again, or import less of it", seconds=_seconds_for(source),
         )  # fmt: skip
         result: dict[str, Any] = msgspec.json.decode(answer)
         for file in sorted(Path(scratch).iterdir()):  # the CSV first: a trial needs both
@@ -145,70 +139,14 @@ def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:
     return result
 
 
-def _imported(args: argparse.Namespace, take: Take, name: str, out: Path) -> dict[str, Any]:
-    """Write trial and page to `out`; returns the facts about them."""
-    mapping, servo = take.mapping, args.servo or take.servo
-    recording_sha256 = recording_hash(take.file)
-    check_earlier_import(args.out, name, recording_sha256)
-    cut_off, verdict = [], ImportVerdict(name)
-    for path in (take.file, servo):
-        if path is not None and path.suffix.lower() == ".mcap":
-            mapping, complete = _with_log(mapping, path, verdict)
-            cut_off += [] if complete else [str(path)]
-    if args.kind == "table":
-        mapping = mapping.with_scalars(read_scalars(take.file), take.file)
-    offset_s = args.offset if args.offset is not None else take.offset_s
-    try:
-        trial = inspect_import(Source(take.file, args.kind, servo, offset_s), mapping, verdict)
-        meta = msgspec.structs.replace(trial.meta, recording_sha256=recording_sha256)
-        path = write_trial(replace(trial, meta=meta), out)
-        trial = read_trial(path, mapping.signals)
-    except InputError as error:
-        if verdict.pose is None and verdict.trial is None:
-            raise
-        if not verdict.refused:
-            verdict.findings.append(ImportFinding("refused", "refused", error.what, error.remedy))
-        page = write_verdict(verdict, args.out)
-        written = str(out) in error.where
-        raise InputError(
-            take.file if written else error.where, error.what, f"{error.remedy} (see {page})"
-        ) from None
-    write_verdict(verdict, out)
-    result: dict[str, Any] = verdict.as_json() | {
-        "trial": str(args.out / path.name),
-        "page": str(args.out / f"{name}.html"),
-        "rows": len(trial),
-        "step_s": trial.step_s,
-        "rest_samples": trial.meta.rest_samples,
-        "occluded_share": None if mapping.signals else float(np.mean(np.isnan(trial.markers_m))),
-        "cut_off": cut_off,
-    }
-    pose, clock = verdict.pose, verdict.clock
-    judged = mapping.frame.align != "none" or any(f.cause == "tilt" for f in verdict.findings)
-    if pose is not None and not judged and pose.tip_aside_m > ORIGIN.limits[0]:
-        lean, aside = ANGLE.text(pose.tilt_rad), LENGTH.text(pose.tip_aside_m, 0)
-        result["lean"] = f"at rest the link leans by {lean}, {aside} at its tip"
-    if servo is not None and clock is not None:
-        result |= {"offset_s": clock.offset_s, "clock": clock_text(clock)}
-        if clock.by != "option":
-            result["offset_error_s"] = clock.error_s
-        if clock.by == "motion":
-            result["correlation"] = clock.correlation
-    return result
-
-
-def _with_log(
-    mapping: RecordingMap, path: Path, verdict: ImportVerdict
-) -> tuple[RecordingMap, bool]:
-    """Map with the conditions of a log, and whether the log is complete.
-
-    An event that ended the motion early is added to the verdict.
-    """
-    log, end = motion_rows(read_recording(path))
-    if end is not None:
-        remedy = "record it again where the whole motion is needed"
-        verdict.findings.append(ImportFinding("warning", "stop", end.text, remedy))
-    return with_log_conditions(mapping, log), log.complete
+def _seconds_for(source: Source) -> float:
+    """Limit of the processor time for files of this size; unreadable files are refused later."""
+    size = 0
+    for path in filter(None, (source.file, source.servo)):
+        with contextlib.suppress(OSError, ValueError):
+            files = path.iterdir() if path.is_dir() else (path,)
+            size += sum(file.stat().st_size for file in itertools.islice(files, 100))
+    return SECONDS + min(size, 2 * MOST_BYTES) * SECONDS_PER_BYTE
 
 
 def _described(result: dict[str, Any]) -> str:
@@ -218,21 +156,9 @@ def _described(result: dict[str, Any]) -> str:
     )
     if result["occluded_share"] is not None:
         text += f", {result['occluded_share']:.1%} of the marker cells empty"
-    if "clock" in result:
-        text += f"; {result['clock']}"
-    if "lean" in result:
-        text += f"; {result['lean']} (a prebend, or a tilted frame)"
+    for key in ("clock", "lean"):
+        text += f"; {result[key]}" if key in result else ""
     for name in result["cut_off"]:
         text += f"; {name} was cut off: read up to its last whole chunk"
     warned = len(result["findings"])
     return f"{text}; {warned or 'no'} warning{'s' if warned != 1 else ''}, see {result['page']}"
-
-
-def _seconds_for(*paths: Path | None) -> float:
-    """Limit of the processor time for files of this size; unreadable files are refused later."""
-    size = 0
-    for path in filter(None, paths):
-        with contextlib.suppress(OSError, ValueError):
-            files = path.iterdir() if path.is_dir() else (path,)
-            size += sum(file.stat().st_size for file in itertools.islice(files, 100))
-    return SECONDS + min(size, 2 * MOST_BYTES) * SECONDS_PER_BYTE

@@ -159,9 +159,7 @@ def _report(
 
 
 def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
-    return of_dof(
-        of_phases(read_usable_trials([where]), args.phase_deg, where), args.dof, where
-    )
+    return of_dof(of_phases(read_usable_trials([where]), args.phase_deg, where), args.dof, where)
 
 
 def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:

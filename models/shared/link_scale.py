@@ -135,6 +135,17 @@ class LinkScale:
         shape = self._by_section(1 / 2, math.pi / 8)
         return shape * self.link.pressure_pa * self.link.width_m**3
 
+    def deflection_m(self, z_m: float, tip_n: float, *, shear: bool = True) -> float:
+        """Displacement at height z above the base plate under a force F across the tip.
+
+        A Timoshenko beam on the root patch of stiffness k:
+
+            w(z) = F (L / k + 1 / κGA) z + F (L z² / 2 - z³ / 6) / EI
+        """
+        length_m = self.link.length_m
+        slope = length_m / self.root_nm_rad + (1 / self.shear_n if shear else 0.0)
+        return tip_n * (slope * z_m + (length_m * z_m**2 / 2 - z_m**3 / 6) / self.bending_n_m2)
+
     @property
     def tip_stiffness_n_m(self) -> float:
         """Force per displacement of the tip: root patch, bending and shear in series."""

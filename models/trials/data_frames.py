@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.trials.files import PlantSignals, check_meta, check_samples
+from models.trials.files import PlantSignals, check_meta, check_trial_of_frame
 from models.trials.trial import Trial, TrialMeta
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def trial_from_frame(
                 name, f"column {column!r} holds no numbers", "convert or drop it"
             ) from None
     trial = Trial(name, meta, columns)
-    check_samples(trial, signals)
+    check_trial_of_frame(trial, signals)
     return trial
 
 

@@ -3,14 +3,13 @@
     DI = 1/N sum_i |L_i - L'_i| / L_i
 
 over N lengths: the segments of each long edge, from its corner on the base plate through its marker
-in every row. The study's link has N = 16: four segments on each of four edges. Other sets of
-lengths can be selected.
+in every row. The study's link has N = 16: four segments on each of four edges.
 """
 
 from __future__ import annotations
 
 import warnings
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -18,35 +17,20 @@ from firmware_py.errors import InputError
 from models.shared.kinematics import Array, base_corners_m
 from models.trials.trial import Trial
 
-Definition = Literal["edges", "base_to_marker", "all_pairs"]
-DEFINITIONS: Final[tuple[Definition, ...]] = ("edges", "base_to_marker", "all_pairs")
 MAX_OCCLUDED_FRACTION: Final = 0.2
 """Fraction of occluded lengths in a trial above which the user is warned."""
 
 
-def marker_lengths_m(trial: Trial, definition: Definition = "edges") -> Array:
-    """Lengths in m whose change the index measures, shape (n, N); NaN where an end is occluded.
-
-    `edges`: segments along the long edges, one per marker. `base_to_marker`: from the corner on the
-    base plate to each marker of its edge. `all_pairs`: between any two markers.
-    """
-    markers_m, rows_m = trial.markers_m, trial.marker_rows_m
-    places_m = trial.meta.layout.corners_m
+def marker_lengths_m(trial: Trial) -> Array:
+    """Lengths in m along the edges, one per marker, shape (n, N); NaN where an end is occluded."""
+    rows_m, places_m = trial.marker_rows_m, trial.meta.layout.corners_m
     corners_m = base_corners_m(trial.angle_rad, trial.meta.base_offset_m, places_m)
-    if definition == "edges":
-        path_m = np.concatenate([corners_m[:, None], rows_m], axis=1)
-        return _norm(np.diff(path_m, axis=1)).reshape(len(markers_m), -1)
-    if definition == "base_to_marker":
-        return _norm(rows_m - corners_m[:, None]).reshape(len(markers_m), -1)
-    first, second = np.triu_indices(markers_m.shape[1], k=1)
-    return _norm(markers_m[:, first] - markers_m[:, second])
+    path_m = np.concatenate([corners_m[:, None], rows_m], axis=1)
+    lengths_m = np.linalg.norm(np.diff(path_m, axis=1), axis=-1)
+    return np.asarray(lengths_m.reshape(len(trial), -1), dtype=np.float64)
 
 
-def _norm(vectors: Array) -> Array:
-    return np.asarray(np.linalg.norm(vectors, axis=-1), dtype=np.float64)
-
-
-def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
+def deformation_index(trial: Trial) -> Array:
     """Return the Deformation Index of every row of a trial.
 
     The reference lengths are the means over the trial's rest rows. A row averages over its visible
@@ -56,9 +40,6 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
     ----------
     trial : Trial
         Trial of the link; NaN marks an occluded marker.
-    definition : {"edges", "base_to_marker", "all_pairs"}
-        Set of lengths: segments along the long edges; from base plate to marker; between any two
-        markers.
 
     Returns
     -------
@@ -92,7 +73,7 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
             trial.path, "rest_samples is 0, so the index has no reference",
             "record the link at rest before it moves and set rest_samples",
         )  # fmt: skip
-    lengths = marker_lengths_m(trial, definition)
+    lengths = marker_lengths_m(trial)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", category=RuntimeWarning)  # an all-NaN mean is NaN
         reference = np.nanmean(lengths[:rest], axis=0)
@@ -100,19 +81,14 @@ def deformation_index(trial: Trial, definition: Definition = "edges") -> Array:
         if len(unseen):
             raise InputError(
                 trial.path,
-                f"length {unseen[0] + 1} of {lengths.shape[1]} ('{definition}') is occluded in "
-                f"all {rest} rest rows",
+                f"length {unseen[0] + 1} of {lengths.shape[1]} is occluded in all {rest} rest rows",
                 "use a trial whose markers are visible at rest",
             )
         index = np.nanmean(np.abs(lengths - reference) / reference, axis=1)
-    _warn_of_occlusion(trial, lengths)
-    return np.asarray(index, dtype=np.float64)
-
-
-def _warn_of_occlusion(trial: Trial, lengths: Array) -> None:
     occluded = float(np.mean(np.isnan(lengths)))
     if occluded > MAX_OCCLUDED_FRACTION:
         warnings.warn(
             f"{trial.path}: {occluded:.0%} of the lengths are occluded; the index is less certain",
-            stacklevel=3,
+            stacklevel=2,
         )
+    return np.asarray(index, dtype=np.float64)

@@ -1,8 +1,4 @@
-"""List of the trials of a directory; a trial that lacks one of its two files is refused.
-
-Columns of a trial: which are required, and how they are read from CSV and checked.
-
-Trial files: `NAME.csv` with the samples beside `NAME.toml` with the conditions.
+"""Trial files: `NAME.csv` with the samples beside `NAME.toml` with the conditions.
 
 Row k holds angle, current and markers sampled at `time_s`, and the goal sent right after that
 sample. The time step is uniform. An empty cell is an occluded marker (NaN). Without motion capture
@@ -14,8 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -25,247 +20,28 @@ import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_CELLS, convert, read_lines, read_toml
+from firmware_py.files.input_files import convert, read_lines, read_toml
 from firmware_py.files.output_files import replacing, write_whole
-from firmware_py.files.table_end import TableEnd
 from firmware_py.motion import KINDS
 from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
+from models.shared.numeric_text import check_columns, read_header, read_numbers
 from models.trials.trial import (
     LINK_CONDITIONS,
     SCHEMA,
-    Array,
     SignalRole,
     Trial,
     TrialMeta,
     TrialSet,
 )
 
-_OF_A_TRIAL: Final = {"motion", "rest_samples", "trial"}
-"""Keys that every trial's conditions have and that no other document combines."""
-
-
-def sample_files(directory: Path) -> list[Path]:
-    """CSV files of the trials of a directory, in order; the suffix may be in capitals.
-
-    Other TOML files, such as a map or a plant, may lie beside them.
-    """
-    try:
-        files = sorted(directory.iterdir())
-    except OSError as error:
-        remedy = "name a directory of trials"
-        raise InputError(directory, f"cannot be read ({error.strerror})", remedy) from None
-    paths: dict[str, Path] = {}
-    for path in (p for p in files if p.suffix.lower() == ".csv"):
-        other = paths.setdefault(path.stem, path)
-        if other is not path:
-            what = f"has the name of the trial {other.name}"
-            raise InputError(path, what, "rename or remove one of the two")
-    sampled = {name.casefold() for name in paths}  # a file system may ignore the case
-    for path in (p for p in files if p.suffix.lower() == ".toml"):
-        if path.stem.casefold() not in sampled and _holds_conditions(path):
-            what = f"is a trial without samples: {path.stem}.csv is missing"
-            raise InputError(path, what, "put it beside this file, or remove this file")
-    return list(paths.values())
-
-
-def conditions_beside(samples: Path) -> Path:
-    """Path of a trial's TOML file, existing or not; its suffix may be in capitals."""
-    usual = samples.with_suffix(".toml")
-    if usual.exists():
-        return usual
-    others = sorted(p for p in samples.parent.glob("*") if p.suffix.lower() == ".toml")
-    return next((p for p in others if p.stem == samples.stem), usual)
-
-
-def _holds_conditions(path: Path) -> bool:
-    """Whether a TOML file is that of a trial's conditions; in a map, `trial` is a table."""
-    try:
-        document = read_toml(path)
-    except InputError:
-        return False
-    return document.keys() >= _OF_A_TRIAL and not isinstance(document["trial"], dict)
-
-
 PlantSignals = Mapping[str, SignalRole]
 """Signals of a plant by name; empty for the link, whose columns the contract defines."""
 
-MOST_COLUMNS: Final = 1000
-"""Most columns of a table [assumed]; a trial of the link has 62 with 16 markers."""
-FEWEST_ROWS: Final = 3
-"""Fewest rows of a trial: a velocity needs two, an acceleration three."""
+STEP_TOLERANCE: Final = 1e-3
+"""Largest relative deviation of a time step from the mean."""
 STEP_RANGE_S: Final = (5e-5, 0.5)
 """Shortest and longest time step: the motion is below 4 Hz, the fastest analogue channels have a
 few kilohertz."""
-_MARKER = re.compile(r"m\d\d_[xyz]_m")
-_COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
-"""Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
-
-
-def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Signal, ...]:
-    """Columns that a trial must have; without `signals` of a plant file, those of the link."""
-    if not signals:
-        return trial_signals(dof, markers)
-    rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
-    return (TIME, *rows)
-
-
-def check_step_range(where: Path | str, field: str, step_s: float) -> None:
-    """Refuse a time step that no recording of the link has."""
-    low_s, high_s = STEP_RANGE_S
-    if low_s <= step_s <= high_s:
-        return
-    unit = "milliseconds" if step_s > high_s else "another unit"
-    raise InputError(
-        where, f"{field}: the rows are {step_s:.3g} s apart, outside 0.05 ms to 0.5 s",
-        f"give it in s, not in {unit}",
-    )  # fmt: skip
-
-
-def read_sample_columns(path: Path, signals: Sequence[Signal], known: set[str]) -> dict[str, Array]:
-    """Read and check the columns of a CSV file."""
-    required = [s.name for s in signals]
-    try:
-        end = TableEnd(read_lines(path, "name an existing trial"))
-        reader = csv.reader(end.lines())
-        header = next(reader, [])
-        if header:
-            _check_header(path, header, required, known)
-        samples = _read_rows(path, header, reader, required, end)
-    except csv.Error as error:
-        raise InputError(path, f"is not CSV text ({error})", "export it as UTF-8 CSV") from None
-    if len(samples) < FEWEST_ROWS:
-        raise InputError(path, f"has {len(samples)} rows", "give at least three")
-    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
-    for name in required:
-        _check_magnitude(path, name, columns[name])
-    return columns
-
-
-def check_columns(
-    where: Path, columns: Mapping[str, Array], signals: Sequence[Signal], known: set[str]
-) -> None:
-    """Refuse columns, each of shape (n,), that are no samples of a trial."""
-    required = [s.name for s in signals]
-    _check_header(where, list(columns), required, known)
-    for name in required:
-        missing = np.flatnonzero(~np.isfinite(columns[name]))
-        tip = name in tip_names() and len(missing) == len(columns[name])
-        if len(missing) and not (tip or _MARKER.fullmatch(name)):
-            raise _no_number(where, int(missing[0]) + 2, name, str(columns[name][missing[0]]))
-        _check_magnitude(where, name, columns[name])
-
-
-def _read_rows(
-    path: Path, header: list[str], reader: Iterator[list[str]], required: Sequence[str],
-    end: TableEnd,
-) -> Array:  # fmt: skip
-    """Samples, shape (n, columns); read row by row, because the text takes ten times the memory."""
-    optional = [bool(_MARKER.fullmatch(h)) or h not in required for h in header]
-    tip = {k for k, name in enumerate(header) if name in tip_names()}
-    numbers, count, blank = array("d"), 0, False
-    tip_seen, tip_empty = False, (0, 0)
-    for row in reader:
-        if not row:  # blank lines at the end are no samples
-            blank = True
-            continue
-        count += 1
-        if count * len(header) > MOST_CELLS:
-            raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide the trial")
-        if blank or len(row) != len(header):
-            raise InputError(
-                path,
-                f"row {count + 1} has {0 if blank else len(row)} cells, the header {len(header)}",
-                "the file is truncated or damaged: export it again",
-            )
-        values = _numbers(row)
-        missing = () if math.isfinite(sum(values)) else range(len(row))
-        for k in (k for k in missing if not math.isfinite(values[k])):
-            if row[k] == "" and k in tip:  # all cells of the tip may be empty, or none
-                tip_empty = tip_empty if tip_empty[0] else (count + 1, k)
-            elif row[k] or not optional[k]:
-                raise _no_number(path, count + 1, header[k], row[k])
-        tip_seen = tip_seen or any(row[k] for k in tip)
-        end.see(row[-1])
-        numbers.extend(values)
-    end.refuse_cut(path, count + 1, header[-1] if header else "")
-    if tip_seen and tip_empty[0]:
-        raise _no_number(path, tip_empty[0], header[tip_empty[1]], "")
-    return np.frombuffer(numbers, dtype=np.float64).reshape(count, -1 if count else 0)
-
-
-def _numbers(row: list[str]) -> list[float]:
-    """Cells as numbers, NaN if they are none; `float` would read 0.0_17 as 0.017."""
-    try:
-        if "_" not in "".join(row):
-            return [float(cell) for cell in row]
-        return [_number(cell) for cell in row]
-    except ValueError:
-        return [_number(cell) for cell in row]
-
-
-def _number(cell: str) -> float:
-    try:
-        return math.nan if "_" in cell else float(cell)
-    except ValueError:
-        return math.nan
-
-
-def _no_number(path: Path, row: int, column: str, cell: str) -> InputError:
-    return InputError(
-        path, f"row {row}, column {column}: {cell!r} is not a finite number",
-        "correct the cell (only a marker may be empty, where it was occluded)",
-    )  # fmt: skip
-
-
-def _check_header(path: Path, header: list[str], required: list[str], known: set[str]) -> None:
-    if len(header) > MOST_COLUMNS:
-        what = f"has {len(header)} columns, more than {MOST_COLUMNS}"
-        raise InputError(path, what, "leave out what is not needed")
-    for name in required:
-        if name not in header:
-            raise InputError(path, f"column {name} is missing", _column_remedy(name, header))
-    for name in header:
-        if header.count(name) > 1:
-            raise InputError(path, f"column {name!r} stands twice", "remove one of the two")
-        if name not in required and name not in known and unit_of(name) is None:
-            raise InputError(
-                path, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
-            )
-
-
-def _column_remedy(name: str, header: Sequence[str]) -> str:
-    stem = name.rsplit("_", 1)[0]
-    alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
-    if alike:
-        return f"convert column {alike[0]!r} to the SI unit and call it {name}"
-    return "add it, or use 'dropstitch import' to map your columns"
-
-
-def _check_magnitude(path: Path, name: str, column: Array) -> None:
-    limit, suspect = _COLUMN_RANGE.get(name.rpartition("_")[2], (np.inf, ""))
-    beyond = np.flatnonzero(np.abs(column) > limit)
-    if len(beyond):
-        raise InputError(
-            path, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not plausible",
-            f"convert it if it is in {suspect}",
-        )  # fmt: skip
-
-
-STEP_TOLERANCE: Final = 1e-3
-"""Largest relative deviation of a time step from the mean."""
-
-LONGEST_NAME_BYTES: Final = 200
-"""Longest name of a trial; file systems take 255 bytes with the suffix."""
-
-_ALWAYS: Final = ("dof", "payload_kg", "trial", "motion", "period_s")
-"""Conditions that every trial has."""
-_META_RANGE: Final[dict[str, tuple[float, float]]] = {
-    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (1e3, 1e6), "trial": (0, 1e6),
-    "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
-    "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
-}  # fmt: skip
-_PERIOD_S: Final = (1e-3, 1e4)
-"""Range for the link: a goal lasts at least one step. The period of another plant may be zero."""
 
 
 def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> TrialSet:
@@ -301,12 +77,75 @@ def read_trials(directory: Path | str, signals: PlantSignals | None = None) -> T
     directory = Path(directory)
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "name a directory of trials")
-    paths = sample_files(directory)
+    paths = _sample_files(directory)
     if not paths:
         raise InputError(
             directory, "holds no trial", "write some with 'dropstitch simulate --out DIR'"
         )
     return TrialSet(tuple(read_trial(path, signals) for path in paths))
+
+
+def _sample_files(directory: Path) -> list[Path]:
+    """CSV files of the trials of a directory, in order; a trial needs both of its files.
+
+    Suffixes may be in capitals. Other TOML files, such as a map or a plant, may lie beside them.
+    """
+    try:
+        files = sorted(directory.iterdir())
+    except OSError as error:
+        remedy = "name a directory of trials"
+        raise InputError(directory, f"cannot be read ({error.strerror})", remedy) from None
+    paths: dict[str, Path] = {}
+    for path in (p for p in files if p.suffix.lower() == ".csv"):
+        other = paths.setdefault(path.stem, path)
+        if other is not path:
+            what = f"has the name of the trial {other.name}"
+            raise InputError(path, what, "rename or remove one of the two")
+    sampled = {name.casefold() for name in paths}  # a file system may ignore the case
+    for path in (p for p in files if p.suffix.lower() == ".toml"):
+        if path.stem.casefold() not in sampled and _holds_conditions(path):
+            what = f"is a trial without samples: {path.stem}.csv is missing"
+            raise InputError(path, what, "put it beside this file, or remove this file")
+    return list(paths.values())
+
+
+def _holds_conditions(path: Path) -> bool:
+    """Whether a TOML file holds a trial's conditions; in a map, `trial` is a table."""
+    try:
+        document = read_toml(path)
+    except InputError:
+        return False
+    is_complete = document.keys() >= {"motion", "rest_samples", "trial"}
+    return is_complete and not isinstance(document["trial"], dict)
+
+
+def conditions_beside(samples: Path) -> Path:
+    """Path of a trial's TOML file, existing or not; its suffix may be in capitals."""
+    usual = samples.with_suffix(".toml")
+    if usual.exists():
+        return usual
+    others = sorted(p for p in samples.parent.glob("*") if p.suffix.lower() == ".toml")
+    return next((p for p in others if p.stem == samples.stem), usual)
+
+
+def read_trial_directories(
+    directories: Sequence[Path], signals: PlantSignals | None = None
+) -> TrialSet:
+    """Read the trials of several directories.
+
+    If two directories hold a trial of the same name, the directory's name is put in front.
+    """
+    if len({d.resolve() for d in directories}) < len(directories):
+        raise InputError(directories[-1], "is given twice", "name each directory once")
+    sets = [read_trials(d, signals and dict(signals)) for d in directories]
+    if len(sets) == 1:
+        return sets[0]
+    names = [t.name for own in sets for t in own]
+    every = [
+        replace(t, name=f"{d.name}_{t.name}") if names.count(t.name) > 1 else t
+        for d, own in zip(directories, sets, strict=True) for t in own
+    ]  # fmt: skip
+    return TrialSet(tuple(sorted(every, key=lambda t: t.name)))
 
 
 def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
@@ -342,41 +181,198 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "is missing", "name an existing trial")
-    meta = _read_meta(conditions_beside(path), signals)
-    columns = read_sample_columns(
-        path,
-        columns_of(meta.dof, signals, meta.layout.count),
-        {s.name for s in tick_signals(meta.dof)},
-    )
-    trial = Trial(path.stem, _own_conditions(meta, signals), _own_columns(columns, signals), path)
-    _check_rows(trial, signals)
-    return trial
+    conditions = conditions_beside(path)
+    document = read_toml(conditions, "write the conditions beside the CSV")
+    if document.get("schema") != SCHEMA:
+        raise InputError(
+            conditions, f"schema is {document.get('schema')!r}",
+            f"this version reads schema = {SCHEMA}",
+        )  # fmt: skip
+    meta = check_meta(document, conditions, signals)
+    lines = read_lines(path, "name an existing trial")
+    header = read_header(path, next(lines, ""))
+    _check_names(path, header, meta, signals)
+    samples = read_numbers(path, lines, header, range(len(header)))
+    columns = {name: np.ascontiguousarray(samples[:, k]) for k, name in enumerate(header)}
+    trial = Trial(path.stem, meta, columns, path)
+    _check_samples(trial, signals)
+    return _with_plant_names(trial, signals)
 
 
-def check_samples(trial: Trial, signals: PlantSignals | None = None) -> None:
-    """Refuse a trial that could not be written as a valid file."""
+def check_trial_of_frame(trial: Trial, signals: PlantSignals | None = None) -> None:
+    """Refuse a trial that could not be written as a valid file; its names are the plant's."""
     where = Path(trial.name)
     own = {s.quantity or name: s for name, s in (signals or {}).items()}
     meta = check_meta(trial.meta.document(), where, own)
-    known = {s.name for s in tick_signals(meta.dof)}
-    check_columns(where, trial.columns, columns_of(meta.dof, own, meta.layout.count), known)
-    if len(trial) < FEWEST_ROWS:
+    check_columns(where, list(trial.columns))
+    _check_names(where, list(trial.columns), meta, own)
+    _check_samples(trial, own)
+
+
+def _with_plant_names(trial: Trial, signals: PlantSignals | None) -> Trial:
+    """Trial whose columns and conditions have the names of the plant (`SignalRole.quantity`)."""
+    renamed = {name: s.quantity for name, s in (signals or {}).items() if s.quantity}
+    conditions = {renamed.get(n, n): value for n, value in trial.meta.conditions.items()}
+    columns = {renamed.get(n, n): values for n, values in trial.columns.items()}
+    meta = msgspec.structs.replace(trial.meta, conditions=conditions)
+    return Trial(trial.name, meta, columns, trial.path)
+
+
+# --- columns ---------------------------------------------------------------------------------
+
+_FEWEST_ROWS: Final = 3
+"""Fewest rows of a trial: a velocity needs two, an acceleration three."""
+_MARKER = re.compile(r"m\d\d_[xyz]_m")
+_COLUMN_RANGE: Final = {"rad": (6.3, "degrees"), "a": (100.0, "mA"), "m": (100.0, "mm")}
+"""Largest plausible magnitude by suffix, and the unit that a larger one suggests."""
+
+
+def columns_of(dof: int, signals: PlantSignals | None, markers: int) -> tuple[Signal, ...]:
+    """Columns that a trial must have; without `signals` of a plant file, those of the link."""
+    if not signals:
+        return trial_signals(dof, markers)
+    rows = [Signal(n, s.unit, s.role) for n, s in signals.items() if s.role != "condition"]
+    return (TIME, *rows)
+
+
+def _required(meta: TrialMeta, signals: PlantSignals | None) -> list[str]:
+    return [signal.name for signal in columns_of(meta.dof, signals, meta.layout.count)]
+
+
+def _check_names(
+    where: Path, header: Sequence[str], meta: TrialMeta, signals: PlantSignals | None
+) -> None:
+    """Refuse a missing column, or one that has no unit and is not of a robot's log."""
+    required = _required(meta, signals)
+    for name in required:
+        if name not in header:
+            raise InputError(where, f"column {name} is missing", _column_remedy(name, header))
+    known = {*required, *(signal.name for signal in tick_signals(meta.dof))}
+    for name in header:
+        if name not in known and unit_of(name) is None:
+            raise InputError(
+                where, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
+            )
+
+
+def _column_remedy(name: str, header: Sequence[str]) -> str:
+    stem = name.rsplit("_", 1)[0]
+    alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
+    if alike:
+        return f"convert column {alike[0]!r} to the SI unit and call it {name}"
+    return "add it, or use 'dropstitch import' to map your columns"
+
+
+def _check_samples(trial: Trial, signals: PlantSignals | None) -> None:
+    """Refuse empty cells but of markers, implausible values, and an uneven time step."""
+    where = trial.path if trial.path.name else Path(trial.name)
+    if len(trial) < _FEWEST_ROWS:
         raise InputError(where, f"has {len(trial)} rows", "give at least three")
-    _check_rows(trial, own)
+    no_tip = all(np.isnan(trial.columns.get(name, np.nan)).all() for name in tip_names())
+    for name in _required(trial.meta, signals):
+        column = trial.columns[name]
+        empty = np.flatnonzero(~np.isfinite(column))
+        if len(empty) and not (_MARKER.fullmatch(name) or (no_tip and name in tip_names())):
+            raise InputError(
+                where, f"row {empty[0] + 2}, column {name!r}: {column[empty[0]]} is not a finite "
+                "number", "correct the cell (only a marker may be empty, where it was occluded)",
+            )  # fmt: skip
+        limit, unit = _COLUMN_RANGE.get(name.rpartition("_")[2], (np.inf, ""))
+        beyond = np.flatnonzero(np.abs(column) > limit)
+        if len(beyond):
+            raise InputError(
+                where, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not "
+                "plausible", f"convert it if it is in {unit}",
+            )  # fmt: skip
+    steps, mean = np.diff(trial.time_s), trial.step_s
+    worst = int(np.argmax(np.abs(steps - mean)))
+    if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
+        raise InputError(
+            where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
+            "resample to a uniform step with 'dropstitch import --as table'",
+        )  # fmt: skip
+    if not signals:
+        check_step_range(where, "column time_s", mean)
+    if not 0 <= trial.meta.rest_samples < len(trial):
+        raise InputError(
+            conditions_beside(where),
+            f"rest_samples is {trial.meta.rest_samples}, the trial has {len(trial)} rows",
+            "set rest_samples to the number of leading rows at rest",
+        )
 
 
-def _own_columns(columns: Mapping[str, Array], signals: PlantSignals | None) -> dict[str, Array]:
-    """Columns under the names of the plant's signals (`SignalRole.quantity`)."""
-    return {_quantity(name, signals): values for name, values in columns.items()}
+def check_step_range(where: Path | str, field: str, step_s: float) -> None:
+    """Refuse a time step that no recording of the link has."""
+    low_s, high_s = STEP_RANGE_S
+    if low_s <= step_s <= high_s:
+        return
+    unit = "milliseconds" if step_s > high_s else "another unit"
+    raise InputError(
+        where, f"{field}: the rows are {step_s:.3g} s apart, outside 0.05 ms to 0.5 s",
+        f"give it in s, not in {unit}",
+    )  # fmt: skip
 
 
-def _own_conditions(meta: TrialMeta, signals: PlantSignals | None) -> TrialMeta:
-    own = {_quantity(name, signals): value for name, value in meta.conditions.items()}
-    return msgspec.structs.replace(meta, conditions=own)
+# --- conditions ------------------------------------------------------------------------------
+
+_ALWAYS: Final = ("dof", "payload_kg", "trial", "motion", "period_s")
+"""Conditions that every trial has."""
+_META_RANGE: Final[dict[str, tuple[float, float]]] = {
+    "dof": (1, 2), "payload_kg": (0, 100), "pressure_pa": (1e3, 1e6), "trial": (0, 1e6),
+    "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
+    "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
+}  # fmt: skip
+_PERIOD_S: Final = (1e-3, 1e4)
+"""Range for the link: a goal lasts at least one step. The period of another plant may be zero."""
 
 
-def _quantity(name: str, signals: PlantSignals | None) -> str:
-    return (signals[name].quantity if signals and name in signals else "") or name
+def check_meta(
+    document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
+) -> TrialMeta:
+    """Check the conditions of a decoded TOML table."""
+    needed = () if signals else LINK_CONDITIONS
+    conditions: Any = document.get("conditions", {})
+    misspelt = document.keys() - {field.name for field in msgspec.structs.fields(TrialMeta)}
+    for key in (*needed, *(() if misspelt else _ALWAYS)):
+        if key not in document:
+            raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
+    for name, signal in (signals or {}).items():
+        if signal.role == "condition" and name not in conditions:
+            raise InputError(
+                where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
+            )
+    meta = convert(document, TrialMeta, where, "", "see docs/trials.md for its form")
+    for key, value in meta.conditions.items():
+        if not math.isfinite(value):
+            raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
+    for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
+        low, high = _PERIOD_S if key == "period_s" and not signals else _META_RANGE[key]
+        value = getattr(meta, key)
+        if not low <= value <= high:
+            raise InputError(
+                where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
+            )
+    if not signals:
+        _check_motion_name(where, meta.motion)
+        meta.layout.check(where, meta.link_length_m)
+        if not math.hypot(*meta.gravity) < 100.0:
+            raise InputError(where, f"gravity_m_s2 is {meta.gravity}", "give it in m/s²")
+    return meta
+
+
+def _check_motion_name(where: Path, name: str) -> None:
+    """Refuse a name that differs from a reference motion by case only: it groups the trials."""
+    if not name.strip():
+        raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
+    meant = name.strip().lower()
+    if meant in KINDS and name != meant:
+        raise InputError(where, f"motion is {name!r}", f'write motion = "{meant}"')
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+LONGEST_NAME_BYTES: Final = 200
+"""Longest name of a trial; file systems take 255 bytes with the suffix."""
 
 
 def check_trial_name(name: str, where: Path | str) -> None:
@@ -434,95 +430,3 @@ def write_trial(trial: Trial, directory: Path | str) -> Path:
                 writer.writerow("" if np.isnan(v) else repr(float(v)) for v in row)
         write_whole(path.with_suffix(".toml"), tomli_w.dumps(trial.meta.document()).encode())
     return path
-
-
-def check_meta(
-    document: Mapping[str, object], where: Path, signals: PlantSignals | None = None
-) -> TrialMeta:
-    """Check the conditions of a decoded TOML table."""
-    needed = () if signals else LINK_CONDITIONS
-    conditions: Any = document.get("conditions", {})
-    misspelt = document.keys() - {field.name for field in msgspec.structs.fields(TrialMeta)}
-    for key in (*needed, *(() if misspelt else _ALWAYS)):
-        if key not in document:
-            raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
-    for name, signal in (signals or {}).items():
-        if signal.role == "condition" and name not in conditions:
-            raise InputError(
-                where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
-            )
-    meta = convert(document, TrialMeta, where, "", "see docs/trials.md for its form")
-    for key, value in meta.conditions.items():
-        if not math.isfinite(value):
-            raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
-    for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
-        low, high = _PERIOD_S if key == "period_s" and not signals else _META_RANGE[key]
-        value = getattr(meta, key)
-        if not low <= value <= high:
-            raise InputError(
-                where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
-            )
-    if not signals:
-        _check_motion_name(where, meta.motion)
-        meta.layout.check(where, meta.link_length_m)
-        if not math.hypot(*meta.gravity) < 100.0:
-            raise InputError(where, f"gravity_m_s2 is {meta.gravity}", "give it in m/s²")
-    return meta
-
-
-def _check_motion_name(where: Path, name: str) -> None:
-    """Refuse a name that differs from a reference motion by case only: it groups the trials."""
-    if not name.strip():
-        raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
-    meant = name.strip().lower()
-    if meant in KINDS and name != meant:
-        raise InputError(where, f"motion is {name!r}", f'write motion = "{meant}"')
-
-
-def _read_meta(path: Path, signals: PlantSignals | None) -> TrialMeta:
-    document = read_toml(path, "write the conditions beside the CSV")
-    if document.get("schema") != SCHEMA:
-        raise InputError(
-            path, f"schema is {document.get('schema')!r}", f"this version reads schema = {SCHEMA}"
-        )
-    return check_meta(document, path, signals)
-
-
-def _check_rows(trial: Trial, signals: PlantSignals | None) -> None:
-    where = trial.path if trial.path.name else Path(trial.name)
-    steps = np.diff(trial.time_s)
-    mean = trial.step_s
-    worst = int(np.argmax(np.abs(steps - mean)))
-    if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
-        raise InputError(
-            where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
-            "resample to a uniform step with 'dropstitch import --as table'",
-        )  # fmt: skip
-    if not signals:
-        check_step_range(where, "column time_s", mean)
-    if not 0 <= trial.meta.rest_samples < len(trial):
-        raise InputError(
-            conditions_beside(where),
-            f"rest_samples is {trial.meta.rest_samples}, the trial has {len(trial)} rows",
-            "set rest_samples to the number of leading rows at rest",
-        )
-
-
-def read_trial_directories(
-    directories: Sequence[Path], signals: PlantSignals | None = None
-) -> TrialSet:
-    """Read the trials of several directories.
-
-    If two directories hold a trial of the same name, the directory's name is put in front.
-    """
-    if len({d.resolve() for d in directories}) < len(directories):
-        raise InputError(directories[-1], "is given twice", "name each directory once")
-    sets = [read_trials(d, signals and dict(signals)) for d in directories]
-    if len(sets) == 1:
-        return sets[0]
-    names = [t.name for own in sets for t in own]
-    every = [
-        replace(t, name=f"{d.name}_{t.name}") if names.count(t.name) > 1 else t
-        for d, own in zip(directories, sets, strict=True) for t in own
-    ]  # fmt: skip
-    return TrialSet(tuple(sorted(every, key=lambda t: t.name)))

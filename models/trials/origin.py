@@ -1,10 +1,8 @@
-"""Origin of trials: simulated or measured, and on which rig.
+"""Origin of trials: simulated or measured, on which rig, and the notice of it on a page.
 
 It follows from `source` of a trial's conditions; a value that the project does not write is
 "unknown". A trial does not state its rig, so that nothing can be tuned to it. The record beside the
 trial does (`models.rig.protocol`); only the name of the rig is read from it, as a label.
-
-Notice at the head of a page: whether its trials are simulated or measured, and of which rig.
 """
 
 from __future__ import annotations
@@ -23,11 +21,15 @@ from models.trials.trial import Trial
 
 OriginKind = Literal["simulated", "measured", "mixed", "unknown"]
 
-SIMULATED: Final = ("rig", "sil", "simulated")
-"""Sources of simulated trials: the rig; the robot's loop with emulated servos; the twin."""
 RECORD: Final = "rig_conditions.json"
-MEASURED: Final = ("measured", "recording")
-"""Sources of measured trials: motion capture or a table; the log of a robot."""
+_SOURCES: Final[dict[str, tuple[OriginKind, str]]] = {
+    "rig": ("simulated", "trials of a rig"),
+    "sil": ("simulated", "runs of the loop with emulated servos"),
+    "simulated": ("simulated", "runs of a simulated plant"),
+    "measured": ("measured", "trials of a measured system"),
+    "recording": ("measured", "trials from logs of a robot"),
+}
+"""Kind and words of each source that the project writes."""
 
 
 class _Entry(msgspec.Struct, frozen=True):
@@ -52,34 +54,26 @@ class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
     @property
     def kind(self) -> OriginKind:
         """Whether the trials were simulated or measured."""
-        if self.source in SIMULATED:
-            return "simulated"
-        return "measured" if self.source in MEASURED else "unknown"
+        return _SOURCES.get(self.source, ("unknown", ""))[0]
 
     @property
     def words(self) -> str:
         """Origin in words: "trials of the rig “default”"."""
-        if self.source == "rig":
-            return f"trials of the rig “{self.rig}”" if self.rig else "trials of a rig"
-        if self.source == "sil":
-            behind = f", {_behind(self.rig)} behind them" if self.rig else ""
-            return f"runs of the loop with emulated servos{behind}"
-        if self.source == "simulated":
-            return "runs of a simulated plant"
-        if self.source == "recording":
-            return "trials from logs of a robot"
-        if self.source == "measured":
-            return "trials of a measured system"
-        return "trials that state no origin" + (f" but “{self.source}”" if self.source else "")
+        if self.source not in _SOURCES:
+            named = f" but “{self.source}”" if self.source else ""
+            return f"trials that state no origin{named}"
+        if self.source == "rig" and self.rig:
+            return f"trials of the rig “{self.rig}”"
+        words = _SOURCES[self.source][1]
+        if self.source == "sil" and self.rig:
+            behind = "the twin" if self.rig == "twin" else f"the rig “{self.rig}”"
+            words += f", {behind} behind them"
+        return words
 
     @property
     def counted(self) -> str:
         """Origin in words with the number of trials."""
         return f"{self.trials} {self.words}"
-
-
-def _behind(rig: str) -> str:
-    return "the twin" if rig == "twin" else f"the rig “{rig}”"
 
 
 def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
@@ -88,19 +82,18 @@ def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
 
 
 def recorded_rig(trial: Trial) -> str:
-    """Name of the rig that a trial ran on, from the record beside its file; empty without one."""
+    """Name of the rig that a trial ran on, from the record beside its file.
+
+    It is empty if the record is missing or damaged.
+    """
     if trial.meta.source != "rig" or trial.path == Path():
         return ""
-    return _rigs(trial.path.parent / RECORD).get(trial.name, "")
-
-
-def _rigs(record: Path) -> dict[str, str]:
-    """Names of rigs by trial; empty if the record is missing or damaged."""
     try:
-        content = msgspec.convert(read_json(record, "simulate the trials again"), _Record)
+        document = read_json(trial.path.parent / RECORD, "simulate the trials again")
+        entry = msgspec.convert(document, _Record).trials.get(trial.name)
     except (InputError, msgspec.ValidationError):
-        return {}
-    return {name: Path(entry.rig).name for name, entry in content.trials.items()}
+        return ""
+    return Path(entry.rig).name if entry else ""
 
 
 def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:

@@ -1,7 +1,4 @@
-"""Trial: one run of the robot, its conditions and its samples.
-
-Row at which the motion of a recording starts, detected from the goals.
-"""
+"""Trial: one run of the robot, its conditions and its samples."""
 
 from __future__ import annotations
 
@@ -22,8 +19,6 @@ from firmware_py.motion import KINDS, Motion
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
-
-
 LINK_CONDITIONS: Final = (
     "pressure_pa", "amplitude_rad", "base_offset_m", "link_length_m", "link_width_m",
 )  # fmt: skip
@@ -56,7 +51,6 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     parameters of the same name in this trial. `gravity_m_s2` is None where the link stands
     upright, `markers` is None for four rows of four. `recording_sha256` is the hash of the
     recording that the trial was imported from, empty if it was not imported.
-    other trial.
     """
 
     schema: int = SCHEMA
@@ -284,49 +278,15 @@ class TrialSet(Sequence[Trial]):
 
 REST_FRACTION: Final = 1e-3
 """Largest change of a goal at rest, as a fraction of the goal's range [assumed]."""
-
 JUMP_FRACTION: Final = 0.05
 """Least change of a goal from one row to the next that may be a step, as a fraction of its range
 [assumed]."""
-
 SMOOTHEST_START_ROWS: Final = 120
 """Rows within which a reference motion has changed by `REST_FRACTION`; a multisine of 20 s needs
 34."""
-
 GOAL_TOLERANCE: Final = 0.01
 """Largest root mean square difference between the goals and a motion, as a fraction of the largest
 goal: the resolution of a small servo is a seventh of that [assumed]."""
-
-
-def motion_start(trial: Trial) -> int:
-    """Row of time zero of a trial.
-
-    Where the conditions name a reference motion and the goals follow it, in either direction, the
-    row is fitted to the goals. Otherwise it is `rest_samples` of the conditions.
-    """
-    meta, known = trial.meta, trial.meta.rest_samples
-    kind = next((k for k in KINDS if k == meta.motion), None)
-    if kind is None or "goal_1_rad" not in trial.columns:
-        return known
-    goals = trial.goal_rad
-    try:
-        motion = Motion(
-            kind, amplitude_rad=meta.amplitude_rad, period_s=meta.period_s, dof=meta.dof,
-            phase_2_rad=meta.phase_2_rad,
-        )  # fmt: skip
-    except InputError:
-        return known
-    first = rows_at_rest(goals)
-    starts = np.arange(max(first - SMOOTHEST_START_ROWS, 0), min(first + 1, len(trial) - 1) + 1)
-    wanted = motion.goal_rad(trial.step_s * np.arange(-starts[-1], len(trial) - starts[0]))
-    end = min(len(trial), int(starts[0] + motion.duration_s / trial.step_s))
-    errors = {}
-    for start in starts.tolist():
-        own = wanted[starts[-1] - start :][:end]
-        squares = [np.mean((goals[:end] - turned) ** 2) for turned in (own, -own)]
-        errors[start] = float(np.sqrt(min(squares)))
-    best = min(errors, key=errors.__getitem__)
-    return best if errors[best] <= GOAL_TOLERANCE * np.abs(goals).max() else known
 
 
 def rows_at_rest(goals: Array) -> int:
@@ -343,3 +303,35 @@ def rows_at_rest(goals: Array) -> int:
     later = np.abs(goals[min(first + 1, len(goals) - 1)] - goals[first])
     steps = (now > JUMP_FRACTION * scale) & (now > 2.0 * later)
     return first if steps.any() else first - 1
+
+
+def motion_start(trial: Trial) -> int:
+    """Row of time zero of a trial.
+
+    Where the conditions name a reference motion and the goals follow it, in either direction, the
+    row is fitted to the goals. Otherwise it is `rest_samples` of the conditions.
+    """
+    meta, stated = trial.meta, trial.meta.rest_samples
+    kind = next((k for k in KINDS if k == meta.motion), None)
+    if kind is None or "goal_1_rad" not in trial.columns:
+        return stated
+    goals = trial.goal_rad
+    try:
+        motion = Motion(
+            kind, amplitude_rad=meta.amplitude_rad, period_s=meta.period_s, dof=meta.dof,
+            phase_2_rad=meta.phase_2_rad,
+        )  # fmt: skip
+    except InputError:
+        return stated
+    first = rows_at_rest(goals)
+    starts = range(max(first - SMOOTHEST_START_ROWS, 0), min(first + 1, len(trial) - 1) + 1)
+    wanted = motion.goal_rad(trial.step_s * np.arange(-starts[-1], len(trial) - starts[0]))
+    end = min(len(trial), int(starts[0] + motion.duration_s / trial.step_s))
+
+    def error(start: int) -> float:
+        due = wanted[starts[-1] - start :][:end]
+        return min(float(np.sqrt(np.mean((goals[:end] - s * due) ** 2))) for s in (1, -1))
+
+    errors = {start: error(start) for start in starts}
+    best = min(errors, key=errors.__getitem__)
+    return best if errors[best] <= GOAL_TOLERANCE * np.abs(goals).max() else stated

@@ -31,6 +31,25 @@ TO_SI: Final[dict[str, tuple[str, float]]] = {
 }  # fmt: skip
 """SI unit of the trial files and the factor to it, by the unit that a map may name."""
 
+
+def factor_to_si(where: Path, column: str, unit: str, declared: str | None = None) -> float:
+    """Factor from `unit` to the SI unit of `column`, from its suffix or `declared` without one."""
+    declared = declared or unit_of(column) or "1"
+    if unit == declared:
+        return 1.0
+    if unit not in TO_SI:
+        raise InputError(
+            where, f"{column}: unit {unit!r} is unknown", "choose from " + ", ".join(TO_SI)
+        )
+    si, factor = TO_SI[unit]
+    if si != declared:
+        alike = ", ".join(name for name, (other, _) in TO_SI.items() if other == declared)
+        raise InputError(
+            where, f"{column}: unit {unit!r} does not measure {declared}", f"give one of {alike}"
+        )
+    return factor
+
+
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
     "1": {},
     "kg": {"kg": 1},

@@ -149,8 +149,7 @@ def of_takes(rng, files):
 
 
 def takes_of_folder(folder):
-    from models.trials.recordings.mapping import read_mapping
-    from models.trials.recordings.takes import find_takes
+    from models.trials.recordings.mapping import find_takes, read_mapping
 
     find_takes([folder], "table", read_mapping(folder / "map.toml"))
 

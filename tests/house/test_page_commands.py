@@ -24,7 +24,7 @@ OWN_FILES = {
     "docs/guides/own-mocap.md": ("take_001.csv", "takes", "run.mcap", "map.toml"),
     "docs/robot.md": ("run.mcap", "take_001.csv", "map.toml", "motion.toml", "logs"),
     "docs/tip/learning.md": ("run1",),
-    "docs/trials.md": ("take.csv", "run.mcap", "map.toml"),
+    "docs/trials.md": ("take.csv", "servo.csv", "run.mcap", "map.toml"),
 }
 """By page: what stands for the reader's own file."""
 

@@ -134,6 +134,10 @@ TILT = Cause("tilt", (0.0262, 0.087),  # rad: 1.5° and 5°
     "the link leans by {tilt_rad:deg} at rest, which puts its tip {aside_m:mm0} aside: a prebend "
     "of the link, a tilted frame, or an encoder's zero",
     'level the motion capture\'s frame, or map markers of the base and set align = "base"')
+REMOVED_LEAN = Cause("lean", (0.008, math.inf),  # m at the tip
+    'align = "rest" takes away a lean of {lean}: a prebend of the link, or a tilted frame',
+    'to keep a prebend, map markers of the base and set align = "base", or give the frame with '
+    'align = "none"')
 LEANS_AGAINST = Cause("sign", REFUSES,
     "the link leans by {tilt_rad:deg} against its angles at rest, and not at all against these "
     "with the other sign: the servo counts the other way",

@@ -23,8 +23,8 @@ from models.shared.kinematics import base_rotation
 from models.shared.link_scale import LinkScale
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
-from models.trials.recordings.frame import fit_rigid_motion, nominal_markers_m, world_rotation
 from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.series import fit_rigid_motion, nominal_markers_m, world_rotation
 from models.trials.trial import Array, TrialMeta
 
 Order = NDArray[np.intp]

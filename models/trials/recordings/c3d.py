@@ -9,9 +9,9 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded
-from models.trials.recordings.frame import to_world
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, factor_to_si, marker_columns
+from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.units import factor_to_si
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 

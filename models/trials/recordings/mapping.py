@@ -1,65 +1,28 @@
-"""Map of a recording (MAP.toml): names, units, frame and conditions that the file lacks.
+"""Map of recordings (MAP.toml): names, units, frame and conditions that the files lack.
 
-::
-
-    step_s = 0.017                     # uniform step of the trial
-    link = "link.toml"                 # beside the map: size, markers and gravity of your link
-    plant = "xl330_pendulum.toml"      # beside the map: [signals] of a plant that is not the link
-
-    [trial]                            # the trial's conditions (docs/trials.md)
-    dof = 1                            # schema, source, rest_samples and period_s may be left out
-    payload_kg = 1.0
-    motion = { from = "trajectory" }   # single value of the file, by its name in it
-    …
-
-    [conditions]                       # conditions that the plant declares: a number, or
-    duty_gain_1 = { from = "kp", unit = "1", scale = 0.00287736 }   # a single value
-
-    [columns]                          # table, C3D analog: column of the trial = its source
-    time_s      = { from = "stamp", unit = "ms" }
-    position_1_m = { from = "samples[].motor.position", unit = "mm" }   # path into nested JSON
-    angle_1_rad = { from = "Present Position", unit = "deg" }
-    current_1_a = { from = "cur", unit = "mA", scale = -1.0, offset = 0.0 }
-
-    [servo_columns]                    # the same for --servo, if it is another table
-
-    [markers]                          # motive, C3D, rosbag: name in the trial = name in the file
-    m01 = "Link:Marker 001"
-    tip = "EndEffector"
-
-    [topics]                           # rosbag: topic = joints | goals | markers | tip | m01 …
-    "/joint_states" = "joints"
-
-    [frame]                            # mocap frame -> world frame
-    up = "y"                           # axis of the file along which the link points at zero angle
-    mirror = "x"                       # axis of a left-handed file that is reversed
-    align = "base"                     # by the base plate's markers b01 … b04, "rest" or "none"
-    origin_m = [0.0, 0.0, 0.0]         # crossing of the joint axes, after the turn to z-up
-    yaw_deg = 0.0                      # turn about z that takes the file's x to the world's x
-
-    [takes]                            # one map for many files: conditions by file name or table
-    pattern = "load{payload_kg}_take{trial}"   # of the file names, without suffix
-    table = "takes.csv"                # or a table with a column `file` and one for each condition
-    servo = "{name}.mcap"              # servo log of each take, beside it
+docs/trials.md, "Importing recordings", has a map for each format. One map may import many takes,
+whose conditions come from the names of their files or from a table.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
+from firmware_py.files.input_files import convert, read_text, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.signals import PERIOD_S
+from models.shared.numeric_text import read_header, read_rows
 from models.trials.files import check_meta, check_step_range
-from models.trials.recordings.series import factor_to_si
 from models.trials.trial import SignalRole, TrialMeta
-from models.trials.units import check_signal_units
+from models.trials.units import check_signal_units, factor_to_si
 
 Scalar = str | int | float
 """Single value of a file or of a condition."""
@@ -86,167 +49,122 @@ class ScalarSource(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class MocapFrame(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Orientation and origin of the motion capture's frame in the world."""
 
+    # Axis of the file along which the link points at zero angle; None for that of the format
     up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = None
+    # Axis of a left-handed file that is reversed
     mirror: Literal["x", "y", "z"] | None = None
+    # What lays the markers on the nominal robot: the link's rest pose, the base plate's markers
     align: Literal["rest", "base", "none"] = "none"
+    # Crossing of the joint axes, after the turn to z-up
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # Turn about z that takes the file's x to the world's x
     yaw_deg: float = 0.0
 
 
 class TakeRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`[takes]`: conditions and servo logs of many takes; see the module's docstring."""
+    """`[takes]`: conditions and servo logs of many takes."""
 
+    # Of the files' names without suffix, like "load{payload_kg}_take{trial}"
     pattern: str = ""
+    # Or a table with a column `file` and one for each condition, beside the map
     table: str = ""
+    # Servo log of each take, beside it, like "{name}.mcap"
     servo: str = ""
 
 
 class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Content of MAP.toml; the module's docstring has an example.
+    """Content of MAP.toml, and what it names: the link, the plant's signals."""
 
-    Attributes
-    ----------
-    trial : dict
-        Conditions of the trial, by key of its TOML file.
-    conditions : dict
-        Conditions that the plant's file declares, by name.
-    plant : str
-        Plant document beside the map, for a plant that is not the link; empty for the link.
-    signals : dict of str to SignalRole
-        Signals that the plant document declares.
-    link : str
-        Description of the link beside the map; empty for the study's.
-    described : LinkDescription
-        Content of that description; `[trial]` may leave out what it states.
-    step_s : float
-        Uniform step of the trial in s.
-    step_named : bool
-        Whether the map states the step, as opposed to the default.
-    columns, servo_columns : dict of str to ColumnSource
-        Sources of the trial's columns in the file, and in the file of `--servo`.
-    markers : dict of str to str
-        Name in the file by marker of the trial; empty if the names are the same.
-    topics : dict of str to str
-        Role by topic of a ROS 2 bag.
-    joints : list of str
-        Names of joint 1 and joint 2 in a ROS 2 bag; empty for the order of the message.
-    effort_unit : str
-        Unit of `JointState.effort` in a ROS 2 bag.
-    frame : MocapFrame
-        Frame of the motion capture.
-    takes : TakeRules
-        Conditions and servo logs of many takes.
-    path : str
-        Path of the map, for messages.
-    """
-
+    # Conditions of the trial, by key of its TOML file
     trial: dict[str, Scalar | ScalarSource] = {}
+    # Conditions that the plant's file declares, by name
     conditions: dict[str, float | ColumnSource] = {}
+    # Plant document beside the map, for a plant that is not the link, and its signals
     plant: str = ""
     signals: dict[str, SignalRole] = {}
+    # Description of the link beside the map, and its content; empty for the study's link
     link: str = ""
     described: LinkDescription = STUDY_LINK
+    # Uniform step of the trial in s, and whether the map states it
     step_s: float = PERIOD_S
     step_named: bool = False
+    # Sources of the trial's columns in the recording, and in the file of `--servo`
     columns: dict[str, ColumnSource] = {}
     servo_columns: dict[str, ColumnSource] = {}
+    # Table of the two above that names the columns of the file being read, and what stands
+    # under [columns] while the servo's file is read
+    table: Literal["[columns]", "[servo_columns]"] = "[columns]"
+    recording_columns: dict[str, ColumnSource] = {}
+    # Name in the file by marker of the trial; empty if the names are the same
     markers: dict[str, str] = {}
+    # Role by topic of a ROS 2 bag; its names of joint 1 and joint 2, empty for the message's order
     topics: dict[str, str] = {}
     joints: list[str] = []
+    # Unit of `JointState.effort`
     effort_unit: str = "A"
     frame: MocapFrame = MocapFrame()
     takes: TakeRules = TakeRules()
+    # Path of the map, for messages
     path: str = "--map"
 
     def meta(self, rest_samples: int, duration_s: float | None = None) -> TrialMeta:
-        """Return the conditions of the trial.
+        """Conditions of the trial.
 
-        Parameters
-        ----------
-        rest_samples : int
-            Rows at rest, used if the map does not set them.
-        duration_s : float, optional
-            Period in s for a plant that is not the link, used if the map does not set it.
-
-        Raises
-        ------
-        InputError
-            If a condition is missing or out of range.
+        `rest_samples` counts where the map sets none, and `duration_s` as the period of a plant
+        that is not the link.
         """
-        document: dict[str, object] = {
-            "source": "measured",
-            "rest_samples": rest_samples,
-            **({"dof": self.described.joints, **self.described.conditions()} if self.link else {}),
-            **self.trial,
-        }
+        document: dict[str, object] = {"source": "measured", "rest_samples": rest_samples}
+        if self.link:
+            document |= {"dof": self.described.joints, **self.described.conditions()}
         if self.signals and duration_s is not None:
-            document = {"period_s": duration_s} | document
+            document["period_s"] = duration_s
+        document |= self.trial
         if self.conditions:
             document["conditions"] = self.conditions
         return check_meta(document, Path(self.path), self.signals)
 
     def with_scalars(self, scalars: Mapping[str, Scalar], where: Path) -> RecordingMap:
-        """Return the map with every `{ from = … }` of a single value replaced by that value.
+        """Map with every `{ from = … }` of a single value replaced by that value of a file."""
 
-        Parameters
-        ----------
-        scalars : mapping of str to str, int or float
-            Single values of the file, by name.
-        where : Path
-            File with the values, for messages.
+        def value_of(key: str, source: str) -> Scalar:
+            if source not in scalars:
+                raise InputError(
+                    where, f"lacks {source!r}, from which {self.path} takes {key}",
+                    "write the value itself into the map",
+                )  # fmt: skip
+            return scalars[source]
 
-        Raises
-        ------
-        InputError
-            If the file lacks a value, or a condition is not a number.
-        """
-        trial: dict[str, Scalar | ScalarSource] = {
-            key: self._condition(scalars, where, key, entry.source)
-            if isinstance(entry, ScalarSource)
-            else entry
-            for key, entry in self.trial.items()
-        }
-        conditions: dict[str, float | ColumnSource] = {}
-        for key, entry in self.conditions.items():
-            if isinstance(entry, ColumnSource):
-                raw = self._scalar(scalars, where, key, entry.source)
-                declared = self.signals[key].unit if key in self.signals else None
+        trial, conditions = dict(self.trial), dict(self.conditions)
+        for key, entry in self.trial.items():
+            if isinstance(entry, ScalarSource):
+                raw = value_of(key, entry.source)
+                is_name = key == "motion" and isinstance(raw, int | float)
+                trial[key] = f"{raw:g}" if is_name else raw
+        for key, source in self.conditions.items():
+            if isinstance(source, ColumnSource):
+                raw = value_of(key, source.source)
                 if not isinstance(raw, int | float):
-                    raise InputError(where, f"{entry.source} is {raw!r}, no number", "correct it")
-                factor = entry.scale * factor_to_si(
-                    Path(self.path), key, entry.unit or declared or "1", declared
-                )
-                conditions[key] = float(raw) * factor + entry.offset
-            else:
-                conditions[key] = entry
+                    raise InputError(where, f"{source.source} is {raw!r}, no number", "correct it")
+                declared = self.signals[key].unit if key in self.signals else None
+                unit = source.unit or declared or "1"
+                factor = source.scale * factor_to_si(Path(self.path), key, unit, declared)
+                conditions[key] = float(raw) * factor + source.offset
         return msgspec.structs.replace(self, trial=trial, conditions=conditions)
 
-    def _condition(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
-        """Single value as a condition of the trial; a motion's name is text, even a number."""
-        value = self._scalar(scalars, where, key, name)
-        return f"{value:g}" if key == "motion" and isinstance(value, int | float) else value
-
-    def _scalar(self, scalars: Mapping[str, Scalar], where: Path, key: str, name: str) -> Scalar:
-        if name not in scalars:
-            raise InputError(
-                where, f"lacks {name!r}, from which {self.path} takes {key}",
-                "write the value itself into the map",
-            )  # fmt: skip
-        return scalars[name]
-
     def for_servo(self) -> RecordingMap:
-        """Return the map for reading the file of `--servo`."""
-        return msgspec.structs.replace(self, columns=self.servo_columns or self.columns)
+        """Map for reading the file of `--servo`; one that has no `[servo_columns]` is the same."""
+        if not self.servo_columns:
+            return self
+        return msgspec.structs.replace(
+            self,
+            columns=self.servo_columns,
+            table="[servo_columns]",
+            recording_columns=self.columns,
+        )
 
     @property
     def dof(self) -> int:
-        """Number of joints of the trial, 1 or 2.
-
-        Raises
-        ------
-        InputError
-            If the map does not state it.
-        """
+        """Number of joints of the trial, 1 or 2."""
         dof = self.trial.get("dof", self.described.joints if self.link else None)
         if dof not in (1, 2):
             raise InputError(self.path, f"[trial] dof is {dof!r}", "set dof = 1 or dof = 2")
@@ -283,8 +201,12 @@ def read_mapping(path: Path | None) -> RecordingMap:
         return RecordingMap()
     document = read_toml(path, "name an existing MAP.toml")
     mapping = convert(document, RecordingMap, path, "", "see docs/trials.md for its form")
+    known: dict[str, Any] = {"path": str(path), "step_named": "step_s" in document}
     if mapping.link:
-        mapping = msgspec.structs.replace(mapping, described=read_link(path.parent / mapping.link))
+        known["described"] = read_link(path.parent / mapping.link)
+    if mapping.plant:
+        known["signals"] = _signals(path.parent / mapping.plant)
+    mapping = msgspec.structs.replace(mapping, **known)
     for name in mapping.markers:
         if name not in mapping.known_markers:
             last = mapping.layout.names[-1]
@@ -296,9 +218,6 @@ def read_mapping(path: Path | None) -> RecordingMap:
         raise InputError(path, f"step_s is {mapping.step_s}", f"give one above 0, like {PERIOD_S}")
     if not mapping.plant:
         check_step_range(path, "step_s", mapping.step_s)
-    mapping = msgspec.structs.replace(mapping, path=str(path), step_named="step_s" in document)
-    if mapping.plant:
-        mapping = msgspec.structs.replace(mapping, signals=_signals(path.parent / mapping.plant))
     return mapping
 
 
@@ -328,3 +247,152 @@ def _signals(path: Path) -> dict[str, SignalRole]:
     signals = convert(entries, dict[str, SignalRole], path, "is no plant document", "correct it")
     check_signal_units(path, signals)
     return signals
+
+
+# --- takes: files that one map imports, with their conditions and servo logs ----------------------
+
+_SUFFIXES: Final = {
+    "motive": (".csv",), "c3d": (".c3d",), "recording": (".mcap",),
+    "table": (".csv", ".tsv", ".json", ".mat"),
+}  # fmt: skip
+"""Suffixes of the files in a folder that count as takes, by format."""
+
+_KINDS: Final[dict[str, Any]] = {
+    field.name: field.type
+    for field in msgspec.structs.fields(TrialMeta)
+    if field.type in (int, float, str) and field.name != "recording_sha256"
+} | {"offset_s": float}
+"""Types of the conditions in a file's name or a table, and of the offset of the servo's clock."""
+_NAME: Final = "{name}"
+"""Placeholder in the name of a servo file for the name of the take."""
+_OWN: Final = ("file", "servo", "offset_s")
+"""Columns of a table of takes that are not conditions."""
+_MOST_TABLE_BYTES: Final = 1_000_000
+"""Largest size of a table of takes; tables are written by hand [assumed]."""
+
+
+class Take(NamedTuple):
+    """One recording to import."""
+
+    file: Path
+    mapping: RecordingMap
+    servo: Path | None
+    offset_s: float | None = None  # Offset of the servo's clock, where a table gives it
+
+
+def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[Take]:
+    """Takes among files and folders, each with its conditions.
+
+    A folder stands for the recordings of the format in it; a rosbag is itself a folder.
+    """
+    rules = mapping.takes
+    table_path = Path(mapping.path).parent / rules.table
+    table = _table(table_path) if rules.table else {}
+    takes = []
+    for file in _files(files, kind, mapping, table):
+        row = table.get(file.name) or table.get(file.stem) or {}
+        if rules.table and not row:
+            raise InputError(table_path, f"has no row for {file.name}", "add it")
+        conditions = _by_name(file, mapping) if rules.pattern else {}
+        conditions |= {k: _value(table_path, k, v) for k, v in row.items() if k not in _OWN and v}
+        own = msgspec.structs.replace(mapping, trial=mapping.trial | conditions)
+        servo = row.get("servo") or rules.servo.replace(_NAME, file.stem)
+        given = row.get("offset_s")
+        offset_s = _value(table_path, "offset_s", given) if given else None
+        takes.append(Take(file, own, file.parent / servo if servo else None, offset_s))
+    _refuse_one_name([take.file for take in takes])
+    return takes
+
+
+def _refuse_one_name(files: Sequence[Path]) -> None:
+    """Refuse two files of one name, whatever the case: their trials would overwrite each other."""
+    known: dict[str, Path] = {}
+    for file in files:
+        other = known.setdefault(file.stem.casefold(), file)
+        if other is not file and other.resolve() == file.resolve():
+            raise InputError(file, "is given twice", "name each recording once")
+        if other is not file:
+            what = f"would become a trial of the same name as {other}"
+            raise InputError(file, what, "rename one of them, or import it alone with --name")
+
+
+def _files(
+    files: Sequence[Path], kind: str, mapping: RecordingMap, table: dict[str, Any]
+) -> list[Path]:
+    found: list[Path] = []
+    for path in files:
+        if not path.is_dir() or kind == "rosbag":
+            found.append(path)
+            continue
+        try:
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES[kind])
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})", "name the files") from None
+        if table:
+            inside = [p for p in inside if p.name in table or p.stem in table]
+        servo = {mapping.takes.servo.replace(_NAME, p.stem) for p in inside}
+        inside = [p for p in inside if p.name not in servo and p.name != mapping.takes.table]
+        if not inside:
+            raise InputError(path, f"holds no take of the format {kind}", "name the files")
+        found += inside
+    return found
+
+
+def _by_name(file: Path, mapping: RecordingMap) -> dict[str, Any]:
+    """Conditions in the name of a file, by the map's pattern.
+
+    Each condition takes the shortest part of the name that fits, at least one character. The first
+    match of the text after a condition is correct whenever a match exists, so there is no
+    backtracking.
+    """
+    pattern = mapping.takes.pattern
+    first, *parts = re.split(r"\{(\w+)\}", pattern)
+    names, behind = parts[::2], parts[1::2]
+    if len(set(names)) < len(names):
+        raise InputError(
+            mapping.path, f"[takes]: {pattern!r} names a condition twice", "correct it"
+        )
+    rest, found = file.stem.removeprefix(first), {}
+    fits = file.stem.startswith(first) and (bool(names) or not rest)
+    for k, (name, text) in enumerate(zip(names, behind, strict=True), start=1):
+        end = rest.find(text, 1) if k < len(names) else len(rest) - len(text)
+        fits = fits and end >= 1 and rest.startswith(text, end)
+        found[name], rest = rest[:end], rest[end + len(text) :]
+    if not fits:
+        raise InputError(
+            file,
+            f"does not fit the pattern {pattern!r} of {mapping.path}",
+            "rename it or correct [takes]",
+        )
+    return {name: _value(mapping.path, name, text) for name, text in found.items()}
+
+
+def _value(where: Path | str, name: str, text: str) -> Any:
+    if name not in _KINDS:
+        raise InputError(where, f"[takes]: {name!r} is no condition", "see docs/trials.md")
+    try:
+        value = _KINDS[name](text)
+    except ValueError:
+        value = math.nan
+    if value != value or value in (math.inf, -math.inf):
+        raise InputError(
+            where, f"[takes]: {name} is {text!r}, no number", "correct pattern or table"
+        )
+    return value
+
+
+def _table(path: Path) -> dict[str, dict[str, str]]:
+    """Rows of a table of takes, by file name."""
+    remedy = "correct 'table' in the map"
+    lines = iter(read_text(path, remedy, _MOST_TABLE_BYTES).splitlines())
+    header = read_header(path, next(lines, ""))
+    rows = [dict(zip(header, row, strict=True)) for _, row in read_rows(path, lines, header)]
+    if "file" not in header or not rows:
+        remedy = "name the file of each take in it"
+        raise InputError(path, "has no column 'file' with a row", remedy)
+    takes: dict[str, dict[str, str]] = {}
+    for row in rows:
+        if takes.setdefault(row["file"], row) is not row:
+            what = f"the take {row['file'][:80]!r} stands twice"
+            raise InputError(path, what, "remove one of the two")
+    return takes

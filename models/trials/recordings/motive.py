@@ -10,21 +10,15 @@ rotations of rigid bodies are skipped.
 from __future__ import annotations
 
 import csv
-import math
-from array import array
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_CELLS, read_lines
-from models.trials.files import MOST_COLUMNS
-from models.trials.recordings.frame import to_world
+from firmware_py.files.input_files import read_lines
+from models.shared.numeric_text import MOST_COLUMNS, read_numbers
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns
-from models.trials.recordings.text import cells_remedy, has_decimal_comma
+from models.trials.recordings.series import Series, marker_columns, to_world
 from models.trials.trial import Array
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
@@ -39,10 +33,8 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
 
     y points up unless the map's `[frame]` says otherwise.
     """
-    rows = _rows(path)
-    header = _header(path, next(rows, []))
-    metres = _METRES[header["Length Units"].lower()]
-    labels, line = _label_rows(path, rows)
+    lines = read_lines(path, "name an existing export of Motive")
+    metres, labels, above = _header(path, lines)
     positions = _position_columns(path, labels, mapping)
     if not positions:
         found = sorted({name for name in labels["Name"] if name})
@@ -51,9 +43,11 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
             "holds none of the mapped markers; it has " + (", ".join(found[:20]) or "no names"),
             'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
         )
+    cells = zip(labels["Name"][2:], labels["Frame"][2:], strict=True)
+    names = [*labels["Frame"][:2], *(" ".join(filter(None, cell)) for cell in cells)]
     time = labels["Frame"].index("Time (Seconds)")
     used = [time, *(k for axes in positions.values() for k in axes)]
-    samples = _samples(path, rows, line, len(labels["Frame"]), used)
+    samples = read_numbers(path, lines, names, used, above=above)
     columns: dict[str, Array] = {}
     for i, name in enumerate(positions):  # one by one: one copy of a long capture, not four
         in_file_m = metres * samples[:, 1 + 3 * i : 4 + 3 * i]
@@ -61,17 +55,43 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     return [Series(samples[:, 0].copy(), columns, path)]
 
 
-def _rows(path: Path) -> Iterator[list[str]]:
+def _header(path: Path, lines: Iterator[str]) -> tuple[float, dict[str, list[str]], int]:
+    """Unit of length in m, label rows by label ("" for Rotation / Position), number of lines."""
+    rows = csv.reader(lines)
+    labels: dict[str, list[str]] = {}
     try:
-        yield from csv.reader(read_lines(path, "name an existing export of Motive"))
+        metres = _length_unit(path, next(rows, []))
+        for row in rows:
+            if len(row) > MOST_COLUMNS:
+                what = f"line {rows.line_num} has {len(row)} cells, more than {MOST_COLUMNS}"
+                raise InputError(path, what, "export fewer assets")
+            if row and row[0] == "Frame":
+                labels["Frame"] = row
+                break
+            if len(row) > 2 and row[0] == "":
+                labels[row[1]] = row
+            if rows.line_num > _MOST_HEADER_LINES:
+                break
     except csv.Error as error:
         raise InputError(
             path, f"is not CSV text ({error})", "export it from Motive again"
         ) from None
+    if "Frame" not in labels:
+        raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
+    frame = labels["Frame"]
+    missing = {"Type", "Name", ""} - labels.keys()
+    if missing or "Time (Seconds)" not in frame:
+        lacks = " and ".join(map(repr, sorted(missing) or ["Time (Seconds)"]))
+        raise InputError(
+            path, f"line {rows.line_num}: the header lacks its {lacks} row",
+            "export it from Motive again",
+        )  # fmt: skip
+    width = len(frame)
+    return metres, {k: (v + [""] * width)[:width] for k, v in labels.items()}, rows.line_num
 
 
-def _header(path: Path, first: list[str]) -> dict[str, str]:
-    """Check the header's first line and return its key, value pairs."""
+def _length_unit(path: Path, first: list[str]) -> float:
+    """Unit of length in m, from the header's first line."""
     header = dict(zip(first[::2], first[1::2], strict=False))
     if first and first[0].startswith("Format Version;"):
         raise InputError(
@@ -82,38 +102,14 @@ def _header(path: Path, first: list[str]) -> dict[str, str]:
         raise InputError(
             path, "is no Motive export with header", "export CSV with 'Header Information' on"
         )
-    units = header.get("Length Units", "")
-    if units.lower() not in _METRES:
-        raise InputError(path, f"Length Units is {units!r}", "export in Meters or Millimeters")
+    unit = header.get("Length Units", "")
+    if unit.lower() not in _METRES:
+        raise InputError(path, f"Length Units is {unit!r}", "export in Meters or Millimeters")
     if header.get("Coordinate Space", "Global") != "Global":
         raise InputError(
             path, f"Coordinate Space is {header['Coordinate Space']}", "export it as Global"
         )
-    return header
-
-
-def _label_rows(path: Path, rows: Iterator[list[str]]) -> tuple[dict[str, list[str]], int]:
-    """Label rows by label ("" for Rotation / Position), and the line number of the last one."""
-    labels: dict[str, list[str]] = {}
-    for number, row in enumerate(rows, start=2):
-        if len(row) > MOST_COLUMNS:
-            what = f"line {number} has {len(row)} cells, more than {MOST_COLUMNS}"
-            raise InputError(path, what, "export fewer assets")
-        if row and row[0] == "Frame":
-            labels["Frame"] = row
-            missing = {"Type", "Name", ""} - labels.keys()
-            if missing or "Time (Seconds)" not in row:
-                lacks = " and ".join(map(repr, sorted(missing) or ["Time (Seconds)"]))
-                raise InputError(
-                    path, f"line {number}: the header lacks its {lacks} row",
-                    "export it from Motive again",
-                )  # fmt: skip
-            return {k: (v + [""] * len(row))[: len(row)] for k, v in labels.items()}, number
-        if len(row) > 2 and row[0] == "":
-            labels[row[1]] = row
-        if number > _MOST_HEADER_LINES:
-            break
-    raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
+    return _METRES[unit.lower()]
 
 
 def _position_columns(
@@ -141,42 +137,3 @@ def _position_columns(
                     "map one marker to it, and export it with all its positions",
                 )  # fmt: skip
     return {name: [axes[axis][0] for axis in "XYZ"] for name, (_, axes) in best.items()}
-
-
-def _samples(
-    path: Path, rows: Iterator[list[str]], line: int, width: int, used: list[int]
-) -> Array:
-    """Samples of the used columns as numbers, NaN for a blank cell."""
-    numbers = array("d")
-    for number, row in enumerate(rows, start=line + 1):
-        if not row:
-            continue
-        if len(row) < width or len(row) >= 1.5 * width:
-            raise InputError(
-                path, f"line {number} has {len(row)} cells, the header {width}",
-                cells_remedy(row, width),
-            )  # fmt: skip
-        if len(numbers) > MOST_CELLS:
-            raise InputError(path, f"holds more than {MOST_CELLS} numbers", "export less of it")
-        try:
-            values = [float(cell) if cell else math.nan for cell in row[:width]]
-        except ValueError:
-            raise _no_number(path, number, row) from None
-        numbers.extend([values[k] for k in used])
-    return np.frombuffer(numbers, np.float64).reshape(-1, len(used))
-
-
-def _no_number(path: Path, line: int, row: list[str]) -> InputError:
-    k, cell = next((k, c) for k, c in enumerate(row, start=1) if not _is_number(c))
-    remedy = "export it from Motive again"
-    if has_decimal_comma(cell):
-        remedy = "the file has decimal commas: export it with decimal points"
-    return InputError(path, f"line {line}, cell {k}: {cell[:80]!r} is not a number", remedy)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell or 0)
-    except ValueError:
-        return False
-    return True

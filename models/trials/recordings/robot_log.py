@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -24,9 +24,9 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.log.logged_run import OUTSIDE, LoggedMotion, LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
-from firmware_py.motion import KINDS, Motion
+from firmware_py.motion import Motion
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PAYLOAD, PERIOD_S, joint_signals, tip_names
+from firmware_py.signals import PAYLOAD, joint_signals, tip_names
 from models.trials.recordings.mapping import RecordingMap, Scalar
 from models.trials.recordings.series import Series
 from models.trials.trial import Array, rows_at_rest
@@ -37,15 +37,8 @@ expects at rest."""
 _HALF_WIDTHS = tuple(f"half_width_{axis}_m" for axis in "xyz")
 
 
-class LogEnd(NamedTuple):
-    """Early end of the motion in a log."""
-
-    row: int  # First row that is not part of the motion
-    text: str  # Sentence on what is left out, and why
-
-
-def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
-    """Rows of a log in which the robot followed its motion, and the reason for an early end.
+def motion_rows(log: Recording) -> tuple[Recording, str | None]:
+    """Rows of a log in which the robot followed its motion, and why the others are left out.
 
     The first alert ends them, or a stop before the end of the motion. Rows of a stop after the
     motion stay: they hold its last goals.
@@ -71,7 +64,7 @@ def motion_rows(log: Recording) -> tuple[Recording, LogEnd | None]:
     goals = _motion_goals(replace(log, columns=left))
     if len(goals) == 0 or len(goals) - rows_at_rest(goals) < LEAST_MOVING_ROWS:
         raise InputError(log.path, f"{text}, and hardly any motion is left", "record it again")
-    return replace(log, columns=left), LogEnd(row, text)
+    return replace(log, columns=left), text
 
 
 def read_robot_log(path: Path, mapping: RecordingMap) -> list[Series]:
@@ -119,7 +112,7 @@ def with_log_conditions(mapping: RecordingMap, log: Recording) -> RecordingMap:
     return msgspec.structs.replace(
         mapping,
         trial=trial | mapping.trial,
-        step_s=step_s if mapping.step_s == PERIOD_S else mapping.step_s,
+        step_s=mapping.step_s if mapping.step_named else step_s,
     )
 
 
@@ -143,31 +136,11 @@ def _early_stop(log: Recording) -> int | None:
     if not len(rows):
         return None
     row, facts = int(rows[0]), logged_run(log)
-    slots = _slots(log, facts)
-    if slots is not None and log.columns["tick"][row] >= slots:
+    if facts.slots is not None and log.columns["tick"][row] >= facts.slots:
         return None
     goals = _goals(log)
     from_rest = bool((goals[row:] == goals[max(row - 1, 0)]).all())
-    return None if from_rest and (slots is None or _outside(facts)) else row
-
-
-def _slots(log: Recording, facts: LoggedRun) -> int | None:
-    """Tick in which the motion should end; from the motion itself in earlier logs."""
-    if facts.slots is not None or facts.period_s is None:
-        return facts.slots
-    logged = facts.motion
-    kind = next((kind for kind in KINDS if kind == logged.kind), None)
-    try:
-        if logged.design is not None:
-            motion = Motion.designed(logged.design)
-        elif kind is not None and logged.period_s is not None:
-            motion = Motion(kind, period_s=logged.period_s)
-        else:
-            return None
-        rest_rows = int(log.metadata.get("rest_samples", "0"))
-    except (InputError, ValueError):
-        return None
-    return rest_rows + round(motion.duration_s / facts.period_s)
+    return None if from_rest and (facts.slots is None or _outside(facts)) else row
 
 
 def _goals(log: Recording) -> Array:
@@ -184,12 +157,8 @@ def _late_s(columns: dict[str, NDArray[Any]]) -> Array:
 
     It is counted from the usual time of a sample that is answered at the first attempt.
     """
-    status = columns["bus_status"]
+    status, after_ns = columns["bus_status"], columns["sample_late_ns"]
     at_once, again = status == BusStatus.OK, status == BusStatus.RETRIED
-    after_ns = columns["wake_ns"] + columns["read_ns"]
-    known_ns = columns.get("sample_late_ns")
-    if known_ns is not None and np.isfinite(known_ns).all():
-        after_ns = known_ns
     if not at_once.any() or not again.any():
         return np.zeros(len(status))
     late_s = np.where(again, 1e-9 * (after_ns - np.median(after_ns[at_once])), 0.0)
@@ -212,9 +181,8 @@ def _at_rows(
 
 
 def _outside(facts: LoggedRun) -> bool:
-    """Whether another program sent the goals; earlier logs then state an amplitude of zero."""
-    motion = facts.motion
-    return motion.design is None and motion.motion == OUTSIDE and not motion.amplitude_rad
+    """Whether another program sent the goals."""
+    return facts.motion.design is None and facts.motion.motion == OUTSIDE
 
 
 def _goals_reach(log: Recording, step_s: float) -> dict[str, Scalar | None]:

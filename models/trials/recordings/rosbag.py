@@ -20,9 +20,9 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_BYTES, open_bounded, read_bytes
-from models.trials.recordings.frame import to_world
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, factor_to_si, marker_columns
+from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.units import factor_to_si
 
 MOST_FILES: Final = 100
 """Most files of a bag."""

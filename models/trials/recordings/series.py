@@ -1,4 +1,8 @@
-"""Series: channels sampled together, under the column names of a trial, in SI units."""
+"""Series: channels sampled together, under the column names of a trial, in SI units.
+
+Positions of markers come from the frame of the motion capture; `to_world` turns them into the
+world frame of docs/trials.md.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +14,16 @@ from typing import Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.signals import unit_of
-from models.trials.trial import Array
-from models.trials.units import TO_SI
+from models.trials.recordings.mapping import MocapFrame
+from models.trials.trial import Array, TrialMeta
 
-OPPOSITE_M: Final = 1e-3
+_OPPOSITE_M: Final = 1e-3
 """Largest distance from the axis at which the midpoint of two markers is the row's centre."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Channels with common sample times.
+    """Channels with common sample times; `InputError` if they are no samples of a recording.
 
     Attributes
     ----------
@@ -30,11 +33,6 @@ class Series:
         Samples by column name of a trial, in SI units; NaN where nothing was measured.
     path : Path
         File that they were read from, for messages.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than three samples, the times do not increase, or a value is infinite.
     """
 
     time_s: Array
@@ -65,9 +63,13 @@ class Series:
                     "correct it or leave it out",
                 )
 
-    def position_m(self, name: str) -> Array:
-        """Return the position of a marker or the tip in m, shape (n, 3)."""
-        return np.column_stack([self.columns[f"{name}_{axis}_m"] for axis in "xyz"])
+    def has(self, marker: str) -> bool:
+        """Whether all coordinates of a marker or the tip are among the columns."""
+        return all(f"{marker}_{axis}_m" in self.columns for axis in "xyz")
+
+    def position_m(self, marker: str) -> Array:
+        """Position of a marker or the tip in m, shape (n, 3)."""
+        return np.column_stack([self.columns[f"{marker}_{axis}_m"] for axis in "xyz"])
 
 
 def marker_columns(markers_m: dict[str, Array]) -> dict[str, Array]:
@@ -87,7 +89,7 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     """
     places = np.asarray(places_m)
     apart = np.abs(places[:, None] + places[None]).max(axis=2)
-    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < OPPOSITE_M) if i <= j]
+    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < _OPPOSITE_M) if i <= j]
     if not pairs:
         return np.asarray(corners_m.mean(axis=0))
     diagonals_m = np.array([corners_m[i] + corners_m[j] for i, j in pairs]) / 2
@@ -97,19 +99,53 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     return np.asarray(np.where(count > 0, total_m / np.maximum(count, 1), np.nan))
 
 
-def factor_to_si(where: Path, column: str, unit: str, declared: str | None = None) -> float:
-    """Factor from `unit` to the SI unit of `column`, from its suffix or `declared` without one."""
-    declared = declared or unit_of(column) or "1"
-    if unit == declared:
-        return 1.0
-    if unit not in TO_SI:
-        raise InputError(
-            where, f"{column}: unit {unit!r} is unknown", "choose from " + ", ".join(TO_SI)
-        )
-    si, factor = TO_SI[unit]
-    if si != declared:
-        alike = ", ".join(name for name, (other, _) in TO_SI.items() if other == declared)
-        raise InputError(
-            where, f"{column}: unit {unit!r} does not measure {declared}", f"give one of {alike}"
-        )
-    return factor
+_TO_Z_UP: Final = {
+    "x": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "z": np.eye(3),
+}
+"""Rotation from the file's upward axis to z, by that axis."""
+_OVER: Final = np.diag([1.0, -1.0, -1.0])
+"""Half a turn about x, for a link that points down an axis."""
+
+
+def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
+    """Positions (n, 3) in the world frame; `default_up` is used if the map does not state `up`."""
+    rotation = world_rotation(frame, default_up)
+    origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
+    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
+
+
+def world_rotation(frame: MocapFrame, default_up: str) -> Array:
+    """Rotation from the file's axes to the world's, shape (3, 3); a reflection with `mirror`."""
+    up = frame.up or default_up
+    upward = _TO_Z_UP[up.removeprefix("-")]
+    turned = _about_z(frame.yaw_deg) @ (_OVER @ upward if up != up[-1] else upward)
+    signs = [-1.0 if axis == frame.mirror else 1.0 for axis in "xyz"]
+    return np.asarray(turned * signs)  # signs belong to the file's axes
+
+
+def _about_z(yaw_deg: float) -> Array:
+    cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def nominal_markers_m(meta: TrialMeta) -> Array:
+    """Markers of the straight link at zero angle, shape (markers, 3)."""
+    layout = meta.layout
+    return np.array(
+        [(x, y, meta.base_offset_m + z) for z in layout.rows_m for x, y in layout.corners_m]
+    )
+
+
+def fit_rigid_motion(measured_m: Array, nominal_m: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and shift (3,) that best map measured points to nominal ones, (k, 3) each.
+
+    nominal ≈ rotation @ measured + shift, by least squares with the singular value decomposition
+    (Kabsch 1976).
+    """
+    centre, target = measured_m.mean(axis=0), nominal_m.mean(axis=0)
+    u, _, vt = np.linalg.svd((measured_m - centre).T @ (nominal_m - target))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])
+    rotation = np.asarray(vt.T @ mirror @ u.T)
+    return rotation, target - rotation @ centre

@@ -51,9 +51,7 @@ def test_what_is_said_of_the_link_reaches_the_diagnosis(
         given.append(arguments[-1])
         raise InputError("the diagnosis", "ends here", "see its settings")
 
-    monkeypatch.setattr(
-        "models.commands.gap_workflow.gap.read_usable_trials", lambda *a: trials
-    )
+    monkeypatch.setattr("models.commands.gap_workflow.gap.read_usable_trials", lambda *a: trials)
     monkeypatch.setattr("models.gap.report.diagnosis_files.write_diagnosis", kept)
     said = ["--same-link"] if same else []
     main(["gap", "trials", "--plant", str(tmp_path / "plant.json"), "--out", str(tmp_path / "gap"),

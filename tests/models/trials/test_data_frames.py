@@ -64,7 +64,7 @@ def broken(frame, how):
     ("how", "message"),
     [
         ("degrees", "convert it if it is in degrees"),
-        ("a gap", "row 5, column current_1_a"),
+        ("a gap", "row 5, column 'current_1_a'"),
         ("a missing column", "goal_1_rad is missing"),
         ("no unit", "no unit suffix"),
         ("text", "holds no numbers"),

@@ -9,9 +9,7 @@ from hypothesis.extra.numpy import arrays
 from firmware_py.errors import InputError
 from firmware_py.link.marker_layout import square_corners_m
 from models.shared.kinematics import base_corners_m
-from models.trials.deformation import DEFINITIONS, deformation_index, marker_lengths_m
-
-LENGTHS = {"edges": 16, "base_to_marker": 16, "all_pairs": 120}
+from models.trials.deformation import deformation_index, marker_lengths_m
 
 
 @pytest.fixture(autouse=True)
@@ -28,11 +26,10 @@ def occlude(trial, rows, *markers):
     return trial
 
 
-@pytest.mark.parametrize("definition", DEFINITIONS)
-def test_rigid_motion_does_not_deform(make_trial, swing_rad, definition):
+def test_rigid_motion_does_not_deform(make_trial, swing_rad):
     trial = make_trial(swing_rad)
-    assert marker_lengths_m(trial, definition).shape == (len(trial), LENGTHS[definition])
-    assert deformation_index(trial, definition) == pytest.approx(0, abs=1e-14)
+    assert marker_lengths_m(trial).shape == (len(trial), 16)
+    assert deformation_index(trial) == pytest.approx(0, abs=1e-14)
 
 
 def test_every_angle_is_a_rigid_motion(make_trial):
@@ -45,23 +42,12 @@ def test_every_angle_is_a_rigid_motion(make_trial):
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("definition", ["edges"])
-def test_one_per_cent_of_stretch_is_an_index_of_one_per_cent(
-    make_trial, swing_rad, definition, sign
-):
+def test_one_per_cent_of_stretch_is_an_index_of_one_per_cent(make_trial, swing_rad, sign):
     stretch = np.ones(len(swing_rad))
     stretch[3:] += sign * 0.01
-    index = deformation_index(make_trial(swing_rad, stretch=stretch), definition)
+    index = deformation_index(make_trial(swing_rad, stretch=stretch))
     assert index[:3] == pytest.approx(0, abs=1e-14)
     assert index[3:] == pytest.approx(0.01)
-
-
-def test_scaling_the_whole_cloud_scales_all_pairs(make_trial, swing_rad):
-    trial = make_trial(swing_rad)
-    for name in trial.columns:
-        if name[0] == "m":
-            trial.columns[name][3:] *= 1.01
-    assert deformation_index(trial, "all_pairs")[3:] == pytest.approx(0.01)
 
 
 def test_the_index_is_equation_1_written_out(make_trial, swing_rad):
@@ -123,7 +109,7 @@ def test_much_occlusion_is_warned_of_and_a_little_is_not(make_trial, swing_rad):
 
 def test_a_length_unseen_at_rest_has_no_reference(make_trial, swing_rad):
     trial = occlude(make_trial(swing_rad), slice(0, 3), 13)
-    with pytest.raises(InputError, match=r"length 13 of 16 \('edges'\) is occluded in all 3 rest"):
+    with pytest.raises(InputError, match=r"length 13 of 16 is occluded in all 3 rest"):
         deformation_index(trial)
     trial = occlude(make_trial(swing_rad), slice(0, 2), 13)  # seen in one rest row: enough
     assert deformation_index(trial) == pytest.approx(0, abs=1e-14)

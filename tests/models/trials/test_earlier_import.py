@@ -101,6 +101,16 @@ def test_a_trial_that_was_not_imported_is_not_replaced(tmp_path, importing):
     assert contents(tmp_path / "out") == before
 
 
+def test_a_trial_whose_suffixes_are_in_capitals_is_one(tmp_path, importing):
+    assert importing(record(tmp_path / "take.csv"))[0] == 0
+    for path in (tmp_path / "out").glob("take.*"):
+        path.rename(path.with_suffix(path.suffix.upper()))
+    before = contents(tmp_path / "out")
+    code, err = importing(record(tmp_path / "other" / "take.csv", amplitude_rad=0.4))
+    assert code == 2 and "take.CSV: is a trial of another recording" in err
+    assert contents(tmp_path / "out") == before
+
+
 @pytest.mark.parametrize("name", ["take.csv", "take.toml"])
 def test_a_file_that_is_no_trial_stays(tmp_path, importing, name):
     (tmp_path / "out").mkdir()

@@ -66,8 +66,8 @@ def test_a_turned_sign_is_better_than_a_shift_by_half_a_period():
     angle = ClockSignal(time_s, -swing(time_s)[:, None])
     peaks = find_peaks(angle, ClockSignal(time_s + 0.7, swing(time_s)[:, None]))
     best = max(peaks, key=lambda p: p.correlation)
-    assert not best.reading.as_mapped and best.offset_s == pytest.approx(0.7, abs=0.011)
-    mapped = max((p for p in peaks if p.reading.as_mapped), key=lambda p: p.correlation)
+    assert not best.as_mapped and best.offset_s == pytest.approx(0.7, abs=0.011)
+    mapped = max((p for p in peaks if p.as_mapped), key=lambda p: p.correlation)
     assert mapped.correlation < 0.97
 
 
@@ -75,7 +75,7 @@ def test_a_motion_without_rest_has_a_second_peak():
     time_s = np.arange(0, 16, 0.01)
     value = np.sin(np.pi / 2 * time_s)[:, None]
     peaks = find_peaks(ClockSignal(time_s, value), ClockSignal(time_s, value))
-    mapped = [p for p in peaks if p.reading.as_mapped]
+    mapped = [p for p in peaks if p.as_mapped]
     assert len(mapped) == 2 and mapped[1].correlation > 0.99
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from models.trials.checks.pose import judge_pose, rest_pose
-from models.trials.recordings.frame import nominal_markers_m, to_world
 from models.trials.recordings.mapping import MocapFrame, RecordingMap
+from models.trials.recordings.series import nominal_markers_m, to_world
 from models.trials.trial import TrialMeta
 
 META = TrialMeta(

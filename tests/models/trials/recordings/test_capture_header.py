@@ -5,8 +5,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.table import read_table
-from models.trials.recordings.text import read_text_columns
+from models.trials.recordings.table import read_columns, read_table
 
 PLACES_MM = np.arange(18.0).reshape(3, 2, 3) + 0.25
 """Of two markers in three samples."""
@@ -110,7 +109,7 @@ def test_decimal_commas_are_named_only_where_a_number_was_split(text, remedy, tm
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(InputError) as error:
-        read_text_columns(path, bool)
+        read_columns(path)
     assert remedy in str(error.value)
 
 
@@ -119,4 +118,4 @@ def test_a_time_stamp_is_told_as_one(stamp, tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(f"stamp,x\n{stamp},1\n")
     with pytest.raises(InputError, match="convert time stamps to seconds"):
-        read_text_columns(path, bool)
+        read_columns(path)

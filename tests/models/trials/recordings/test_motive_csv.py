@@ -137,7 +137,7 @@ def test_a_foreign_frame_is_laid_on_the_rest_pose(
         ("Frame,Time (Seconds)", "Frame,Time", "lacks"),
         (",Name,", ",Label,", "lacks its"),
         ("\nFrame,", "\nFrames,", "no row that begins with Frame"),
-        ("0,0.000000,0.1", "0,0.000000,oops", "cell 3: 'oops' is not a number"),
+        ("\n0,0.000000,", "\n0,oops,", "column 'Time (Seconds)': 'oops' is not a number"),
         ("\n3,0.012500,", "\n3,0.001000,", "time does not increase after sample 3"),
     ],
 )

@@ -16,7 +16,7 @@ from firmware_py.safety.states import SafetyState
 from firmware_py.signals import PERIOD_S, tick_dtype
 from models.trials.files import read_trial
 from models.trials.recordings import robot_log
-from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.mapping import RecordingMap, read_mapping
 
 MAP = """
 [trial]
@@ -113,26 +113,17 @@ def swinging(**columns):
     return records
 
 
-@pytest.mark.parametrize("told", [True, False])
 @pytest.mark.parametrize("late", [[100, 101, 102, 150], [0, 120, COUNT - 1]])
-def test_samples_of_a_second_read_are_those_of_the_time_of_their_row(
-    tmp_path, monkeypatch, late, told
-):
-    """Whether the log tells how late a sample is, or only how long its read took."""
+def test_samples_of_a_second_read_are_those_of_the_time_of_their_row(tmp_path, late):
     records = swinging()
     exact = 0.2 * np.sin(2 * records["time_s"])
     records["angle_1_rad"] = records["current_1_a"] = exact
     records["bus_status"][late] = BusStatus.RETRIED
-    records["read_ns"][late] += LATE_NS
+    records["sample_late_ns"] = records["wake_ns"]
+    records["sample_late_ns"][late] += LATE_NS
     later = 0.2 * np.sin(2 * (records["time_s"] + LATE_NS * 1e-9))
     records["angle_1_rad"][late] = records["current_1_a"][late] = later[late]
-    log = read_recording(log_of(tmp_path / "run.mcap", records, 1))
-    log.columns.pop("sample_late_ns", None)
-    if told:
-        after = np.where(records["bus_status"] == BusStatus.RETRIED, LATE_NS, 0)
-        log.columns["sample_late_ns"] = records["wake_ns"] + after
-        log.columns["read_ns"] = 0 * records["read_ns"]
-    monkeypatch.setattr(robot_log, "read_recording", lambda path: log)
+    log_of(tmp_path / "run.mcap", records, 1)
     series = robot_log.read_robot_log(tmp_path / "run.mcap", RecordingMap())
     first = 1 if 0 in late else 0  # before the first sample nothing is known
     assert np.array_equal(series[0].columns["goal_1_rad"], records["goal_1_rad"])
@@ -149,9 +140,7 @@ ENDS = {
     "torque": ({"alert": TORQUE_LOST}, {}, "a servo raises an alert (its torque went off)"),
     "no cause": ({"bus_status": BusStatus.ALERT}, {}, "a servo raises an alert (cause unknown)"),
     "stop": ({"state": SafetyState.STOPPING}, {}, "the robot stops before the end of its motion"),
-    "earlier log": (
-        {"state": SafetyState.STOPPING}, {"slots": None}, "stops before the end of its motion",
-    ),
+    "no slots": ({"state": SafetyState.STOPPING}, {"slots": None}, "stops before the end of its"),
     "stale": (
         {"state": SafetyState.STOPPING, "stale_ticks": 3}, {}, "motion, without fresh data for 3",
     ),
@@ -198,12 +187,10 @@ def test_an_alert_before_the_motion_leaves_no_trial(tmp_path, capsys):
     assert not list((tmp_path / "out").glob("*.csv"))
 
 
-@pytest.mark.parametrize("more", [{}, {"period_s": 1.0, "amplitude_rad": 0.0, "phase_2_rad": 0.0}])
-def test_goals_from_outside_tell_their_duration_and_reach(tmp_path, import_, more):
-    """Also in earlier logs, which gave them a motion of no amplitude."""
-    motion = json.dumps({"motion": "outside"} | more)
+def test_goals_from_outside_tell_their_duration_and_reach(tmp_path, import_):
     records = swinging()
-    trial, result = import_(log_of(tmp_path / "run.mcap", records, 1, motion=motion))
+    path = log_of(tmp_path / "run.mcap", records, 1, motion='{"motion": "outside"}')
+    trial, result = import_(path)
     meta = trial.meta
     assert (meta.motion, meta.rest_samples) == ("outside", 60)
     assert meta.amplitude_rad == np.abs(records["goal_1_rad"]).max()
@@ -273,3 +260,11 @@ def test_goals_that_begin_beside_zero_have_the_amplitude_of_their_plan(tmp_path,
         path = log_of(tmp_path / f"{amplitude_rad}.mcap", records, 1, motion=json.dumps(known))
         found = [f["text"] for f in import_(path)[1]["findings"] if f["cause"] == "amplitude"]
         assert fits == (not found), amplitude_rad
+
+
+def test_a_step_that_the_map_states_counts_even_where_it_is_the_nominal_one(tmp_path):
+    log = read_recording(log_of(tmp_path / "a.mcap", records_of(1), 1, period_s="0.01"))
+    for head, step_s in (("", 0.01), ("step_s = 0.017\n", 0.017), ("step_s = 0.02\n", 0.02)):
+        (tmp_path / "map.toml").write_text(head + MAP)
+        mapping = robot_log.with_log_conditions(read_mapping(tmp_path / "map.toml"), log)
+        assert mapping.step_s == step_s

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.io
 
+from firmware_py.errors import InputError
 from models.trials.files import read_trial, write_trial
 from models.trials.recordings.mapping import read_mapping
 from models.trials.recordings.table import read_columns, read_table
@@ -145,6 +146,33 @@ def test_a_wrong_map_gets_one_sentence(session, servo_csv, write_map, refused, c
         columns["time_s"]["unit"] = "deg"
     sentence = refused(log, "--as", "table", "--map", write_map(session.dof, columns=columns))
     assert what in sentence
+
+
+@pytest.mark.parametrize(
+    ("table", "what"),
+    [
+        ("servo_columns", "its columns stand under [servo_columns], for the file of --servo: name "
+         "them under [columns] in MAP.toml"),
+        ("columns", "add time_s = { from = \"…\", unit = \"s\" } under [columns] in MAP.toml"),
+    ],
+)  # fmt: skip
+def test_a_table_of_the_map_for_another_file_is_named(
+    session, servo_csv, write_map, refused, table, what
+):
+    log, columns = servo_csv
+    if table == "columns":
+        del columns["time_s"]
+    map_ = write_map(session.dof, **{table: columns})
+    assert what in refused(log, "--as", "table", "--map", map_)
+
+
+def test_columns_of_the_servo_under_those_of_the_recording_are_named(session, servo_csv, write_map):
+    log, columns = servo_csv
+    angle = {"angle_1_rad": columns["angle_1_rad"]}
+    path = write_map(session.dof, columns=columns, servo_columns=angle)
+    what = r"stand under \[columns\], for the recording itself: name them under \[servo_columns\]"
+    with pytest.raises(InputError, match=what):
+        read_table(log, read_mapping(path).for_servo())
 
 
 @pytest.mark.parametrize("form", ["csv", "records"])

@@ -8,7 +8,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.signals import trial_signals
 from models.shared.kinematics import base_rotation
-from models.trials.recordings.frame import nominal_markers_m
+from models.trials.recordings.series import nominal_markers_m
 from models.trials.trial import Trial, TrialMeta
 from tests.models.trials.recordings.written_takes import right_cases, wrong_cases
 
