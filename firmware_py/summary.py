@@ -87,7 +87,7 @@ class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             late = f", in {self.late_ticks} because the sample was late" if self.late_ticks else ""
             causes.append(
                 f"the interval was up to ±{LENGTH.text(self.widest_m)} in {self.wide_ticks} of "
-                f"them{late}, by the bend, the rates and the payload that the observer estimated"
+                f"them{late}: a large bend, or currents that the plant explains less well"
             )
         if self.other_ticks:
             causes.append(

@@ -180,6 +180,8 @@ def tip_lines(document: PredictorsDocument) -> list[str]:
     tests = document.candidates[document.chosen].tests
     lines = [f"the robot gets: {document.reason}"]
     for name, outside in range_texts(document).items():
+        if name not in document.data:  # with a wrong plant: in the model card
+            continue
         score = tests[name]["all"]
         lines.append(
             f"{name}: {LENGTH.number(score.mean_m, 2)} mm on average, "
