@@ -9,7 +9,7 @@ motion that it was trained on it recovers most of the benefit of DI, on others l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -180,16 +180,12 @@ class Fallback:
     folds: Folds
     observer: CompiledModel  # Observer that estimated the DI
 
-    def observed(self, trials: Sequence[Trial]) -> tuple[Samples, list[ObservedTrial]]:
-        """Rows of trials with the DI of every source, and the trials with the observer's output."""
-        return observed_samples(trials, self.observer, self.lagged)
-
     def r2_of_di(self, tests: Mapping[str, TrialSet]) -> dict[str, float]:
         """R² of the observer's DI on each test."""
         return {
             name: r_squared(samples.di["true"], samples.di["observer"])
             for name, trials in tests.items()
-            for samples, _ in [self.observed(tuple(trials))]
+            for samples, _ in [observed_samples(trials, self.observer, self.lagged)]
         }
 
 
@@ -240,15 +236,17 @@ def by_payload(trials: TrialSet) -> TrialSet:
 
 
 def observed_samples(
-    trials: Sequence[Trial], observer: CompiledModel, lagged: LaggedRegressor
+    trials: Iterable[Trial], observer: CompiledModel, lagged: LaggedRegressor
 ) -> tuple[Samples, list[ObservedTrial]]:
+    """Rows of trials with the DI of every source, and the trials with the observer's output."""
+    trials = tuple(trials)
     runs = observe(observer, trials)
     di = {
         "true": [deformation_index(t) for t in trials],
         "observer": [run.signals["di"] for run in runs],
         "lagged": [lagged.estimate(t) for t in trials],
     }
-    return collect_samples(tuple(trials), di), runs
+    return collect_samples(trials, di), runs
 
 
 def held_out_distances_m(

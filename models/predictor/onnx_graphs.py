@@ -168,19 +168,9 @@ class _ArrayGraph(GraphWriter):
 
 
 def evaluate(write: Callable[[GraphWriter, str], str], inputs: Array) -> Array:
-    """Compute what `write(graph, source)` writes, for many rows at once.
+    """Compute what `write(graph, source)` writes for many rows at once, (n, width).
 
-    Parameters
-    ----------
-    write : callable
-        Writes nodes for the row `source` and returns the name of its result.
-    inputs : ndarray, shape (n, inputs)
-        Rows.
-
-    Returns
-    -------
-    ndarray, shape (n, width)
-        Results.
+    `write` gets the name of the input row and returns that of its result. `inputs`: (n, inputs).
     """
     graph = _ArrayGraph()
     graph.values[graph.unique(ROW)] = inputs

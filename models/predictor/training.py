@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +79,7 @@ def train_tip(
     changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
     wrong = {factor: changes for factor, changes in changed.items() if changes}
     disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
-    choice = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
+    chosen, results = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
     tested = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
     if together := [trial for trials in tests.values() for trial in trials]:
         tested |= {
@@ -89,40 +89,32 @@ def train_tip(
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
         dof=rows.dof,
-        chosen=choice.chosen.name,
-        reason=_reason(choice),
+        chosen=chosen.candidate.name,
+        reason=_reason(chosen, results),
         trials=tuple(t.name for t in training),
         motions=tuple(sorted({t.meta.motion for t in training})),
         payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
         askew_rad=askew_rad,
-        candidates={result.name: _entry(result, tested) for result in choice.candidates},
+        candidates={result.candidate.name: _entry(result, tested) for result in results},
         data={"training": summary_of(training)}
         | {name: summary_of(trials) for name, trials in tests.items()},
         out_of_range={
-            name: range_reasons(choice.chosen.predictor, rows.inputs)
-            for name, rows in tested.items()
+            name: range_reasons(chosen.predictor, rows.inputs) for name, rows in tested.items()
         },
     )
-    return TipTraining(choice.chosen.predictor, rows, document)
+    return TipTraining(chosen.predictor, rows, document)
 
 
-@dataclass(frozen=True)
-class CandidateResult:
+class CandidateResult(NamedTuple):
     """Candidate in the nested cross-validation."""
 
-    name: str
-    summary: str
     variant: int  # Variant chosen on all training rows
     nested: TipScore  # Score on the rows that the outer folds left out
     predictor: GuardedTip  # Fitted on all training rows
 
-
-@dataclass(frozen=True)
-class TipChoice:
-    """Chosen candidate, and all that were compared."""
-
-    chosen: CandidateResult
-    candidates: tuple[CandidateResult, ...]  # All candidates, in the order of the list
+    @property
+    def candidate(self) -> TipPredictor:
+        return self.predictor.predictor
 
 
 def choose_tip_predictor(
@@ -131,8 +123,8 @@ def choose_tip_predictor(
     candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
     progress: Callable[[str], None] = lambda detail: None,
     askew_rad: float = ASKEW_RAD,
-) -> TipChoice:
-    """Compare candidates, simplest first, and fit each on all rows.
+) -> tuple[CandidateResult, list[CandidateResult]]:
+    """Compare candidates, simplest first, and fit each on all rows; return the best, and all.
 
     `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
     by which the link may be mounted askew, which the interval covers.
@@ -145,16 +137,13 @@ def choose_tip_predictor(
         variant = _best_variant(candidate, few)
         fitted = candidate(variant).fit(rows)
         interval = _interval(fitted, few, left_out_m, others, askew_rad)
-        predictor = GuardedTip.of(rows, fitted, interval)
-        results.append(
-            CandidateResult(candidate.name, candidate.summary, variant, nested, predictor)
-        )
+        results.append(CandidateResult(variant, nested, GuardedTip.of(rows, fitted, interval)))
         progress(candidate.name)
     chosen = results[0]
     for result in results[1:]:
         if result.nested.mean_m < (1.0 - TOLERANCE) * chosen.nested.mean_m:
             chosen = result
-    return TipChoice(chosen, tuple(results))
+    return chosen, results
 
 
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
@@ -238,11 +227,6 @@ def _interval(
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)
 
 
-def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
-    """Errors of a predictor on rows."""
-    return _score(*_answers(predictor, rows), rows.dof)
-
-
 def _answers(predictor: GuardedTip, rows: TipRows) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Error, half width and range of each row."""
     error_m = rows.tip_m - predictor.predict(rows.inputs)
@@ -268,7 +252,7 @@ def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof
 def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
     graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
     return CandidateEntry(
-        summary=result.summary,
+        summary=result.candidate.summary,
         variant=result.variant,
         nested=result.nested,
         tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
@@ -278,10 +262,10 @@ def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEn
 
 
 def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
-    scores = {"all": score_tip(predictor, rows)}
-    for part in ("rest", "motion"):
-        if (of_part := rows.part == part).any():
-            scores[part] = score_tip(predictor, rows.take(of_part))
+    answers, scores = _answers(predictor, rows), {}
+    for part in ("all", "rest", "motion"):
+        if (of_part := (rows.part == part) | (part == "all")).any():
+            scores[part] = _score(*(answer[of_part] for answer in answers), rows.dof)
     return scores
 
 
@@ -294,18 +278,17 @@ def range_reasons(predictor: GuardedTip, inputs: Array) -> RangeReasons:
     return count.reasons()
 
 
-def _reason(choice: TipChoice) -> str:
+def _reason(chosen: CandidateResult, results: Sequence[CandidateResult]) -> str:
     """One sentence on the errors of the chosen candidate, and on those of the others."""
-    chosen = choice.chosen
     score = chosen.nested
     others = ", ".join(
-        f"{result.name} {LENGTH.number(result.nested.mean_m, 2)}"
-        for result in choice.candidates
+        f"{result.candidate.name} {LENGTH.number(result.nested.mean_m, 2)}"
+        for result in results
         if result is not chosen
     )
     better = f"; no candidate that is less simple is better by more than 3 % ({others} mm)"
     return (
-        f"On payloads and motions left out {chosen.summary} is off by "
+        f"On payloads and motions left out {chosen.candidate.summary} is off by "
         f"{LENGTH.number(score.mean_m, 2)} mm on average and its interval covers "
         f"{FRACTION.number(score.coverage, 1)} % ({FRACTION.number(score.coverage_least, 1)} % on "
         f"the worst axis){better if others else ''}."

@@ -9,7 +9,6 @@ use the guard that clips inputs into the training box, like the fallback on the 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import msgspec
@@ -25,6 +24,7 @@ from models.predictor.fallback import (
     Source,
     by_payload,
     held_out_distances_m,
+    observed_samples,
 )
 from models.predictor.observed_trials import ObservedTrial
 from models.predictor.onnx_graphs import Array
@@ -58,6 +58,10 @@ VARIANTS: Final[dict[str, Source]] = {
 """The study's three predictors, and the source of DI for the training and tests of each."""
 ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
 ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
+TABLES: Final = (
+    "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators", "baselines", "deployed",
+)  # fmt: skip
+"""Tables of the document with one entry per test."""
 Fitted = Mapping[tuple[Source, int], Pipeline]
 """Fitted pipelines by source of DI and degree."""
 Distances = Mapping[tuple[Source, int], Array]
@@ -88,9 +92,12 @@ def run_study(
         for source in ("true", *ESTIMATORS)
         for degree in DEGREES
     }
-    results: dict[str, StudyTest] = {}
+    tables: dict[str, dict[str, Any]] = {key: {} for key in TABLES}
+    tested: dict[str, Samples] = {}
     for name, trials in tests.items():
-        results[name] = _test(*fallback.observed(tuple(trials)), fitted, fallback.predictor)
+        tested[name], runs = observed_samples(trials, fallback.observer, fallback.lagged)
+        for key, table in _tables(tested[name], runs, fitted, fallback.predictor).items():
+            tables[key][name] = table
         progress(name)
     document = StudyDocument(
         schema=StudyDocument.VERSION,
@@ -102,13 +109,9 @@ def run_study(
         mean_di_other_dof=_mean_di(others) if others else {},
         chosen_degree=fallback.degree,
         tests={name: summary_of(trials) for name, trials in tests.items()},
-        mean_euclidean_distance_m={name: r.mean_m for name, r in results.items()},
-        std_euclidean_distance_m={name: r.std_m for name, r in results.items()},
-        estimators={name: r.estimators for name, r in results.items()},
-        baselines={name: r.baselines for name, r in results.items()},
-        deployed={name: r.deployed for name, r in results.items()},
-        series=_curves(samples, {name: r.samples for name, r in results.items()}, fitted),
+        series=_curves(samples, tested, fitted),
         findings=(),
+        **tables,
     )
     findings = judge_findings(document, training, tests)
     return msgspec.structs.replace(document, findings=findings)
@@ -151,24 +154,10 @@ def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str
     return errors
 
 
-# --- tables of one test -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class StudyTest:
-    """Results on one set of held-out trials."""
-
-    samples: Samples
-    mean_m: DistanceTable  # Mean of the Euclidean distance over rows
-    std_m: DistanceTable  # Its standard deviation
-    estimators: dict[str, EstimatorScores]  # By source of DI
-    baselines: BaselineErrors  # Distances without a polynomial
-    deployed: DeployedScores  # Scores of the fallback
-
-
-def _test(
+def _tables(
     samples: Samples, runs: list[ObservedTrial], fitted: Fitted, predictor: GuardedPredictor
-) -> StudyTest:
+) -> dict[str, Any]:
+    """Tables of one set of held-out trials, by their keys in the document."""
     parts = split_rows(samples)
     distances = {
         (source, degree): euclidean_distance_m(
@@ -176,14 +165,13 @@ def _test(
         )
         for (source, degree), pipeline in fitted.items()
     }
-    return StudyTest(
-        samples=samples,
-        mean_m=_distance_table(parts, distances, np.mean),
-        std_m=_distance_table(parts, distances, np.std),
-        estimators=_estimator_table(samples, distances),
-        baselines=_baselines(samples, parts, runs),
-        deployed=_deployed(samples, parts, predictor),
-    )
+    return {
+        "mean_euclidean_distance_m": _distance_table(parts, distances, np.mean),
+        "std_euclidean_distance_m": _distance_table(parts, distances, np.std),
+        "estimators": _estimator_table(samples, distances),
+        "baselines": _baselines(samples, parts, runs),
+        "deployed": _deployed(samples, parts, predictor),
+    }
 
 
 def split_rows(samples: Samples) -> dict[str, NDArray[np.bool_]]:
@@ -281,8 +269,6 @@ def _deployed(
         in_range_fraction=float(predictor.in_range(features).mean()),
     )
 
-
-# --- curves of the paper's figures 7 to 13, thinned and rounded to keep study.json small ------
 
 POINTS: Final = 128
 """Largest number of points of a curve: every fourth row of the study's 512."""

@@ -2,7 +2,6 @@
 
 import re
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import onnx
@@ -63,56 +62,21 @@ def test_a_nan_is_out_of_range(tmp_path):
         assert graph_outputs(path, point)[1][0, 0] == 0.0
 
 
-class MeanOfTheTraining:
-    """A candidate of somebody's own: the whole contract in one class."""
-
-    name: ClassVar[str] = "shifted observer"
-    summary: ClassVar[str] = "the observer's tip, shifted by its mean error"
-    variants: ClassVar[tuple[int, ...]] = (0, 1)
-
-    def __init__(self, variant):
-        self.variant = variant
-
-    def fit(self, rows):
-        self._columns, self._width = (
-            rows.columns(["tip_x_m", "tip_y_m", "tip_z_m"]),
-            len(rows.names),
-        )
-        self._shift_m = self.variant * (rows.tip_m - rows.observer_tip_m).mean(axis=0)
-        return self
-
-    def predict(self, inputs):
-        return inputs[:, self._columns] + self._shift_m
-
-    def write(self, graph, source, output):
-        tip = graph.columns(source, self._width, self._columns, "observed")
-        graph.node("Add", [tip, graph.constant("shift", self._shift_m[None])], output)
-
-
-def test_a_candidate_from_outside_is_compared_chosen_and_exported(tmp_path):
-    assert issubclass(MeanOfTheTraining, object) and isinstance(MeanOfTheTraining(0), TipPredictor)
-    rows = made_up_rows()
-    shifted = rows.take(np.arange(len(rows)))
-    shifted.tip_m[:] += [0.01, 0.0, -0.01]
-    choice = choose_tip_predictor(shifted, [], (CANDIDATES[0], MeanOfTheTraining))
-    assert choice.chosen.name == "shifted observer" and choice.chosen.variant == 1
-    path = tmp_path / "predictor.onnx"
-    onnx.save(to_onnx(choice.chosen.predictor, len(rows.names)), path)
-    tip_m, *_ = graph_outputs(path, rows.inputs[:5])
-    np.testing.assert_allclose(tip_m, choice.chosen.predictor.predict(rows.inputs[:5]), atol=1e-12)
-
-
 PAGE = Path(__file__).parents[3] / "docs" / "predictor" / "choice.md"
 [CODE] = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_the_class_of_the_documentation_is_compared_and_chosen_where_it_is_best(tmp_path):
+def test_the_class_of_the_documentation_is_compared_chosen_and_exported(tmp_path):
     (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
     mine = own_candidate(tmp_path / "mine.py", CANDIDATES)
     rows = made_up_rows()
     rows.tip_m[:] += [0.01, 0.0, -0.01]
-    choice = choose_tip_predictor(rows, [], (CANDIDATES[0], mine))
-    assert choice.chosen.name == "shifted observer"
+    assert isinstance(mine(1), TipPredictor)
+    chosen, _ = choose_tip_predictor(rows, [], (CANDIDATES[0], mine))
+    assert chosen.candidate.name == "shifted observer" and chosen.variant == 1
+    onnx.save(to_onnx(chosen.predictor, len(rows.names)), tmp_path / "predictor.onnx")
+    tip_m, *_ = graph_outputs(tmp_path / "predictor.onnx", rows.inputs[:5])
+    np.testing.assert_allclose(tip_m, chosen.predictor.predict(rows.inputs[:5]), atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -28,19 +28,19 @@ def test_rows_of_one_payload_and_motion_leave_out_trials():
 
 def test_a_correction_is_chosen_where_it_helps_and_none_where_it_does_not():
     rows = made_up_rows()
-    corrected = choose_tip_predictor(rows, [], (ObserverTip, CorrectedTip))
-    assert (corrected.chosen.name, corrected.chosen.variant) == ("corrected observer", 2)
+    corrected, _ = choose_tip_predictor(rows, [], (ObserverTip, CorrectedTip))
+    assert (corrected.candidate.name, corrected.variant) == ("corrected observer", 2)
     exact = rows.take(np.arange(len(rows)))
     exact.tip_m[:] = exact.observer_tip_m + 1e-4 * np.random.default_rng(1).normal(size=(1200, 3))
-    plain = choose_tip_predictor(exact, [], (ObserverTip, CorrectedTip))
-    assert plain.chosen.name == "observer"
-    assert plain.candidates[1].variant == 0
+    plain, (_, other) = choose_tip_predictor(exact, [], (ObserverTip, CorrectedTip))
+    assert plain.candidate.name == "observer"
+    assert other.variant == 0
 
 
 def test_every_candidate_beats_none_and_says_how_it_did():
-    choice = choose_tip_predictor(made_up_rows(), [], CANDIDATES)
-    assert [c.name for c in choice.candidates] == [c.name for c in CANDIDATES]
-    for result in choice.candidates:
+    _, results = choose_tip_predictor(made_up_rows(), [], CANDIDATES)
+    assert [r.candidate.name for r in results] == [c.name for c in CANDIDATES]
+    for result in results:
         score = msgspec.structs.asdict(result.nested)
         assert 0 < score["mean_m"] <= score["p95_m"] <= score["max_m"]
         assert 0 <= score["coverage"] <= 1 and 0 <= score["in_range"] <= 1
@@ -49,8 +49,8 @@ def test_every_candidate_beats_none_and_says_how_it_did():
 def test_the_angle_of_mounting_is_what_widens_an_interval_of_a_right_plant():
     rows = made_up_rows()
     widths_m = [
-        choose_tip_predictor(rows, [], (ObserverTip,), askew_rad=askew_rad)
-        .chosen.predictor.half_width(rows.inputs)[:, 0].mean()
+        choose_tip_predictor(rows, [], askew_rad=askew_rad)[0]
+        .predictor.half_width(rows.inputs)[:, 0].mean()
         for askew_rad in (0.0, 0.005, 0.01)
     ]  # fmt: skip
     assert widths_m[0] < widths_m[1] < widths_m[2]
