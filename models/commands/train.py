@@ -20,7 +20,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -40,6 +40,7 @@ from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
 
 if TYPE_CHECKING:
+    from models.plant.plant import Plant
     from models.predictor.document import PredictorsDocument
     from models.study.document import StudyDocument
 
@@ -101,8 +102,8 @@ def run(args: argparse.Namespace) -> int:
     if args.study_only and (args.candidate or args.compare):
         option = "--candidate" if args.candidate else "--compare"
         raise InputError(option, "changes nothing with --study-only", "leave out one")
+
     from models.bundle.files import ParityError, check_bundle_directory, write_bundle
-    from models.plant.identification.doubts import refuse_other_links
     from models.plant.plant import read_plant
     from models.plant.simulation.runner import CompiledModel
     from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, own_candidate
@@ -112,46 +113,32 @@ def run(args: argparse.Namespace) -> int:
 
     check_output_directory(args.out)
     check_bundle_directory(args.out)
-    everything = of_phases(read_trial_directories([args.trials]), args.phase_deg, args.trials)
-    of_this_dof = of_dof(everything, args.dof, args.trials)
-    training, held_out = of_this_dof.split()
-    unseen = [t for where in args.unseen for t in _of_directory(where, args)]
-    further = [t for where in args.motions for t in _of_directory(where, args)]
-    tests = name_tests(training, (*held_out, *unseen))
-    every = (*training, *held_out, *unseen, *further)
-    refuse_mixed_steps(every)
-    refuse_trained(further, (*held_out, *unseen))
-
+    trials = select_trials(args)
     plant = read_plant(args.plant)
-    refuse_other_links(plant, args.plant, (*everything, *unseen, *further))
-    refuse_fitted(plant.provenance, args.plant, tests)
+    refuse_plant(plant, args.plant, trials)
     candidates = CANDIDATES if args.compare else DEFAULT_CANDIDATES
     for path in args.candidate:
         candidates = (*candidates, own_candidate(path, candidates))
 
-    with_study, with_tip = args.study or args.study_only, not args.study_only
-    steps = 2 + with_tip * len(candidates) + with_study * (1 + len(tests))
-    progress = Progress(f"train {args.dof}DOF", steps)
+    with_tip, with_study = not args.study_only, args.study or args.study_only
+    steps = 2 + with_tip * len(candidates) + with_study * (1 + len(trials.tests))
+    progress = Progress(f"train {args.dof}DOF", steps).step
     observer = CompiledModel(plant.step_model(args.dof, "observer"))
-    fallback = fit_fallback(training, observer, progress.step)
+    fallback = fit_fallback(trials.training, observer, progress)
     tip = study = None
     if with_tip:
-        together, askew_rad = (*training, *further), math.radians(args.askew_deg)
-        tip = train_tip(together, tests, observer, candidates, progress.step, askew_rad)
+        together, askew_rad = (*trials.training, *trials.further), math.radians(args.askew_deg)
+        tip = train_tip(together, trials.tests, observer, candidates, progress, askew_rad)
     if with_study:
-        others, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
-        study = run_study(training, tests, fallback, others, progress.step)
+        study = run_study(trials.training, trials.tests, fallback, trials.other_dof, progress)
     try:
         parity = write_bundle(args.out, plant, fallback, tip, study)
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
-    r2_of_di = fallback.r2_of_di(tests)
-    found = [
-        *judge_pressures((*training, *further)), *judge_doubled(every),
-        *judge_not_fitted(of_this_dof),
-    ]  # fmt: skip
-    doubts = [*doubts_of_di(r2_of_di), *(f"{f.text}; {f.remedy}" for f in found)]
+
+    r2_of_di = fallback.r2_of_di(trials.tests)
+    doubts = [*doubts_of_di(r2_of_di), *trials.doubts()]
     data: dict[str, Any] = {
         "bundle": str(args.out), "parity": parity, "warnings": doubts, "degree": fallback.degree,
         "r2_of_di": r2_of_di,
@@ -166,11 +153,62 @@ def run(args: argparse.Namespace) -> int:
             name: of["pooled"] for name, of in study.mean_euclidean_distance_m.items()
         }
         lines += study_lines(study)
-    lines += advice(tests, args)
+    lines += advice(trials.tests, bool(study))
     emit(args, data, "\n  ".join(lines))
     for warning in doubts:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE
+
+
+class SelectedTrials(NamedTuple):
+    """Trials of the command line, by their use."""
+
+    everything: TrialSet  # Of the first directory
+    training: TrialSet
+    further: tuple[Trial, ...]  # Of --motions, for the robot's predictor alone
+    tests: dict[str, TrialSet]
+    other_dof: TrialSet  # For the study's comparison of mean DI
+
+    @property
+    def held_out(self) -> tuple[Trial, ...]:
+        return tuple(t for trials in self.tests.values() for t in trials)
+
+    def doubts(self) -> list[str]:
+        """Warnings about the trials."""
+        dof = self.training[0].meta.dof
+        doubts = [
+            *judge_pressures((*self.training, *self.further)),
+            *judge_doubled((*self.training, *self.held_out, *self.further)),
+            *judge_not_fitted(self.everything.where(lambda t: t.meta.dof == dof)),
+        ]
+        return [f"{doubt.text}; {doubt.remedy}" for doubt in doubts]
+
+
+def select_trials(args: argparse.Namespace) -> SelectedTrials:
+    """Read the trials of the command line, and refuse those that do not fit together."""
+
+    def read(directory: Path) -> TrialSet:
+        return of_phases(read_trial_directories([directory]), args.phase_deg, directory)
+
+    everything = read(args.trials)
+    training, held_out = of_dof(everything, args.dof, args.trials).split()
+    unseen, further = (
+        tuple(t for where in places for t in of_dof(read(where), args.dof, where))
+        for places in (args.unseen, args.motions)
+    )
+    refuse_mixed_steps((*training, *held_out, *unseen, *further))
+    refuse_trained(further, (*held_out, *unseen))
+    tests = name_tests(training, (*held_out, *unseen))
+    other_dof, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
+    return SelectedTrials(everything, training, further, tests, other_dof)
+
+
+def refuse_plant(plant: Plant, where: Path, trials: SelectedTrials) -> None:
+    """Refuse a plant of another link, or one that was fitted to an unseen trial."""
+    from models.plant.identification.doubts import refuse_other_links
+
+    refuse_other_links(plant, where, (*trials.everything, *trials.held_out, *trials.further))
+    refuse_fitted(plant.provenance, where, trials.tests)
 
 
 def tip_lines(document: PredictorsDocument) -> list[str]:
@@ -211,7 +249,7 @@ def study_lines(study: StudyDocument) -> list[str]:
     return lines
 
 
-def advice(tests: Mapping[str, TrialSet], args: argparse.Namespace) -> list[str]:
+def advice(tests: Mapping[str, TrialSet], has_study: bool) -> list[str]:
     """What the bundle lacks, and the option that adds it."""
     lines = []
     if not any(name.startswith("trial_") for name in tests):
@@ -221,14 +259,9 @@ def advice(tests: Mapping[str, TrialSet], args: argparse.Namespace) -> list[str]
             "no unseen motion: dropstitch simulate --amplitude-deg 20 --trials 1 --out "
             "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
         )
-    if not (args.study or args.study_only):
+    if not has_study:
         lines.append("add --study for the paper's tables, --compare for other candidates")
     return lines
-
-
-def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
-    trials = of_phases(read_trial_directories([where]), args.phase_deg, where)
-    return of_dof(trials, args.dof, where)
 
 
 def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:

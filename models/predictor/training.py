@@ -262,10 +262,10 @@ def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEn
 
 
 def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
-    answers, scores = _answers(predictor, rows), {}
+    (error_m, half_width_m, in_range), scores = _answers(predictor, rows), {}
     for part in ("all", "rest", "motion"):
-        if (of_part := (rows.part == part) | (part == "all")).any():
-            scores[part] = _score(*(answer[of_part] for answer in answers), rows.dof)
+        if (k := (rows.part == part) | (part == "all")).any():
+            scores[part] = _score(error_m[k], half_width_m[k], in_range[k], rows.dof)
     return scores
 
 
