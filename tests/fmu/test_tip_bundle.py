@@ -84,7 +84,7 @@ def test_training_counts_the_rows_out_of_range_as_the_robot_does(trained, observ
     """`train` said 100 % in range of a bundle that then ran with 70 %: of the polynomial."""
     bundle, rows, outside = ModelBundle.load(observed, runtime=runtime), 0, 0
     watch = RangeWatch(bundle)
-    for path in sorted((trained / "trials").glob("*trial2*.csv")):
+    for path in sorted((trained / "trials").glob("*_2.csv")):
         trial = read_trial(path)
         bundle.estimator.reset()
         for angle_rad, current_a in zip(trial.angle_rad, trial.current_a, strict=True):

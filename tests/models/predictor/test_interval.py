@@ -1,10 +1,16 @@
 """Interval of a prediction and its range: what widens the one and ends the other."""
 
+import msgspec
 import numpy as np
+import onnx
 import pytest
 
+from firmware_py.commands.range_check import RangeCount
+from firmware_py.inference.predictor import OnnxPredictor
 from models.predictor.guarded_tip import INNOVATION_FACTOR
 from models.predictor.interval import TipInterval
+from models.predictor.onnx_graphs import to_onnx
+from models.predictor.training import range_reasons
 from tests.models.predictor.cases import guarded, made_up_rows
 
 
@@ -122,3 +128,34 @@ def test_the_bound_is_a_multiple_of_the_largest_innovation_of_rows_that_move():
     assert bound_a == pytest.approx(INNOVATION_FACTOR * innovation[moving].max())
     still = rows.take(~moving)
     assert not guarded(still).innovation_exceeded(rows.inputs).any()
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_training_counts_the_causes_that_the_robot_counts(dof, tmp_path):
+    """Each cause alone, on rows of which most are in range."""
+    rows = made_up_rows(dof)
+    model, points = guarded(rows), 0.5 * rows.inputs[:200]
+    columns = {name: rows.names.index(name) for name in rows.names}
+    points[:7, columns["bend_1_rad"]] = 2.0
+    points[10:15, columns[f"innovation_{dof}_a"]] = 1.0
+    points[10:15, columns[f"joint_rate_{dof}_rad_s"]] = 0.3
+    points[20:24, columns["age_s"]] = 0.5
+    told = range_reasons(model, points)
+    assert [(i.name, i.ticks) for i in told.inputs] == [
+        ("bend_1_rad", 7), (f"innovation_{dof}_a", 5),
+    ]  # fmt: skip
+    assert told.wide_ticks == told.late_ticks == 4 and told.widest_m > 0.015
+    facts = {"features": msgspec.to_builtins(model.ranges()), "dof": dof}
+    onnx.save(to_onnx(model, len(rows.names), facts), tmp_path / "predictor.onnx")
+    robot, count = OnnxPredictor(tmp_path / "predictor.onnx", dof), 0
+    watched = RangeCount(robot.ranges)
+    for point in points:
+        first = 2 * dof + 1
+        answer = robot.predict(
+            point[:dof], point[dof : first - 1], point[first - 1], point[first + 1 :], point[first]
+        )
+        if not answer.in_range:
+            count += 1
+            watched.add(point, answer.half_width_m, point[first])
+    assert count == (~model.in_range(points)).sum() == 16
+    assert watched.reasons() == told
