@@ -49,6 +49,7 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
         assert min(entry.latency.warm_s, entry.latency.cold_s) > 0
         assert {"stiffness_x_0.8", "stiffness_x_1.2"} < set(entry.tests)
     assert document.runtimes == {} and "warm / cold" in card
+    assert "study.json" not in read_manifest(bundle).files  # without --study
 
 
 def test_the_observer_adds_what_a_whole_answer_costs(observed):
