@@ -128,9 +128,10 @@ build/plant.json: build/trials/.done
 	$(call run,dropstitch identify build/trials --plant models/plant/nominal.toml --out $@)
 
 # The observer FMU is put into the bundle after training, so it is the last file of a bundle.
-# The robot's predictor is trained on the multisine as well, which the plant has not seen.
+# The robot's predictor is trained on the multisine as well, which the plant has not seen. Study and
+# comparison of the candidates are for the report.
 build/bundle_%dof/observer.fmu: build/plant.json build/unseen_20deg/.done build/unseen_multisine/.done
-	$(call run,dropstitch train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --motions build/unseen_multisine --out $(@D))
+	$(call run,dropstitch train build/trials --dof $* --plant build/plant.json --unseen build/unseen_20deg --motions build/unseen_multisine --compare --study --out $(@D))
 	$(call run,dropstitch fmu build $(@D) --plant build/plant.json --unit observer --out $@)
 
 # Studies of one phase each, for the report only: the robot's bundle is trained on both phases.

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import SMALL_CURRENT, signal_unit, signal_words
+from firmware_py.display_units import LENGTH, SMALL_CURRENT, signal_unit, signal_words
 from firmware_py.documents import Document, read_document, write_document
 from firmware_py.realtime.timing import Timing, TimingSummary
 from firmware_py.safety.stop_reason import Fault
@@ -51,7 +51,7 @@ class FeedbackUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class InputBeyond(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Measured input of the predictor that was beyond its training range."""
+    """Input of the predictor that was beyond the range that it accepts."""
 
     name: str
     unit: str  # SI unit of the values; "1" for none
@@ -62,30 +62,39 @@ class InputBeyond(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class RangeReasons(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Reasons why ticks of a run were outside the predictor's training range."""
+    """Reasons why ticks of a run were out of range."""
 
-    # Angles, currents and DI beyond their ranges, in the predictor's order
+    # Inputs of the predictor beyond their ranges, in its order. Angles, currents and DI always;
+    # of the observer's signals those that the loop gets
     inputs: tuple[InputBeyond, ...] = ()
-    other_ticks: int = 0  # Ticks out of range in which none of these inputs was
+    wide_ticks: int = 0  # Ticks with none of them beyond, but too wide an interval
+    late_ticks: int = 0  # Those of them whose sample was an old one
+    widest_m: float = 0.0  # Largest half width in these ticks
+    other_ticks: int = 0  # Ticks out of range with neither: another signal of the observer, or NaN
 
     @property
     def note(self) -> str:
         """Continuation of a sentence about the ticks out of range; empty without reasons."""
-        told = []
+        causes = []
         for row in self.inputs:
             shown = SMALL_CURRENT if row.unit == "A" else signal_unit(row.name)
             low, high = shown.number(row.minimum), shown.text(row.maximum)
-            told.append(
+            causes.append(
                 f"{signal_words(row.name)} reached {shown.text(row.extreme)} in {row.ticks} of "
                 f"them (trained from {low} to {high})"
             )
-        if self.other_ticks:
-            told.append(
-                f"in {self.other_ticks} of them no angle, current or DI was beyond its trained "
-                "range: the prediction interval was too wide, as it is with late samples and with "
-                "currents that do not fit the plant"
+        if self.wide_ticks:
+            late = f", in {self.late_ticks} because the sample was late" if self.late_ticks else ""
+            causes.append(
+                f"the interval was up to ±{LENGTH.text(self.widest_m)} in {self.wide_ticks} of "
+                f"them{late}: a large bend, or currents that the plant explains less well"
             )
-        return "; ".join(told)
+        if self.other_ticks:
+            causes.append(
+                f"in {self.other_ticks} of them another signal of the observer (bend, rates, "
+                "payload, tip) was beyond its range, or one was not a number"
+            )
+        return "; ".join(causes)
 
 
 @dataclass(frozen=True)

@@ -156,10 +156,8 @@ def _tell_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency
     path = bundle / "predictors.json"
     if not path.is_file():
         return
-    from models.bundle.model_card import model_card  # loads scikit-learn
-    from models.study.document import read_study
+    from models.bundle.model_card import write_model_card  # loads scikit-learn
 
     document = msgspec.structs.replace(read_predictors(path), runtimes=runtimes)
     write_predictors(path, document)
-    card = model_card(manifest, read_study(bundle / "study.json"), document)
-    (bundle / "MODEL_CARD.md").write_text(card, encoding="utf-8")
+    write_model_card(bundle, manifest, document)

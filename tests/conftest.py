@@ -161,23 +161,32 @@ def toy_observer():
 
 
 @pytest.fixture(scope="session")
-def toy_study(toy_trials, toy_observer):
+def toy_fallback(toy_trials, toy_observer):
+    """The paper's polynomial and the lagged regressor of the 1DOF toy."""
+    from models.plant.simulation.runner import CompiledModel
+    from models.predictor.fallback import fit_fallback
+
+    return fit_fallback(toy_trials(1).split()[0], CompiledModel(toy_observer(1)))
+
+
+@pytest.fixture(scope="session")
+def toy_study(toy_trials, toy_fallback):
     """A study of the 1DOF toy, trial 2 and the 20 degree motion held out."""
     from models.commands.train import name_tests
     from models.study.study import run_study
 
     training, held_out = toy_trials(1).split()
-    return run_study(training, name_tests(training, tuple(held_out)), toy_observer(1))
+    return run_study(training, name_tests(training, tuple(held_out)), toy_fallback)
 
 
 @pytest.fixture(scope="session")
-def toy_bundle(toy_study, tmp_path_factory):
+def toy_bundle(toy_study, toy_fallback, tmp_path_factory):
     """The bundle of that study; copy it before changing it."""
     from models.bundle.files import write_bundle
     from models.plant.plant import read_plant
 
     directory = tmp_path_factory.mktemp("toy") / "bundle"
-    write_bundle(directory, toy_study, read_plant())
+    write_bundle(directory, read_plant(), toy_fallback, study=toy_study)
     return directory
 
 

@@ -1,41 +1,101 @@
-"""Count of the predictor's measured inputs beyond their training range, during a run.
+"""Reasons why predictions were out of range.
 
-The graph reports that a tick is out of range, but not why. The watch stands between loop and
-predictor. It works only in such ticks, in preallocated memory.
+The graph reports that a tick is out of range, but not why. `RangeWatch` stands between loop and
+predictor and counts the causes during a run; it works only in such ticks, in preallocated memory.
+Training counts the same causes over its test trials.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.predictor import NO_SIGNALS, Array, OnnxPredictor, Prediction
+from firmware_py.inference.predictor import (
+    NO_SIGNALS,
+    TRUSTED_M,
+    Array,
+    InputRange,
+    Prediction,
+)
 from firmware_py.signals import feature_names, unit_of
 from firmware_py.summary import InputBeyond, RangeReasons
 
-__all__ = ["RangeWatch"]
+__all__ = ["RangeCount", "RangeWatch"]
 
 _UNBOUNDED: Final = (-np.inf, np.inf)
 
 
+class RangeCount:
+    """Count of the causes over rows that are out of range.
+
+    `ranges`: for each input of a row, in order.
+    """
+
+    def __init__(self, ranges: Sequence[InputRange]) -> None:
+        self._ranges = tuple(ranges)
+        self._low, self._high = np.transpose([r.accepted for r in ranges] or np.zeros((0, 2)))
+        # An innovation beyond its bound widens the interval if the joints move, else it is usual.
+        self._widens = np.array([r.name.startswith("innovation") for r in ranges], dtype=bool)
+        self._least = np.full(len(ranges), np.inf)
+        self._most = np.full(len(ranges), -np.inf)
+        self._rows = np.zeros(len(ranges), dtype=np.int64)
+        self._wide, self._late, self._other, self._widest_m = 0, 0, 0, 0.0
+
+    def add(self, row: Array, half_width_m: Array, age_s: float = 0.0) -> None:
+        """Count a row that is out of range; an input that is NaN is not beyond its range."""
+        finite = np.isfinite(row)
+        beyond = finite & ((row < self._low) | (row > self._high))
+        widest_m = float(half_width_m.max())
+        wide = widest_m > TRUSTED_M
+        if not wide:
+            beyond &= ~self._widens
+        self._rows += beyond
+        np.minimum(self._least, row, out=self._least, where=finite)
+        np.maximum(self._most, row, out=self._most, where=finite)
+        if beyond.any():
+            return
+        self._wide += wide
+        self._late += wide and float(age_s) > 0.0
+        self._other += not wide
+        if wide:
+            self._widest_m = max(self._widest_m, widest_m)
+
+    def reasons(self) -> RangeReasons:
+        """Return the inputs that were beyond their ranges, and how far."""
+        inputs = tuple(
+            InputBeyond(
+                name=known.name, unit=unit_of(known.name) or "1", ticks=int(rows),
+                extreme=float(least if low - least > most - high else most),
+                minimum=known.minimum, maximum=known.maximum,
+            )
+            for known, rows, least, most, low, high in zip(
+                self._ranges, self._rows, self._least, self._most, self._low, self._high,
+                strict=True,
+            )
+            if rows
+        )  # fmt: skip
+        return RangeReasons(
+            inputs=inputs, wide_ticks=self._wide, late_ticks=self._late, widest_m=self._widest_m,
+            other_ticks=self._other,
+        )  # fmt: skip
+
+
 class RangeWatch:
-    """Models of a bundle, with a predictor that records why a tick was out of range."""
+    """Models of a bundle, with a predictor that counts why ticks were out of range."""
 
     def __init__(self, bundle: ModelBundle) -> None:
         self.estimator, self.predictor = bundle.estimator, self
-        self._watched, dof = bundle.predictor, bundle.manifest.dof
-        self._names = feature_names(dof)
-        ranges = {q.name: (q.minimum, q.maximum) for q in bundle.manifest.features}
-        if isinstance(bundle.predictor, OnnxPredictor):
-            ranges |= bundle.predictor.ranges
-        self._low, self._high = np.transpose([ranges.get(n, _UNBOUNDED) for n in self._names])
-        self._row = np.zeros(len(self._names))
-        self._angle_rad, self._current_a = self._row[:dof], self._row[dof : 2 * dof]
-        self._least, self._most = np.full_like(self._row, np.inf), np.full_like(self._row, -np.inf)
-        self._ticks = np.zeros(len(self._names), dtype=np.int64)
-        self._other_ticks = 0
+        self._watched = bundle.predictor
+        measured = feature_names(bundle.manifest.dof)
+        names = (*measured, *(bundle.told if bundle.ranges else ()))
+        self._signals = slice(0, len(names) - len(measured))
+        known = {q.name: InputRange(q.name, q.minimum, q.maximum) for q in bundle.manifest.features}
+        known |= {r.name: r for r in bundle.ranges}
+        ranges = [known.get(name, InputRange(name, *_UNBOUNDED)) for name in names]
+        self._count, self._row = RangeCount(ranges), np.zeros(len(names))
 
     def predict(
         self,
@@ -47,32 +107,12 @@ class RangeWatch:
     ) -> Prediction:
         prediction = self._watched.predict(angle_rad, current_a, di, signals, age_s)
         if not prediction.in_range:
-            self._note(angle_rad, current_a, di)
+            row, dof = self._row, len(angle_rad)
+            row[:dof], row[dof : 2 * dof], row[2 * dof] = angle_rad, current_a, di
+            row[2 * dof + 1 :] = signals[self._signals]
+            self._count.add(row, prediction.half_width_m, age_s)
         return prediction
 
     def reasons(self) -> RangeReasons:
-        """Return the inputs that were beyond their ranges since the start, and how far."""
-        rows = zip(
-            self._names, self._ticks.tolist(), self._least.tolist(), self._most.tolist(),
-            self._low.tolist(), self._high.tolist(), strict=True,
-        )  # fmt: skip
-        inputs = tuple(
-            InputBeyond(
-                name=name, unit=unit_of(name) or "1", ticks=ticks,
-                extreme=least if low - least > most - high else most, minimum=low, maximum=high,
-            )
-            for name, ticks, least, most, low, high in rows
-            if ticks
-        )  # fmt: skip
-        return RangeReasons(inputs=inputs, other_ticks=self._other_ticks)
-
-    def _note(self, angle_rad: Array, current_a: Array, di: float) -> None:
-        """Count the inputs beyond their ranges; NaN is not counted."""
-        row = self._row
-        self._angle_rad[:], self._current_a[:], row[-1] = angle_rad, current_a, di
-        finite = np.isfinite(row)
-        beyond = finite & ((row < self._low) | (row > self._high))
-        self._ticks += beyond
-        self._other_ticks += not beyond.any()
-        np.minimum(self._least, row, out=self._least, where=finite)
-        np.maximum(self._most, row, out=self._most, where=finite)
+        """Return the causes since the start."""
+        return self._count.reasons()

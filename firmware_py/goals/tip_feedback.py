@@ -28,17 +28,15 @@ from firmware_py.goals.probe_estimate import ProbeEstimate, ProbeFinding
 from firmware_py.goals.stiffness_estimate import StiffnessEstimate
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.estimator import Estimate
-from firmware_py.inference.predictor import Prediction
+from firmware_py.inference.predictor import TRUSTED_M, Prediction
 from firmware_py.safety.estimate_trust import EstimateTrust, TrustOptions, TrustState
 
 __all__ = ["Correction", "NoCorrection", "TipFeedback"]
 
 Array = NDArray[np.float64]
-RANGE_M: Final = 0.015
-"""Half width of the interval above which the predictor reports "out of range"."""
 WIDEST_M: Final = 0.06
-"""Half width above which feedback rejects the tip, too [assumed]. It is larger than `RANGE_M`: the
-interval widens with the innovation, also for a wrong stiffness, which feedback has to correct."""
+"""Half width above which feedback rejects the tip, too [assumed]. It is larger than `TRUSTED_M`,
+because the interval widens with the innovation for a wrong stiffness, which feedback corrects."""
 
 
 class Correction(Protocol):
@@ -194,7 +192,7 @@ class TipFeedback:
         if not (math.isfinite(tip[0]) and math.isfinite(tip[1]) and math.isfinite(estimate.di)):
             return "it is not finite"
         widest_m = max(prediction.half_width_m.tolist())
-        if not widest_m <= WIDEST_M or not (prediction.in_range or widest_m > RANGE_M):
+        if not widest_m <= WIDEST_M or not (prediction.in_range or widest_m > TRUSTED_M):
             return "it is out of range"
         innovation_a = self.innovation_a(estimate)
         if not innovation_a <= self._most_innovation_a:

@@ -3,13 +3,13 @@
 ::
 
     manifest.json     contents, units, ranges, hashes of every other file
-    predictor.onnx    features -> tip_m, in_range, half_width_m; the best of the candidates
+    predictor.onnx    features -> tip_m, in_range, half_width_m; the robot's predictor
     polynomial.onnx   the same with the paper's polynomial, for a robot without the observer
     lagged.onnx       lagged regressor of DI (the fallback estimator)
     observer.fmu      plant observer of DI (added by `dropstitch fmu build --unit observer`)
     plant.json        the plant that the observer was built from
-    study.json        the paper's tables on these trials
-    predictors.json   comparison of the candidates, and the reason for the choice
+    predictors.json   tests of the predictor, and of the candidates it was compared with
+    study.json        the paper's tables on these trials (`dropstitch train --study`)
     golden.npz        ticks that the robot replays before it moves
     MODEL_CARD.md     description of the models
     manifest.sig      signature of the manifest, if `dropstitch sign` was used
@@ -46,7 +46,7 @@ from firmware_py.inference.manifest import (
     Manifest,
     read_bundle_files,
 )
-from firmware_py.inference.predictor import OnnxPredictor
+from firmware_py.inference.predictor import InputRange, OnnxPredictor
 
 __all__ = ["ModelBundle", "read_manifest"]
 
@@ -96,6 +96,8 @@ class ModelBundle:
         Trusted key of the signature; empty if no signature was required.
     memoryless : FileContent or None
         Graph that predicts from angle, current and DI alone; None if the bundle has none.
+    ranges : tuple of InputRange
+        Ranges of the predictor's inputs, from its graph.
     """
 
     directory: Path
@@ -105,6 +107,7 @@ class ModelBundle:
     manifest_sha256: str = ""
     signed_by: str = ""
     memoryless: FileContent | None = None
+    ranges: tuple[InputRange, ...] = ()
 
     @property
     def runtime(self) -> Runtime:
@@ -228,6 +231,7 @@ class ModelBundle:
             files.directory, manifest, compiled or estimator, compiled or predictor,
             files.manifest_sha256, files.signed_by,
             files.contents.get(POLYNOMIAL) or (None if predictor.wanted else files.file(PREDICTOR)),
+            predictor.ranges,
         )  # fmt: skip
 
 

@@ -17,12 +17,17 @@ from firmware_py.files.memory_limit import limited_memory
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.signals import AGE, feature_names, observer_signals
 
-__all__ = ["NO_SIGNALS", "OnnxGraph", "OnnxPredictor", "Prediction", "Predictor", "named_inputs"]
+__all__ = [
+    "NO_SIGNALS", "TRUSTED_M", "InputRange", "OnnxGraph", "OnnxPredictor", "Prediction",
+    "Predictor", "named_inputs",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 AXES: Final = 3
 MOST_INPUTS: Final = 1000
 """Most input columns of a graph; those of this project have up to 60."""
+TRUSTED_M: Final = 0.015
+"""Largest half width of the interval of a prediction in range: 1.5 % of the link (requirement)."""
 NO_SIGNALS: Final[Array] = np.zeros(0)
 """Signals of an estimator that provides none beside DI and payload."""
 
@@ -149,7 +154,7 @@ class OnnxPredictor:
         self._prediction = Prediction(*self._graph.results)
         measured, row = feature_names(dof), self._graph.row
         features = _features(self._graph.metadata, path)
-        self.ranges = {f.name: (f.minimum, f.maximum) for f in features}
+        self.ranges = tuple(features)
         self.inputs = tuple(f.name for f in features) or measured
         first, rest = self.inputs[: len(measured)], self.inputs[len(measured) :]
         aged = rest[:1] == (AGE.name,)
@@ -184,12 +189,22 @@ class OnnxPredictor:
         return self._prediction.copy()
 
 
-class _Feature(msgspec.Struct, frozen=True):
+class InputRange(msgspec.Struct, frozen=True):
     """Input column of a graph, from its metadata."""
 
     name: str
-    minimum: float = -math.inf
+    minimum: float = -math.inf  # In the training data
     maximum: float = math.inf
+    # Bounds outside which the graph is out of range, null for none; absent: those of the training
+    bounds: tuple[float | None, float | None] | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def accepted(self) -> tuple[float, float]:
+        """Bounds outside which the graph is out of range."""
+        if isinstance(self.bounds, msgspec.UnsetType):
+            return self.minimum, self.maximum
+        low, high = self.bounds
+        return -math.inf if low is None else low, math.inf if high is None else high
 
 
 def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ...]:
@@ -200,9 +215,9 @@ def named_inputs(metadata: Mapping[str, str], path: Path | str) -> tuple[str, ..
     return tuple(feature.name for feature in _features(metadata, path))
 
 
-def _features(metadata: Mapping[str, str], path: Path | str) -> list[_Feature]:
+def _features(metadata: Mapping[str, str], path: Path | str) -> list[InputRange]:
     try:
-        return msgspec.json.decode(metadata.get("features", "[]"), type=list[_Feature])
+        return msgspec.json.decode(metadata.get("features", "[]"), type=list[InputRange])
     except msgspec.DecodeError as error:
         raise InputError(
             path, f"names its inputs in damaged metadata ({error})", "train the bundle again"

@@ -202,6 +202,9 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
     if environment.goals_note:
         lines.append(environment.goals_note)
     lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
+    if timing.run.out_of_range:
+        outside = f"{timing.run.out_of_range} ticks out of the predictor's range"
+        lines.append(": ".join(filter(None, (outside, timing.run.out_of_range_reasons.note))))
     lines += _error_lines(timing.prediction_error)
     lines += [
         f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "

@@ -2,9 +2,9 @@
 
 ::
 
-    bundle_1dof/study.json, manifest.json     dropstitch train
-    bundle_1dof/predictors.json               the same
-    study_2dof_phase90/study.json             dropstitch train --phase-deg 90
+    bundle_1dof/predictors.json, manifest.json  dropstitch train
+    bundle_1dof/study.json                    dropstitch train --study
+    study_2dof_phase90/study.json             dropstitch train --study-only --phase-deg 90
     plant.json                                dropstitch identify
     evaluate*.json                            dropstitch evaluate … --json
     check_twin_1dof.json                      dropstitch fmu check … --json

@@ -85,7 +85,7 @@ def fault_page(document: FaultsDocument) -> str:
 
 def _study(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        return [missing_inputs("dropstitch train")]
+        return [missing_inputs("dropstitch train --study")]
     intro = (
         "Figures 7 to 15 of the paper on the trials of this build: five payloads, two cycles of "
         "256 steps, trained on trial 1 and tested on trial 2. The paper does not state the phase "
@@ -98,14 +98,14 @@ def _study(inputs: BuildInputs) -> list[Part]:
 
 
 def _estimators(inputs: BuildInputs) -> list[Part]:
+    candidates = [candidate_table(inputs.predictors)] if inputs.predictors else []
     if not inputs.studies:
-        return [missing_inputs("dropstitch train")]
+        return [*candidates, missing_inputs("dropstitch train --study")]
     intro = (
         "On the robot DI is not measured. The plant observer estimates it from angle and current. "
         "It is compared with a lagged regressor and with no DI, on trial 2 and on a motion that "
         "neither training nor identification used."
     )
-    candidates = [candidate_table(inputs.predictors)] if inputs.predictors else []
     return [
         *candidates, Paragraph(intro), predictors_by_payload(inputs.studies),
         di_estimates(inputs.studies), predictor_table(inputs.every_study),
@@ -187,7 +187,7 @@ def _environment(environment: SilEnvironment) -> list[tuple[str, str]]:
 def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
     """Cards with the paper's claims and the findings of all studies; equal texts appear once."""
     if not studies:
-        return [missing_inputs("dropstitch train")]
+        return [missing_inputs("dropstitch train --study")]
     badges = study_badges(studies)
     claims: dict[str, dict[Any, list[str]]] = {}
     depends_on: dict[str, list[str]] = {}

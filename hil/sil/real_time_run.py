@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Literal
 
+from firmware_py.commands.range_check import RangeWatch
 from firmware_py.realtime.clock import DeadlineClock, real_time
 from firmware_py.realtime.kernel_counters import KernelCounters
 from firmware_py.robot import open_bus
@@ -52,7 +53,8 @@ def run_in_real_time(
             contextlib.closing(KernelCounters()) as counters,
             real_time(config.real_time) as refused,
         ):
-            loop = build_sil_loop(options, config, bus, clock, telemetry, counters)
+            watch = RangeWatch(options.bundle)
+            loop = build_sil_loop(options, watch, config, bus, clock, telemetry, counters)
             start_s = time.perf_counter()
             summary = loop.run()
             wall_s = time.perf_counter() - start_s
@@ -68,5 +70,12 @@ def run_in_real_time(
             load_is=_LOAD,
         )
         return SilResult(
-            summary, emulator.stop(), *probes, wall_s, environment, bus.plan, reference.stop()
+            summary,
+            emulator.stop(),
+            *probes,
+            wall_s,
+            environment,
+            bus.plan,
+            reference.stop(),
+            watch.reasons(),
         )

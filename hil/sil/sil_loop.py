@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.commands.range_check import RangeWatch
 from firmware_py.config import RobotConfig
 from firmware_py.goals.goal_source import GoalSource
 from firmware_py.goals.outside.for_robot import outside_facts
@@ -26,7 +27,7 @@ from firmware_py.loop import ControlLoop
 from firmware_py.realtime.clock import Clock
 from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_loop, log_metadata
-from firmware_py.summary import RunSummary
+from firmware_py.summary import RangeReasons, RunSummary
 from hil.emulator.emulator import EmulatorOutcome
 from hil.sil.sil_options import SilOptions
 from hil.timing.cpu_accounts import ProbeRecord
@@ -58,6 +59,8 @@ class SilResult(NamedTuple):
         Bus plan by which the servos were read.
     reference : ReferenceJitter or None
         Wake-up jitter measured by cyclictest, if it is installed.
+    out_of_range : RangeReasons
+        Why ticks were out of the predictor's range.
     link : dict of str to Any, optional
         Trial conditions given by the link: size, pressure, markers, gravity; empty if the plant
         does not describe a link.
@@ -71,6 +74,7 @@ class SilResult(NamedTuple):
     environment: SilEnvironment
     plan: Plan
     reference: ReferenceJitter | None = None
+    out_of_range: RangeReasons = RangeReasons()
     link: dict[str, Any] | None = None
 
     @property
@@ -81,13 +85,17 @@ class SilResult(NamedTuple):
 
 def build_sil_loop(
     options: SilOptions,
+    watch: RangeWatch,
     config: RobotConfig,
     bus: ServoBus,
     clock: Clock,
     telemetry: Telemetry,
     counters: Counters,
 ) -> ControlLoop:
-    """Return the robot's loop, with memory for every tick of the run."""
+    """Return the robot's loop, with memory for every tick of the run.
+
+    `watch`: predictor of the bundle that counts why ticks are out of range.
+    """
     slots = options.slots
     options.bundle.assume_payload(config.payload_kg)
     goals: GoalSource | None = options.goals
@@ -97,7 +105,7 @@ def build_sil_loop(
         correction = feedback_of_plan(plan, planned, config, options.bundle)
     lead = goals.lead if goals is not None else 0
     return build_loop(
-        config, options.bundle, bus, clock, goals=goals, correction=correction, slots=slots,
+        config, watch, bus, clock, goals=goals, correction=correction, slots=slots,
         telemetry=telemetry, counters=counters, keep=lead + slots + _STOP_TICKS,
     )  # fmt: skip
 

@@ -63,6 +63,8 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
             programme_s=programme,
             feedback=summary.feedback,
             payload_note=_payload_note(result, options),
+            out_of_range=summary.out_of_range,
+            out_of_range_reasons=result.out_of_range,
         ),
         reference_jitter=reference,
         probe_jitter=jitter if result.reference else None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 
+from firmware_py.commands.range_check import RangeWatch
 from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
 from firmware_py.realtime.clock import SimClock
 from firmware_py.realtime.kernel_counters import NoCounters
@@ -22,7 +23,8 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
     line, truth = build_line(specification)
     config = sil_config(options, "virtual")
     bus = build_bus(config, VirtualTransport(line, clock), clock)
-    loop = build_sil_loop(options, config, bus, clock, NoTelemetry(), NoCounters())
+    watch = RangeWatch(options.bundle)
+    loop = build_sil_loop(options, watch, config, bus, clock, NoTelemetry(), NoCounters())
     start_s, start_busy_s = time.perf_counter(), time.process_time()
     summary = loop.run()
     wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
@@ -41,7 +43,8 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
         records_sha256=digest.hexdigest(),
     )
     return SilResult(
-        summary, outcome, ProbeRecord(), ProbeRecord(), wall_s, environment, bus.plan
+        summary, outcome, ProbeRecord(), ProbeRecord(), wall_s, environment, bus.plan,
+        out_of_range=watch.reasons(),
     )  # fmt: skip
 
 

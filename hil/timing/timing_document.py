@@ -11,7 +11,7 @@ from typing import ClassVar
 import msgspec
 
 from firmware_py.documents import read_document, write_document
-from firmware_py.summary import FeedbackUse
+from firmware_py.summary import FeedbackUse, RangeReasons
 from hil.timing.processors import HostEnvironment
 from hil.timing.reference_jitter import ReferenceJitter
 from hil.timing.tick_budget import PlanTimes, TickBudget
@@ -63,6 +63,8 @@ class RunFacts(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     feedback: FeedbackUse  # How often feedback of the tip acted
     # Warning that the estimated payload is outside the plan's payloads; or empty
     payload_note: str
+    out_of_range: int = 0  # Ticks out of the predictor's range
+    out_of_range_reasons: RangeReasons = RangeReasons()  # Why
 
 
 class TipErrors(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,9 +1,7 @@
-"""Directory of a bundle on disk: its replacement, and the check before it.
+"""Bundle on disk: ONNX graphs, parity gate, golden ticks, manifest and model card.
 
 An old bundle is replaced file by file, its manifest last: until then a reader detects that a hash
 differs. Other files in the directory are kept.
-
-Bundle export of a study: ONNX graphs, parity gate, manifest, golden ticks, model card.
 """
 
 from __future__ import annotations
@@ -12,7 +10,7 @@ import contextlib
 import importlib.metadata
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,22 +25,20 @@ from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
 from firmware_py.inference.manifest import FILES, MANIFEST, Manifest, Quantity, write_manifest
-from firmware_py.inference.predictor import OnnxPredictor
+from firmware_py.inference.predictor import InputRange, OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
-from models.bundle.model_card import model_card
+from models.bundle.model_card import write_model_card
 from models.plant.plant import Plant
-from models.predictor.document import write_predictors
+from models.predictor.document import PredictorsDocument, summary_of, write_predictors
+from models.predictor.fallback import LAG_TICKS, Fallback
 from models.predictor.guarded_tip import GuardedTip
-from models.predictor.lagged import LAG_TICKS
-from models.predictor.onnx_graphs import to_onnx
-from models.predictor.polynomials import Array, GuardedPredictor, Polynomial
+from models.predictor.onnx_graphs import Array, to_onnx
+from models.predictor.polynomials import GuardedPredictor, Polynomial
 from models.predictor.training import TipTraining
 from models.study.document import StudyDocument, write_study
-from models.study.study import Study
 
 BUNDLE_FILES: Final = (*sorted(FILES), SIGNATURE, MANIFEST)
 """Files that a bundle may have, in the order in which they are replaced."""
-
 _KEYS: Final = frozenset({"training_data_sha256", "plant_sha256", "files"})
 """Keys that the manifest of a bundle has in every version, and no other manifest has."""
 
@@ -79,25 +75,20 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
         fresh = Path(scratch) / "bundle"  # only the scratch directory is closed to other users
         fresh.mkdir()
         yield fresh
-        if directory.exists():
-            _replace_files(fresh, directory)
-        else:
+        if not directory.exists():
             fresh.rename(directory)
+            return
+        for name in BUNDLE_FILES:
+            if (fresh / name).exists():
+                (fresh / name).replace(directory / name)
+            else:
+                (directory / name).unlink(missing_ok=True)
 
 
 def _is_beside(directory: Path) -> bool:
     """Whether files next to a directory can be moved into it, because it is not a mount."""
     parent = directory.parent
     return os.access(parent, os.W_OK) and parent.stat().st_dev == directory.stat().st_dev
-
-
-def _replace_files(fresh: Path, directory: Path) -> None:
-    """Replace the files of a bundle, and remove those that the new one lacks."""
-    for name in BUNDLE_FILES:
-        if (fresh / name).exists():
-            (fresh / name).replace(directory / name)
-        else:
-            (directory / name).unlink(missing_ok=True)
 
 
 GATE_POINTS: Final = 10_000
@@ -107,7 +98,7 @@ GATE_M: Final = 1e-9
 (docs/sources.md, "ONNX")."""
 GOLDEN_TICKS: Final = 256
 """Golden ticks after the rest rows: one cycle of the study's motion."""
-LIBRARIES: Final = ("numpy", "scikit-learn", "skl2onnx", "onnx", "onnxruntime", "casadi")
+LIBRARIES: Final = ("numpy", "scikit-learn", "onnx", "onnxruntime", "casadi")
 """Libraries whose versions the manifest records."""
 
 
@@ -116,91 +107,66 @@ class ParityError(DropstitchError):
 
 
 def write_bundle(
-    directory: Path, study: Study, plant: Plant, tip: TipTraining | None = None
+    directory: Path,
+    plant: Plant,
+    fallback: Fallback,
+    tip: TipTraining | None = None,
+    study: StudyDocument | None = None,
 ) -> dict[str, float]:
-    """Write the bundle of a study, complete or not at all.
+    """Write a bundle, complete or not at all; the same results give the same bytes.
 
     Its estimator is the lagged regressor, until `dropstitch fmu build --unit observer` adds the
-    observer that the predictor was trained with. The same study gives the same bytes. The files of
-    an old bundle in `directory` are replaced, others are kept; a directory of anything else is
-    refused.
+    observer that the predictor was trained with. The files of an old bundle in `directory` are
+    replaced, others are kept; a directory of anything else is refused.
 
-    `tip`: the robot's predictor. With it the study's polynomial is the fallback for a robot without
-    the observer; otherwise the polynomial is the robot's predictor.
+    `fallback`: predictor for a robot without the observer. `tip`: the robot's predictor; without
+    it the fallback's polynomial is the robot's predictor, too. `study`: written as `study.json`.
 
     Returns the largest differences at the parity gate: `tip_m`, `half_width_m`.
     """
     with replaced_bundle(directory) as fresh:
-        return _fill(fresh, study, plant, tip)
+        manifest = _manifest(plant, fallback, tip, study)
+        polynomial = fresh / (POLYNOMIAL if tip else PREDICTOR)
+        names = feature_names(manifest.dof)
+        lower, upper = fallback.predictor.lower.tolist(), fallback.predictor.upper.tolist()
+        ranges = list(map(InputRange, names, lower, upper))
+        features = fallback.samples.features("observer")
+        facts = _facts(manifest, ranges) | {"degree": manifest.degree}
+        onnx.save(to_onnx(fallback.predictor, len(names), facts), polynomial)
+        parity = check_parity(polynomial, fallback.predictor, features, manifest.dof)
+        if tip:
+            facts = _facts(manifest, tip.predictor.ranges()) | {"predictor": manifest.predictor}
+            onnx.save(to_onnx(tip.predictor, len(tip.rows.names), facts), fresh / PREDICTOR)
+            inputs = tip.rows.inputs
+            parity = check_parity(fresh / PREDICTOR, tip.predictor, inputs, manifest.dof)
+            write_predictors(fresh / "predictors.json", tip.document)
+        if study:
+            write_study(fresh / "study.json", study)
+        plant.for_robot().write(fresh / "plant.json")
+        lagged = _write_lagged(fresh / "lagged.onnx", fallback, manifest)
+        _write_golden(fresh / GOLDEN, fallback, lagged, OnnxPredictor(polynomial, manifest.dof))
+        write_model_card(fresh, manifest, tip.document if tip else None)
+        write_manifest(fresh, manifest)
+        return parity
 
 
-def _fill(directory: Path, study: Study, plant: Plant, tip: TipTraining | None) -> dict[str, float]:
-    document, dof = study.document, study.document.dof
-    features = study.training.features("observer")
-    manifest = _manifest(study, plant)
-    predictor_path, lagged_path = directory / PREDICTOR, directory / "lagged.onnx"
-    polynomial_path = directory / (POLYNOMIAL if tip else PREDICTOR)
-    facts = _facts(manifest) | {"degree": manifest.degree}
-    onnx.save(to_onnx(study.predictor, features.shape[1], metadata=facts), polynomial_path)
-    parity = check_parity(polynomial_path, study.predictor, features, dof)
-    if tip:
-        manifest = _with_tip(manifest, tip)
-        facts = _facts(manifest) | {"predictor": manifest.predictor}
-        onnx.save(to_onnx(tip.predictor, len(tip.rows.names), metadata=facts), predictor_path)
-        parity = check_parity(predictor_path, tip.predictor, tip.rows.inputs, dof)
-        write_predictors(directory / "predictors.json", tip.document)
-    lag_facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": dof}
-    lagged = to_onnx(study.lagged.graph(), study.lagged.inputs, "lagged", lag_facts)
-    onnx.save(lagged, lagged_path)
+def _write_lagged(path: Path, fallback: Fallback, manifest: Manifest) -> LaggedEstimator:
+    facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
+    inputs = len(fallback.lagged.lower)
+    onnx.save(to_onnx(fallback.lagged, inputs, facts, "lagged", {"di": 1}), path)
+    return LaggedEstimator(path, LAG_TICKS, manifest.dof)
 
-    plant.for_robot().write(directory / "plant.json")
-    write_study(directory / "study.json", document)
-    heaviest = max(study.training.trials, key=lambda t: t.meta.payload_kg)
+
+def _write_golden(
+    path: Path, fallback: Fallback, estimator: LaggedEstimator, predictor: OnnxPredictor
+) -> None:
+    """Write the golden ticks: the start of the run with the heaviest payload."""
+    heaviest = max(fallback.samples.trials, key=lambda t: t.meta.payload_kg)
     ticks = slice(0, heaviest.meta.rest_samples + GOLDEN_TICKS)
     golden = record_golden(
-        LaggedEstimator(lagged_path, LAG_TICKS, dof),
-        OnnxPredictor(polynomial_path, dof),
-        heaviest.angle_rad[ticks],
-        heaviest.current_a[ticks],
-        heaviest.step_s,
+        estimator, predictor, heaviest.angle_rad[ticks], heaviest.current_a[ticks], heaviest.step_s
     )
-    write_golden(directory / GOLDEN, golden)
-    (directory / "MODEL_CARD.md").write_text(
-        model_card(manifest, document, tip.document if tip else None),
-        encoding="utf-8",
-        newline="\n",
-    )
-    write_manifest(directory, manifest)
-    return parity
-
-
-def _facts(manifest: Manifest) -> dict[str, Any]:
-    """Facts that a graph stores about itself."""
-    return {
-        "features": _described(manifest.features),
-        "outputs": _described(manifest.outputs),
-        "in_range": "1 where the prediction may be trusted, else 0 (also where an input is NaN)",
-        "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
-        "dof": manifest.dof,
-        "period_s": manifest.period_s,
-        "training_data_sha256": manifest.training_data_sha256,
-    }
-
-
-def _with_tip(manifest: Manifest, tip: TipTraining) -> Manifest:
-    """Manifest of a bundle whose predictor was chosen among candidates."""
-    chosen = tip.document.candidates[tip.document.chosen]
-    metrics = {"predictor_left_out_mean_euclidean_distance_m": chosen.nested.mean_m}
-    for name, parts in chosen.tests.items():
-        metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
-        metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
-        metrics[f"predictor_{name}_interval_coverage_least_axis"] = parts["all"].coverage_least
-    return msgspec.structs.replace(
-        manifest,
-        features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper),
-        metrics=manifest.metrics | metrics,
-        predictor=tip.document.chosen,
-    )
+    write_golden(path, golden)
 
 
 def check_parity(
@@ -237,63 +203,87 @@ def check_parity(
     return worst
 
 
-def _manifest(study: Study, plant: Plant) -> Manifest:
-    document, predictor = study.document, study.predictor
-    names = feature_names(document.dof)
-    tips_m = study.training.tip_m
+def _manifest(
+    plant: Plant, fallback: Fallback, tip: TipTraining | None, study: StudyDocument | None
+) -> Manifest:
+    samples, predictor = fallback.samples, fallback.predictor
+    data = summary_of(samples.trials)
+    dof = samples.trials[0].meta.dof
+    names = feature_names(dof)
+    features = (
+        _quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
+        if tip
+        else _quantities(names, predictor.lower, predictor.upper)
+    )
     return Manifest(
-        dof=document.dof,
-        period_s=document.training.step_s,
-        degree=document.chosen_degree,
+        dof=dof,
+        period_s=data.step_s,
+        degree=fallback.degree,
         estimator="lagged",
-        features=_quantities(names, predictor.lower, predictor.upper),
-        outputs=_quantities(tip_names(), tips_m.min(axis=0), tips_m.max(axis=0)),
+        features=features,
+        outputs=_quantities(tip_names(), samples.tip_m.min(axis=0), samples.tip_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
-        training_data_sha256=document.training.sha256,
+        training_data_sha256=data.sha256,
         plant_sha256=plant.for_robot().sha256(),
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
-        metrics=_metrics(document),
-        coefficients=_coefficients(Polynomial.of(predictor.pipeline), names),
-        servo_gains=plant.provenance.servo_gains[: document.dof],
+        metrics=(_study_metrics(study) if study else {})
+        | (_tip_metrics(tip.document) if tip else {}),
+        coefficients={
+            monomial(exponents, names): tuple(float(v) for v in beta)
+            for exponents, beta in Polynomial.of(predictor.pipeline).in_si_units().items()
+        },
+        predictor=tip.document.chosen if tip else "",
+        servo_gains=plant.provenance.servo_gains[:dof],
         files={},
     )
 
 
-def _quantities(names: tuple[str, ...], low: Array, high: Array) -> tuple[Quantity, ...]:
+def _quantities(names: Sequence[str], low: Array, high: Array) -> tuple[Quantity, ...]:
     return tuple(
         Quantity(name, unit_of(name) or "1", float(a), float(b))
         for name, a, b in zip(names, low, high, strict=True)
     )
 
 
-def _described(quantities: tuple[Quantity, ...]) -> list[dict[str, str | float]]:
-    return [
-        {"name": q.name, "unit": q.unit, "minimum": q.minimum, "maximum": q.maximum}
-        for q in quantities
+def _facts(manifest: Manifest, ranges: Sequence[InputRange]) -> dict[str, Any]:
+    """Facts that a predictor's graph stores about itself."""
+    features = [
+        {"name": r.name, "unit": unit_of(r.name) or "1"} | msgspec.to_builtins(r) for r in ranges
     ]
+    return {
+        "features": features,
+        "outputs": msgspec.to_builtins(manifest.outputs),
+        "in_range": "1 where the prediction may be trusted, else 0 (also where an input is NaN)",
+        "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
+        "dof": manifest.dof,
+        "period_s": manifest.period_s,
+        "training_data_sha256": manifest.training_data_sha256,
+    }
 
 
-def _metrics(document: StudyDocument) -> dict[str, float]:
-    """Held-out figures of the deployed predictor, by test."""
-    degree = str(document.chosen_degree)
-    metrics = {}
-    for name, table in document.mean_euclidean_distance_m.items():
-        pooled = table["pooled"]
-        deployed = document.deployed[name]
-        metrics[f"{name}_mean_euclidean_distance_m"] = deployed.mean_euclidean_distance_m
-        metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
-        metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
-        metrics[f"{name}_r2_di"] = document.estimators[name]["observer"].r2_di
-        metrics[f"{name}_interval_coverage"] = deployed.interval_coverage_mean
+def _tip_metrics(document: PredictorsDocument) -> dict[str, float]:
+    """Errors and coverage of the robot's predictor, by test."""
+    chosen = document.candidates[document.chosen]
+    metrics = {"predictor_left_out_mean_euclidean_distance_m": chosen.nested.mean_m}
+    for name, parts in chosen.tests.items():
+        metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
+        metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
+        metrics[f"predictor_{name}_interval_coverage_least_axis"] = parts["all"].coverage_least
     return metrics
 
 
-def _coefficients(polynomial: Polynomial, names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
-    """β of the paper's equations 2 and 3 in SI units, by monomial."""
-    return {
-        monomial(exponents, names): tuple(float(v) for v in beta)
-        for exponents, beta in polynomial.in_si_units().items()
-    }
+def _study_metrics(study: StudyDocument) -> dict[str, float]:
+    """Held-out figures of the fallback, by test."""
+    degree = str(study.chosen_degree)
+    metrics = {}
+    for name, table in study.mean_euclidean_distance_m.items():
+        pooled, deployed = table["pooled"], study.deployed[name]
+        metrics[f"{name}_mean_euclidean_distance_m"] = deployed.mean_euclidean_distance_m
+        metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
+        metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
+        metrics[f"{name}_r2_di"] = study.estimators[name]["observer"].r2_di
+        metrics[f"{name}_interval_coverage"] = deployed.interval_coverage_mean
+    return metrics
 
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:

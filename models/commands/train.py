@@ -1,8 +1,9 @@
-"""Training of the predictors of one dof, their tests, and the bundle.
+"""Training of the robot's tip predictor of one dof, its tests, and the bundle.
 
-The study compares the paper's polynomials on one motion. The robot gets the best of several
-candidates (`models.predictor`), trained on the study's trials and on those of --motions and chosen by
-payloads and motions left out.
+By default the robot gets the observer's tip with an interval that is calibrated on payloads and
+motions left out of training. --compare also trains the other candidates (polynomials, boosted
+trees, a perceptron), and the robot gets the best of them; --candidate adds one of your own. --study
+writes study.json: the paper's tables and findings on these trials.
 
 Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)
 and on an unseen motion: trials of --unseen, or trials of a smaller amplitude in DIR. The plant
@@ -19,30 +20,34 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.errors import InputError
-from models.bundle.files import check_bundle_directory
 from models.commands.output_paths import check_output_directory
 from models.plant.document import Provenance
-from models.study.study import study_summary
-from models.trials.checks.trials import read_usable_trials
+from models.trials.checks.trials import (
+    judge_doubled,
+    judge_not_fitted,
+    judge_pressures,
+    read_usable_trials,
+)
 from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
 
 if TYPE_CHECKING:
-    from models.predictor.training import TipTraining
+    from models.plant.plant import Plant
+    from models.predictor.document import PredictorsDocument
     from models.study.document import StudyDocument
 
 EXAMPLE = (
     "dropstitch train build/trials --dof 1 --plant build/plant.json "
     "--out build/bundle_1dof --unseen build/unseen_20deg"
 )
-STEPS: Final = 20
-"""Progress steps of a study before its tests: DI, 18 cross-validations and the fits."""
 LARGEST_ASKEW_DEG: Final = 0.8
 """Largest angle of a link mounted askew: 14 mm at the tip; with 15 mm nothing would be in range."""
 
@@ -65,12 +70,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="trials of further motions to train the robot's predictor on, not the study",
     )  # fmt: skip
     add(
-        "--study-only", action="store_true",
-        help="compare no candidates: the bundle holds the study's polynomial",
+        "--compare", action="store_true",
+        help="compare all candidates; the robot gets the best",
     )  # fmt: skip
     add(
         "--candidate", type=Path, action="append", default=[], metavar="FILE.py",
-        help="compare a candidate of one's own too; the file is run; repeatable",
+        help="compare a candidate of one's own, too; the file is run; repeatable",
+    )  # fmt: skip
+    add("--study", action="store_true", help="write the paper's study of these trials, study.json")
+    add(
+        "--study-only", action="store_true",
+        help="the study alone: the bundle holds the paper's polynomial",
     )  # fmt: skip
     add(
         "--phase-deg", type=float, action="append", metavar="DEG",
@@ -89,77 +99,169 @@ def run(args: argparse.Namespace) -> int:
             "--askew-deg", f"is {args.askew_deg:g}, not within 0 to {LARGEST_ASKEW_DEG:g}",
             "mount the link upright, or train on trials of it as it is",
         )  # fmt: skip
-    if args.study_only and args.candidate:
-        raise InputError("--candidate", "changes nothing with --study-only", "leave out one")
-    check_output_directory(args.out)
-    check_bundle_directory(args.out)
-    everything = of_phases(read_usable_trials([args.trials]), args.phase_deg, args.trials)
-    own = of_dof(everything, args.dof, args.trials)
-    training, held_out = own.split()
-    unseen = [t for where in args.unseen for t in _of_directory(where, args)]
-    further = [t for where in args.motions for t in _of_directory(where, args)]
-    tests = name_tests(training, (*held_out, *unseen))
-    every = (*training, *held_out, *unseen, *further)
-    refuse_mixed_steps(every)
-    refuse_trained(further, (*held_out, *unseen))
+    if args.study_only and (args.candidate or args.compare):
+        option = "--candidate" if args.candidate else "--compare"
+        raise InputError(option, "changes nothing with --study-only", "leave out one")
 
-    from models.bundle.files import ParityError, write_bundle  # loads scikit-learn
-    from models.plant.identification.doubts import refuse_other_links
+    from models.bundle.files import ParityError, check_bundle_directory, write_bundle
     from models.plant.plant import read_plant
-    from models.study.findings import doubts_of_di
+    from models.plant.simulation.runner import CompiledModel
+    from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, own_candidate
+    from models.predictor.fallback import doubts_of_di, fit_fallback
+    from models.predictor.training import train_tip
     from models.study.study import run_study
 
+    check_output_directory(args.out)
+    check_bundle_directory(args.out)
+    trials = select_trials(args)
     plant = read_plant(args.plant)
-    refuse_other_links(plant, args.plant, (*everything, *unseen, *further))
-    refuse_fitted(plant.provenance, args.plant, tests)
-    observer = plant.step_model(args.dof, "observer")
-    from models.predictor.candidates import own_candidate
-    from models.predictor.learners import CANDIDATES
-    from models.predictor.training import train_tip
-    from models.trials.checks.trials import judge_doubled, judge_not_fitted, judge_pressures
-
-    candidates = CANDIDATES
+    refuse_plant(plant, args.plant, trials)
+    candidates = CANDIDATES if args.compare else DEFAULT_CANDIDATES
     for path in args.candidate:
         candidates = (*candidates, own_candidate(path, candidates))
-    steps = STEPS + len(tests) + (0 if args.study_only else len(candidates))
-    progress = Progress(f"train {args.dof}DOF", steps)
-    others, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
-    study = run_study(training, tests, observer, others, progress.step)
-    tip = None
-    if not args.study_only:
-        together = (*training, *further)
-        askew_rad = math.radians(args.askew_deg)
-        tip = train_tip(together, tests, study.observer, candidates, progress.step, askew_rad)
+
+    with_tip, with_study = not args.study_only, args.study or args.study_only
+    steps = 2 + with_tip * len(candidates) + with_study * (1 + len(trials.tests))
+    progress = Progress(f"train {args.dof}DOF", steps).step
+    observer = CompiledModel(plant.step_model(args.dof, "observer"))
+    fallback = fit_fallback(trials.training, observer, progress)
+    tip = study = None
+    if with_tip:
+        together, askew_rad = (*trials.training, *trials.further), math.radians(args.askew_deg)
+        tip = train_tip(together, trials.tests, observer, candidates, progress, askew_rad)
+    if with_study:
+        study = run_study(trials.training, trials.tests, fallback, trials.other_dof, progress)
     try:
-        parity = write_bundle(args.out, study, plant, tip)
+        parity = write_bundle(args.out, plant, fallback, tip, study)
     except ParityError as error:
         emit(args, {"verdict": "no parity", "reason": str(error)}, str(error))
         return NEGATIVE
-    doubts = doubts_of_di(study.document)
-    found = [*judge_pressures((*training, *further)), *judge_doubled(every), *judge_not_fitted(own)]
-    doubts += [f"{f.text}; {f.remedy}" for f in found]
-    data = {"bundle": str(args.out), "parity": parity, "warnings": doubts}
-    _report(args, study.document, tip, data)
+
+    r2_of_di = fallback.r2_of_di(trials.tests)
+    doubts = [*doubts_of_di(r2_of_di), *trials.doubts()]
+    data: dict[str, Any] = {
+        "bundle": str(args.out), "parity": parity, "warnings": doubts, "degree": fallback.degree,
+        "r2_of_di": r2_of_di,
+    }  # fmt: skip
+    lines = [str(args.out)]
+    if tip:
+        data["predictor"] = tip.document.chosen
+        data["out_of_range"] = msgspec.to_builtins(tip.document.out_of_range)
+        lines += tip_lines(tip.document)
+    if study:
+        data["mean_euclidean_distance_m"] = {
+            name: of["pooled"] for name, of in study.mean_euclidean_distance_m.items()
+        }
+        lines += study_lines(study)
+    lines += advice(trials.tests, bool(study))
+    emit(args, data, "\n  ".join(lines))
+    for warning in doubts:
+        print(f"warning: {warning}", file=sys.stderr)
     return DONE
 
 
-def _report(
-    args: argparse.Namespace, document: StudyDocument, tip: TipTraining | None, data: dict[str, Any]
-) -> None:
-    """Print results of the study and of the robot's predictor, and warnings."""
-    pooled = {name: of["pooled"] for name, of in document.mean_euclidean_distance_m.items()}
-    data |= {"degree": document.chosen_degree, "mean_euclidean_distance_m": pooled}
-    text = study_summary(args.out, document)
-    if tip:
-        data["predictor"] = tip.document.chosen
-        text = f"{text}\n  the robot gets: {tip.document.reason}"
-    emit(args, data, text)
-    for warning in data["warnings"]:
-        print(f"warning: {warning}", file=sys.stderr)
+class SelectedTrials(NamedTuple):
+    """Trials of the command line, by their use."""
+
+    everything: TrialSet  # Of the first directory
+    training: TrialSet
+    further: tuple[Trial, ...]  # Of --motions, for the robot's predictor alone
+    tests: dict[str, TrialSet]
+    other_dof: TrialSet  # For the study's comparison of mean DI
+
+    @property
+    def held_out(self) -> tuple[Trial, ...]:
+        return tuple(t for trials in self.tests.values() for t in trials)
+
+    def doubts(self) -> list[str]:
+        """Warnings about the trials."""
+        dof = self.training[0].meta.dof
+        doubts = [
+            *judge_pressures((*self.training, *self.further)),
+            *judge_doubled((*self.training, *self.held_out, *self.further)),
+            *judge_not_fitted(self.everything.where(lambda t: t.meta.dof == dof)),
+        ]
+        return [f"{doubt.text}; {doubt.remedy}" for doubt in doubts]
 
 
-def _of_directory(where: Path, args: argparse.Namespace) -> TrialSet:
-    return of_dof(of_phases(read_usable_trials([where]), args.phase_deg, where), args.dof, where)
+def select_trials(args: argparse.Namespace) -> SelectedTrials:
+    """Read the trials of the command line, and refuse those that do not fit together."""
+
+    def read(directory: Path) -> TrialSet:
+        return of_phases(read_usable_trials([directory]), args.phase_deg, directory)
+
+    everything = read(args.trials)
+    training, held_out = of_dof(everything, args.dof, args.trials).split()
+    unseen, further = (
+        tuple(t for where in places for t in of_dof(read(where), args.dof, where))
+        for places in (args.unseen, args.motions)
+    )
+    refuse_mixed_steps((*training, *held_out, *unseen, *further))
+    refuse_trained(further, (*held_out, *unseen))
+    tests = name_tests(training, (*held_out, *unseen))
+    other_dof, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
+    return SelectedTrials(everything, training, further, tests, other_dof)
+
+
+def refuse_plant(plant: Plant, where: Path, trials: SelectedTrials) -> None:
+    """Refuse a plant of another link, or one that was fitted to an unseen trial."""
+    from models.plant.identification.doubts import refuse_other_links
+
+    refuse_other_links(plant, where, (*trials.everything, *trials.held_out, *trials.further))
+    refuse_fitted(plant.provenance, where, trials.tests)
+
+
+def tip_lines(document: PredictorsDocument) -> list[str]:
+    """The robot's predictor: reason for the choice, and each test with the rows out of range."""
+    from models.bundle.model_card import range_texts  # loads scikit-learn
+
+    tests = document.candidates[document.chosen].tests
+    lines = [f"the robot gets: {document.reason}"]
+    for name, outside in range_texts(document).items():
+        if name not in document.data:  # with a wrong plant: in the model card
+            continue
+        score = tests[name]["all"]
+        lines.append(
+            f"{name}: {LENGTH.number(score.mean_m, 2)} mm on average, "
+            f"{LENGTH.number(score.max_m)} mm at most; the interval covers "
+            f"{FRACTION.text(score.coverage)}; {outside}"
+        )
+    return lines
+
+
+def study_lines(study: StudyDocument) -> list[str]:
+    """The paper's polynomial of the chosen degree on each test."""
+    degree = str(study.chosen_degree)
+    lines = [f"the paper's polynomial: degree {degree} by cross-validation on trial 1"]
+    for name, table in study.mean_euclidean_distance_m.items():
+        pooled, guarded = table["pooled"], study.deployed[name]
+        r2 = study.estimators[name]["observer"].r2_di
+        lines.append(
+            f"{name}: mean Euclidean distance "
+            f"{LENGTH.number(pooled['estimated_di'][degree], 2)} mm with "
+            f"estimated DI ({LENGTH.number(pooled['with_di'][degree], 2)} with true DI, "
+            f"{LENGTH.number(pooled['without_di'][degree], 2)} without), R² of DI {r2:.3f}; "
+            f"with inputs kept within the training range "
+            f"{LENGTH.number(guarded.mean_euclidean_distance_m, 2)} mm: "
+            f"{FRACTION.text(guarded.in_range_fraction)} of the rows are within it, the interval "
+            f"covers {FRACTION.text(guarded.interval_coverage_mean)}"
+        )
+    return lines
+
+
+def advice(tests: Mapping[str, TrialSet], has_study: bool) -> list[str]:
+    """What the bundle lacks, and the option that adds it."""
+    lines = []
+    if not any(name.startswith("trial_") for name in tests):
+        lines.append("no trial 2 to test on: simulate with --trials 2")
+    if not any(name.startswith("unseen") for name in tests):
+        lines.append(
+            "no unseen motion: dropstitch simulate --amplitude-deg 20 --trials 1 --out "
+            "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
+        )
+    if not has_study:
+        lines.append("add --study for the paper's tables, --compare for other candidates")
+    return lines
 
 
 def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:

@@ -1,45 +1,39 @@
-"""Interface of a tip predictor, which every candidate implements.
+"""Candidates for the robot's tip predictor, and the interface of your own one.
 
-Polynomials of some inputs, whose value is the tip or a correction of the observer's tip.
-
-Polynomial of the observer's signed bend and its rate.
-
-Observer's tip with a polynomial correction.
-
-The observer's own tip, without anything trained on tips.
-
-Polynomial of the paper: angles, currents and Deformation Index.
-
-Your own candidate: a class in a file outside of the project.
+Every candidate is the tip from what the observer and the servos tell. Two of them are polynomials
+of their inputs; the others are the observer's tip with a correction: none, a polynomial, boosted
+trees or a perceptron of the signed motion and the payload.
 """
 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import ClassVar, Final, Protocol, Self, cast, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
-from sklearn.pipeline import Pipeline
+from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.neural_network import MLPRegressor
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_text
 from firmware_py.signals import PAYLOAD, feature_names, tip_names
 from models.predictor.observed_trials import TipRows
-from models.predictor.onnx_graphs import GraphWriter
-from models.predictor.polynomials import Array, Polynomial, polynomial_pipeline, predict
+from models.predictor.onnx_graphs import Array, GraphWriter
+from models.predictor.polynomials import Polynomial, polynomial_pipeline, predict
 
 
 @runtime_checkable
 class TipPredictor(Protocol):
-    """Tip predictor: fitted with scikit-learn, written as operators of an ONNX graph.
+    """Tip predictor: fitted in Python, written as operators of an ONNX graph.
 
-    Your own candidate is one class with these members; `models.predictor.learners` lists
-    the ones that are compared. Its graph may use the operators Gemm, MatMul, Add, Sub, Mul, Max,
-    Min, Greater, Cast, Sqrt and Tanh: CasADi imports these, so that the FMU evaluates the same
-    graph.
+    Your own candidate is one class with these members (docs/predictor/choice.md). Its graph may use
+    the operators Gemm, MatMul, Add, Sub, Mul, Max, Min, Greater, Cast, Sqrt and Tanh: CasADi
+    imports these, so that the FMU evaluates the same graph.
 
     Parameters
     ----------
@@ -114,103 +108,86 @@ def motion_names(dof: int) -> tuple[str, ...]:
     return tuple(kind.format(j=j) for kind in kinds for j in range(1, dof + 1))
 
 
-class PolynomialTip:
-    """Polynomial of selected inputs, clipped to their training box, added to a base."""
+class _Learner:
+    """Function of selected inputs, added to the observer's tip if `corrects`.
+
+    Variant 0 is no function at all. A subclass learns the function in `_learn`, evaluates it in
+    `_value` and writes it in `_write`; each gets the selected inputs.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]
     variants: ClassVar[tuple[int, ...]]
-    corrects: ClassVar[bool]
+    corrects: ClassVar[bool] = True
 
     def __init__(self, variant: int) -> None:
         self.variant = variant
 
-    def chosen(self, dof: int) -> Sequence[str]:
-        """Names of the inputs of the polynomial."""
-        raise NotImplementedError
+    def selected(self, dof: int) -> Sequence[str]:
+        return (*motion_names(dof), PAYLOAD.name)
 
     def fit(self, rows: TipRows) -> Self:
-        """See `TipPredictor.fit`."""
-        self._columns = rows.columns(self.chosen(rows.dof))
-        self._base = rows.columns(tip_names())
-        self._width = len(rows.names)
-        target_m = rows.tip_m - rows.observer_tip_m if self.corrects else rows.tip_m
-        self._pipeline: Pipeline | None = None
+        self._columns = rows.columns(self.selected(rows.dof))
+        self._base, self._width = rows.columns(tip_names()), len(rows.names)
         if self.variant:
-            features = rows.inputs[:, self._columns]
-            self._lower, self._upper = features.min(axis=0), features.max(axis=0)
-            self._pipeline = polynomial_pipeline(self.variant).fit(features, target_m)
+            target_m = rows.tip_m - rows.observer_tip_m if self.corrects else rows.tip_m
+            self._learn(rows.inputs[:, self._columns], target_m)
         return self
 
     def predict(self, inputs: Array) -> Array:
-        """See `TipPredictor.predict`."""
         base_m = inputs[:, self._base] if self.corrects else np.zeros((len(inputs), 3))
-        if self._pipeline is None:
-            return base_m
-        clipped = np.clip(inputs[:, self._columns], self._lower, self._upper)
-        return base_m + predict(self._pipeline, clipped)
+        return base_m + self._value(inputs[:, self._columns]) if self.variant else base_m
 
     def write(self, graph: GraphWriter, source: str, output: str) -> None:
-        """See `TipPredictor.write`."""
-        terms = []
+        if not self.variant:
+            graph.columns(source, self._width, self._base, "base", output)
+            return
+        features = graph.columns(source, self._width, self._columns, "features")
         if self.corrects:
-            terms.append(graph.columns(source, self._width, self._base, "base"))
-        if self._pipeline is not None:
-            features = graph.columns(source, self._width, self._columns, "features")
-            clipped = graph.clipped(features, self._lower, self._upper)
-            name = graph.scope.get_unique_variable_name("polynomial")
-            terms.append(graph.polynomial(clipped, Polynomial.of(self._pipeline), "tip", name))
-        graph.node("Add" if len(terms) > 1 else "Identity", terms, output)
+            base = graph.columns(source, self._width, self._base, "base")
+            correction = self._write(graph, features, graph.unique("correction"))
+            graph.node("Add", [base, correction], output)
+        else:
+            self._write(graph, features, output)
+
+    def _learn(self, features: Array, target_m: Array) -> None:
+        raise NotImplementedError
+
+    def _value(self, features: Array) -> Array:
+        raise NotImplementedError
+
+    def _write(self, graph: GraphWriter, features: str, output: str) -> str:
+        raise NotImplementedError
 
 
-class BendPolynomial(PolynomialTip):
-    name: ClassVar[str] = "bend polynomial"
-    summary: ClassVar[str] = (
-        "a polynomial of the joint angles and the observer's signed bend and its rate"
-    )
-    variants: ClassVar[tuple[int, ...]] = (2, 3, 4)
-    corrects: ClassVar[bool] = False
+class _PolynomialTip(_Learner):
+    """Polynomial, its inputs clipped to their training box; the variant is the degree."""
 
-    def chosen(self, dof: int) -> Sequence[str]:
-        return [name for name in motion_names(dof) if not name.startswith("joint_rate")]
+    def _learn(self, features: Array, target_m: Array) -> None:
+        self._lower, self._upper = features.min(axis=0), features.max(axis=0)
+        self._pipeline = polynomial_pipeline(self.variant).fit(features, target_m)
 
+    def _value(self, features: Array) -> Array:
+        return predict(self._pipeline, np.clip(features, self._lower, self._upper))
 
-class CorrectedTip(PolynomialTip):
-    """Observer's tip with a trained polynomial correction; degree 0 means no correction."""
-
-    name: ClassVar[str] = "corrected observer"
-    summary: ClassVar[str] = "the observer's tip with a polynomial correction of motion and payload"
-    variants: ClassVar[tuple[int, ...]] = (0, 1, 2)
-    corrects: ClassVar[bool] = True
-
-    def chosen(self, dof: int) -> Sequence[str]:
-        return (*motion_names(dof), PAYLOAD.name)
+    def _write(self, graph: GraphWriter, features: str, output: str) -> str:
+        clipped = graph.clipped(features, self._lower, self._upper)
+        return Polynomial.of(self._pipeline).write(graph, clipped, "tip", output)
 
 
-class ObserverTip:
+class ObserverTip(_PolynomialTip):
     name: ClassVar[str] = "observer"
     summary: ClassVar[str] = "the observer's own tip, without a correction"
     variants: ClassVar[tuple[int, ...]] = (0,)
 
-    def __init__(self, variant: int) -> None:
-        self.variant = variant
 
-    def fit(self, rows: TipRows) -> Self:
-        """See `TipPredictor.fit`."""
-        self._columns, self._width = rows.columns(tip_names()), len(rows.names)
-        return self
-
-    def predict(self, inputs: Array) -> Array:
-        """See `TipPredictor.predict`."""
-        return inputs[:, self._columns]
-
-    def write(self, graph: GraphWriter, source: str, output: str) -> None:
-        """See `TipPredictor.write`."""
-        tip = graph.columns(source, self._width, self._columns, "observed")
-        graph.node("Identity", [tip], output)
+class CorrectedTip(_PolynomialTip):
+    name: ClassVar[str] = "corrected observer"
+    summary: ClassVar[str] = "the observer's tip with a polynomial correction of motion and payload"
+    variants: ClassVar[tuple[int, ...]] = (0, 1, 2)
 
 
-class PaperPolynomial(PolynomialTip):
+class PaperPolynomial(_PolynomialTip):
     """The paper's polynomial of angles, currents and DI (equations 2 and 3)."""
 
     name: ClassVar[str] = "paper polynomial"
@@ -218,9 +195,168 @@ class PaperPolynomial(PolynomialTip):
     variants: ClassVar[tuple[int, ...]] = (1, 2, 3, 4, 5, 6)
     corrects: ClassVar[bool] = False
 
-    def chosen(self, dof: int) -> Sequence[str]:
+    def selected(self, dof: int) -> Sequence[str]:
         return feature_names(dof)
 
+
+class BendPolynomial(_PolynomialTip):
+    name: ClassVar[str] = "bend polynomial"
+    summary: ClassVar[str] = (
+        "a polynomial of the joint angles and the observer's signed bend and its rate"
+    )
+    variants: ClassVar[tuple[int, ...]] = (2, 3, 4)
+    corrects: ClassVar[bool] = False
+
+    def selected(self, dof: int) -> Sequence[str]:
+        return [name for name in motion_names(dof) if not name.startswith("joint_rate")]
+
+
+TREES: Final = 30
+TREE_RATE: Final = 0.15
+SMALLEST_LEAF: Final = 40
+"""Fewest rows in a leaf: 0.7 s of motion. All three [assumed]."""
+DECIMALS: Final = 9
+"""Digits to which inputs are rounded before training, in SI units. Otherwise a split could lie
+between values that differ only by rounding, such as those of a joint at rest, and a graph from
+another compiler would take the other branch."""
+
+
+class BoostedTrees(_Learner):
+    """Correction of the observer's tip by boosted trees; the variant is their depth.
+
+    A tree is written as the product of its comparisons: each leaf has a factor per level, the
+    comparison or its complement, so that one row of leaves represents all trees.
+    """
+
+    name: ClassVar[str] = "boosted trees"
+    summary: ClassVar[str] = "the observer's tip with a correction by gradient-boosted trees"
+    variants: ClassVar[tuple[int, ...]] = (2,)
+
+    def _learn(self, features: Array, target_m: Array) -> None:
+        rounded = features.round(DECIMALS)
+        self._trees = [
+            HistGradientBoostingRegressor(
+                max_iter=TREES, max_depth=self.variant, learning_rate=TREE_RATE,
+                min_samples_leaf=SMALLEST_LEAF, early_stopping=False, random_state=0,
+            ).fit(rounded, target_m[:, axis])
+            for axis in range(3)
+        ]  # fmt: skip
+        for trees in self._trees:
+            for (tree,) in trees._predictors:  # move splits between two rounded values
+                tree.nodes["num_threshold"] += 0.5 * 10.0**-DECIMALS
+
+    def _value(self, features: Array) -> Array:
+        return np.column_stack([trees.predict(features) for trees in self._trees])
+
+    def _write(self, graph: GraphWriter, features: str, output: str) -> str:
+        leaves = [
+            (axis, *leaf)
+            for axis, trees in enumerate(self._trees)
+            for tree in trees._predictors
+            for leaf in _leaves(tree[0].nodes)
+        ]
+        values = np.zeros((len(leaves), 3))
+        for k, (axis, value, _) in enumerate(leaves):
+            values[k, axis] = value
+        product = ""
+        for level in range(self.variant):
+            column = np.zeros((len(self._columns), len(leaves)))
+            threshold = np.full(len(leaves), -1.0)  # an absent comparison: 0 is above it
+            sign, constant = np.ones(len(leaves)), np.zeros(len(leaves))
+            for k, (_, _, path) in enumerate(leaves):
+                if level < len(path):
+                    feature, bound, right = path[level]
+                    column[feature, k], threshold[k] = 1.0, bound
+                    sign[k], constant[k] = (1.0, 0.0) if right else (-1.0, 1.0)
+            stem = f"level_{level}"
+            seen = graph.temporary("MatMul", [features, graph.constant(f"{stem}_of", column)], stem)
+            bits = graph.bits(seen, threshold, stem)
+            signs = graph.constant(f"{stem}_sign", sign[None])
+            signed = graph.temporary("Mul", [bits, signs], f"{stem}_signed")
+            constants = graph.constant(f"{stem}_constant", constant[None])
+            factor = graph.temporary("Add", [signed, constants], f"{stem}_is")
+            product = graph.temporary("Mul", [product, factor], "leaf") if product else factor
+        grown = graph.temporary("MatMul", [product, graph.constant("values", values)], "grown")
+        start = np.array([np.ravel(trees._baseline_prediction)[0] for trees in self._trees])
+        return graph.node("Add", [grown, graph.constant("start", start[None])], output)
+
+
+def _leaves(nodes: Any) -> list[tuple[float, list[tuple[int, float, bool]]]]:
+    """Leaves of a tree: value, and the comparisons on its path (feature, bound, whether above)."""
+    found = []
+
+    def walk(k: int, path: list[tuple[int, float, bool]]) -> None:
+        node = nodes[k]
+        if node["is_leaf"]:
+            found.append((float(node["value"]), path))
+            return
+        feature, bound = int(node["feature_idx"]), float(node["num_threshold"])
+        walk(int(node["left"]), [*path, (feature, bound, False)])
+        walk(int(node["right"]), [*path, (feature, bound, True)])
+
+    walk(0, [])
+    return found
+
+
+PERCEPTRON_ROWS: Final = 1500
+"""Most rows to fit on, equally spaced, because neighbours are nearly equal."""
+PERCEPTRON_ITERATIONS: Final = 80
+PENALTY: Final = 0.1
+"""L2 penalty of scikit-learn, against overfitting to few trials [assumed]."""
+CORRECTION_M: Final = 1e-3
+"""Unit of the fitted correction."""
+
+
+class Perceptron(_Learner):
+    """Correction of the observer's tip by one hidden layer; the variant is its width."""
+
+    name: ClassVar[str] = "perceptron"
+    summary: ClassVar[str] = (
+        "the observer's tip with a correction by a small multi-layer perceptron"
+    )
+    variants: ClassVar[tuple[int, ...]] = (8,)
+
+    def _learn(self, features: Array, target_m: Array) -> None:
+        count = len(features)
+        rows = np.linspace(0, count - 1, min(PERCEPTRON_ROWS, count)).round().astype(int)
+        features, target_m = features[rows], target_m[rows]
+        self._lower, self._upper = features.min(axis=0), features.max(axis=0)
+        self._offset, self._scale = features.mean(axis=0), features.std(axis=0) + 1e-12
+        self._net = MLPRegressor(
+            hidden_layer_sizes=(self.variant,), activation="tanh", solver="lbfgs", alpha=PENALTY,
+            max_iter=PERCEPTRON_ITERATIONS, random_state=0,
+        )  # fmt: skip
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ConvergenceWarning)  # the limit is a regularisation
+            self._net.fit(self._scaled(features), target_m / CORRECTION_M)
+
+    def _scaled(self, features: Array) -> Array:
+        clipped = np.clip(features, self._lower, self._upper)
+        return np.asarray((clipped - self._offset) / self._scale)
+
+    def _value(self, features: Array) -> Array:
+        return np.asarray(CORRECTION_M * self._net.predict(self._scaled(features)))
+
+    def _write(self, graph: GraphWriter, features: str, output: str) -> str:
+        (first, second), (bias, last) = self._net.coefs_, self._net.intercepts_
+        rows = first / self._scale[:, None]
+        scaled = [graph.constant("rows", rows), graph.constant("bias", bias - self._offset @ rows)]
+        weights = [
+            graph.constant("weights", CORRECTION_M * second),
+            graph.constant("constant", CORRECTION_M * last),
+        ]
+        clipped = graph.clipped(features, self._lower, self._upper)
+        hidden = graph.temporary("Gemm", [clipped, *scaled], "hidden")
+        active = graph.temporary("Tanh", [hidden], "active")
+        return graph.node("Gemm", [active, *weights], output)
+
+
+DEFAULT_CANDIDATES: Final[tuple[type[TipPredictor], ...]] = (ObserverTip,)
+"""What is trained without a comparison (docs/predictor/choice.md says why)."""
+CANDIDATES: Final[tuple[type[TipPredictor], ...]] = (
+    ObserverTip, PaperPolynomial, BendPolynomial, CorrectedTip, BoostedTrees, Perceptron,
+)  # fmt: skip
+"""What `train --compare` compares, simplest first."""
 
 MEMBERS: Final = ("name", "summary", "variants", "fit", "predict", "write")
 REMEDY: Final = 'write it as docs/predictor/choice.md shows, "A predictor of one\'s own"'
@@ -236,27 +372,21 @@ def own_candidate(path: Path, others: Sequence[type[TipPredictor]]) -> type[TipP
     except Exception as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(path, f"does not run ({cause})", REMEDY) from error
-    found = [
+    classes = [
         value
         for value in vars(module).values()
         if isinstance(value, type) and value.__module__ == module.__name__
     ]
-    whole = [value for value in found if all(hasattr(value, member) for member in MEMBERS)]
+    lacking = {c: [m for m in MEMBERS if not hasattr(c, m)] for c in classes}
+    whole = [c for c, missing in lacking.items() if not missing]
     if len(whole) != 1:
-        raise InputError(path, f"has {len(whole)} candidates, {_lack(found, whole)}", REMEDY)
+        reason = "not one" if whole else "no class at all"
+        if classes and not whole:
+            reason = f"{classes[-1].__name__} lacks {', '.join(lacking[classes[-1]])}"
+        raise InputError(path, f"has {len(whole)} candidates, {reason}", REMEDY)
     candidate = cast(type[TipPredictor], whole[0])
     if candidate.name in {other.name for other in others}:
         raise InputError(path, f"names its candidate {candidate.name!r} as another is", REMEDY)
     if not candidate.variants:
         raise InputError(path, f"gives {candidate.name!r} no variant", REMEDY)
     return candidate
-
-
-def _lack(found: Sequence[type], whole: Sequence[type]) -> str:
-    """Reason why the classes of a file are not one candidate."""
-    if whole:
-        return "not one"
-    if not found:
-        return "no class at all"
-    lacking = [member for member in MEMBERS if not hasattr(found[-1], member)]
-    return f"{found[-1].__name__} lacks {', '.join(lacking)}"

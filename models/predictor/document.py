@@ -1,14 +1,12 @@
-"""Predictors document (`predictors.json`): comparison of candidates for the robot's tip predictor.
+"""Predictors document (`predictors.json`): the robot's tip predictor and what it was compared with.
 
 Distances and widths are in m; coverage and fractions are dimensionless.
-
-Latency of a prediction, warm in a hot loop and cold as in the robot's loop.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Final
 
@@ -19,9 +17,42 @@ from firmware_py.documents import Document, read_document, write_document
 from firmware_py.inference.file_content import FileContent
 from firmware_py.inference.predictor import OnnxGraph
 from firmware_py.signals import PERIOD_S
+from firmware_py.summary import RangeReasons
+from models.predictor.onnx_graphs import OUTPUTS
+from models.trials.origin import TrialOrigin, origins_of
+from models.trials.trial import Trial, TrialSet
 
 Test = str
 Part = str
+
+
+class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Set of trials that something was trained or tested on."""
+
+    trials: tuple[str, ...]
+    sha256: str  # Hash of their content
+    payload_kg: tuple[float, ...]  # Values that occur, ascending
+    amplitude_rad: tuple[float, ...]
+    phase_2_rad: tuple[float, ...]
+    step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
+    origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
+
+
+def summary_of(trials: Sequence[Trial]) -> TrialsSummary:
+    trials = TrialSet(tuple(trials))
+
+    def values(name: str) -> tuple[float, ...]:
+        return tuple(sorted({getattr(t.meta, name) for t in trials}))
+
+    return TrialsSummary(
+        trials=tuple(t.name for t in trials),
+        sha256=trials.sha256(),
+        payload_kg=values("payload_kg"),
+        amplitude_rad=values("amplitude_rad"),
+        phase_2_rad=values("phase_2_rad"),
+        step_s=round(trials[0].step_s, 9),
+        origins=origins_of(trials),
+    )
 
 
 class TipScore(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -72,6 +103,10 @@ class PredictorsDocument(Document, frozen=True, kw_only=True):
     payload_kg: tuple[float, ...]
     candidates: dict[str, CandidateEntry]  # Candidates in the order of comparison, simplest first
     askew_rad: float  # Angle by which the link may be mounted askew, which the interval covers
+    # Trials that it was trained on, "training", and those of each test
+    data: dict[str, TrialsSummary] = msgspec.field(default_factory=dict)
+    # Why rows of each test were out of range with the chosen candidate; a tick is a row
+    out_of_range: dict[Test, RangeReasons] = msgspec.field(default_factory=dict)
     # Observer and predictor together, by runtime; added with the observer
     runtimes: dict[str, Latency] = msgspec.field(default_factory=dict)
 
@@ -87,7 +122,6 @@ def write_predictors(path: Path, document: PredictorsDocument) -> None:
 WARM_CALLS: Final = 200
 COLD_CALLS: Final = 25
 """Calls of which the median is taken; a cold one waits for a control period first."""
-OUTPUTS: Final = (("tip_m", 3), ("in_range", 1), ("half_width_m", 3))
 
 
 def measure_latency(call: Callable[[], object]) -> Latency:
@@ -108,4 +142,5 @@ def _median_s(call: Callable[[], object], count: int, pause_s: float) -> float:
 
 def graph_latency(data: bytes) -> Latency:
     """Latency of a predictor's graph in onnxruntime."""
-    return measure_latency(OnnxGraph(FileContent(Path("graph"), data), None, OUTPUTS).run)
+    graph = OnnxGraph(FileContent(Path("graph"), data), None, tuple(OUTPUTS.items()))
+    return measure_latency(graph.run)

@@ -1,37 +1,45 @@
 """Prediction interval whose width follows the observer's estimate of its own error.
 
-The variance of the error on an axis is a sum of non-negative terms: a constant, the variance due to
-the payload estimate, the squares of bend, of its rate and of the joint's rate, those of bend and
-rate times the mean square innovation, and the distance that the tip has moved since a sample that
-is old::
+The half width on each axis is q σ. The variance σ² is a sum of non-negative terms: a constant, the
+variance D² due to the payload estimate, the squares of bend, of its rate and of the joint's rate,
+those of bend and rate times the excess E of the innovation, and the distance that the tip may have
+moved since a sample of age a::
 
     σ² = c₀ + c₁ D² + Σⱼ (c₂ β² + c₃ β̇² + c₄ q̇²)ⱼ + E Σⱼ (c₅ β² + c₆ β̇²)ⱼ + (L a)² Σⱼ (q̇² + β̇²)ⱼ
 
-with the excess E of the mean square innovation over its 75 % quantile, which counts up to the 95 %
-quantile: a violent motion raises the innovation of a correct plant as well. The coefficients are
-fitted to errors on trials and payloads left out, and to those of the same trials with deliberately
-wrong plants (disturbed). The half width is q σ, with one q for each of four classes of rows
-(Mondrian conformal prediction: Vovk et al., Algorithmic Learning in a Random World, 2005, section
-4.5): joints that stand or move, innovation with or without an excess.
+E is the mean square innovation of the currents above its 75 % quantile. It counts up to the 95 %
+quantile, because a violent motion raises the innovation of a correct plant as well. The
+coefficients are fitted to errors on trials and payloads left out, and to those of the same trials
+with deliberately wrong plants ("disturbed").
 
-q is set for each axis separately. It is the largest of three quantiles of |error| / σ: at 95 % on
-the trials left out; at 93 % on each kind of wrong plant; and, for joints that move, the value with
-which nine of ten trials reach 90 % with each of them. The target is 90 % on every motion, and a
-quantile of all trials together would let one be covered less where others are covered more. A link
-that is mounted askew or 20 % stiffer shows little in the signals of the servos, so an interval that
-covers it cannot wait for the innovation. Rows of a trial are correlated, so every trial has the
-same weight and the level of 95 % rises by 1/n for n trials (two-layer hierarchical models: Dunn,
-Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023). A deviation that lasts for a whole trial has
-only n samples: q is at least √(t² (1 + 1/n) B² + 1.96² W²), the prediction interval of a normal
-variable with the root mean square B of the trials' means and the scatter W within trials.
+q is a quantile of |error| / σ, for each axis and each of four classes of rows (Mondrian conformal
+prediction: Vovk et al., Algorithmic Learning in a Random World, 2005, section 4.5): joints that
+stand or move, innovation with or without an excess. It is the largest of these:
 
-Bound on the innovation of the currents, above which the interval of moving joints is too narrow.
+====================  ===========================================  ==============================
+errors                quantile                                     for
+====================  ===========================================  ==============================
+trials left out       95 % of the rows, every trial with the same  all classes
+                      weight, and the level raised by 1/n for n
+                      trials [1]_
+trials left out       √(t² (1 + 1/n) B² + 1.96² W²): prediction    all classes
+                      interval of a normal variable with the root
+                      mean square B of the trials' means and the
+                      scatter W within trials
+each wrong plant      93 % of the rows, every trial with the same  all classes
+                      weight
+each wrong plant      90 % of the rows in nine of ten trials       joints that move
+any                   that of joints that move                     joints that stand
+====================  ===========================================  ==============================
 
-The interval follows the present bend. A plant with a wrong stiffness is out of phase with the link,
-and where its own bend passes zero the interval is narrow although the tip is far away. The root
-mean square innovation, taken over about a second of motion, is then a multiple of that in the
-training motions. Only moving joints are tested: a link that was released leaves as large an
-innovation with the right plant, and it persists while the joints stand.
+The second one is for a deviation that lasts for a whole trial, of which there are only n samples.
+Wrong plants count, because a link that is mounted askew or 20 % stiffer shows little in the
+signals of the servos: an interval that covers it cannot wait for the innovation. The fourth one is
+there since a quantile of all trials together would let one motion be covered less where others are
+covered more. The last one: training has few rows of standing joints, mostly of a link at rest that
+hardly bends; if the link swings while they stand, a wrong plant errs as much as in motion.
+
+.. [1] Two-layer hierarchical models: Dunn, Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023.
 """
 
 from __future__ import annotations
@@ -46,14 +54,13 @@ from scipy.optimize import nnls
 from scipy.stats import t as student_t
 
 from firmware_py.signals import AGE
-from models.predictor.observed_trials import TipRows
-from models.predictor.onnx_graphs import GraphWriter
-from models.predictor.polynomials import COVERAGE, Array
+from models.predictor.onnx_graphs import Array, GraphWriter, evaluate
+from models.predictor.polynomials import COVERAGE
 
 STANDING_RAD_S: Final = 0.05
 """Joint rate below which a joint counts as standing [assumed]: 7 % of the study's peak rate."""
 LEVER_M: Final = 1.0
-"""Lever from the joint to the tip: the link with its base plate."""
+"""Lever L from the joint to the tip: the link with its base plate."""
 SMALLEST_M: Final = 2e-4
 """Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
 USUAL: Final = 0.75
@@ -76,19 +83,81 @@ NORMAL: Final = 1.96
 REWEIGHTINGS: Final = 5
 """Fits of the variance, each weighted by the previous one."""
 AXES: Final = "xyz"
+STANDING, MOVING = [0, 2], [1, 3]
+"""Classes of rows by the joints; the second of each has an excess of the innovation."""
+
+
+def joint_inputs(names: Sequence[str], stem: str) -> list[str]:
+    """Inputs of a kind, such as "bend" for `bend_1_rad` and `bend_2_rad`."""
+    return [name for name in names if name.startswith(stem) and name[len(stem) + 1].isdigit()]
+
+
+def sum_of_squares(names: Sequence[str], groups: Sequence[Sequence[str]]) -> Array:
+    """Matrix from squared inputs to the sum of each group, (inputs, groups)."""
+    return np.array([[float(name in group) for group in groups] for name in names])
+
+
+@dataclass(frozen=True)
+class VarianceTerms:
+    """The terms of σ² and the class of a row, as functions of the inputs."""
+
+    names: tuple[str, ...]
+    usual: float  # Mean square innovation above which there is an excess, in A²
+    largest: float  # Mean square innovation up to which the excess counts, in A²
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Terms as products of two factors, each 1 or a sum of squares by its name."""
+        bends, swings, rates = (
+            joint_inputs(self.names, stem) for stem in ("bend", "bend_rate", "joint_rate")
+        )
+        alone = [*(f"tip_{axis}_deviation_m" for axis in AXES), *bends, *swings, *rates]
+        return [
+            ("1", "1"), *((name, "1") for name in alone),
+            *((name, "excess") for name in (*bends, *swings)),
+            *((name, AGE.name) for name in (*swings, *rates)),
+        ]  # fmt: skip
+
+    def write(self, graph: GraphWriter, source: str) -> str:
+        """Write the terms, shape (1, terms)."""
+        pairs = self.pairs()
+        factors = list(dict.fromkeys(factor for pair in pairs for factor in pair))
+        groups = {name: [name] for name in factors}
+        groups |= {"1": [], "excess": joint_inputs(self.names, "innovation")}
+        sums = sum_of_squares(self.names, list(groups.values()))
+        constants, most = np.zeros((2, len(factors)))
+        most[:] = np.finfo(float).max
+        constants[factors.index("1")] = 1.0
+        constants[factors.index("excess")] = -self.usual
+        most[factors.index("excess")] = self.largest - self.usual
+        square = graph.temporary("Mul", [source, source], "square")
+        base = graph.temporary(
+            "Gemm",
+            [square, graph.constant("sums", sums), graph.constant("constants", constants[None])],
+            "sum",
+        )
+        base = graph.clipped(base, np.zeros(len(factors)), most)
+        left, right = (
+            graph.columns(base, len(factors), [factors.index(pair[k]) for pair in pairs], stem)
+            for k, stem in enumerate(("first", "second"))
+        )
+        return graph.temporary("Mul", [left, right], "terms")
+
+    def write_class(self, graph: GraphWriter, source: str) -> str:
+        """Write two bits, shape (1, 2): whether a joint moves, and whether there is an excess."""
+        groups = [joint_inputs(self.names, stem) for stem in ("joint_rate", "innovation")]
+        sums = graph.constant("class_sums", sum_of_squares(self.names, groups))
+        square = graph.temporary("Mul", [source, source], "class_square")
+        total = graph.temporary("MatMul", [square, sums], "class_total")
+        return graph.bits(total, np.array([STANDING_RAD_S**2, self.usual]), "class")
 
 
 @dataclass(frozen=True)
 class TipInterval:
     """Fitted prediction interval of the tip."""
 
-    names: tuple[str, ...]
+    terms: VarianceTerms
     weights: Array  # (terms, 3), coefficients of the variance
-    # (4, 3), q per axis: joints that stand, joints that move, then both with an excess of the
-    # innovation
-    quantile: Array
-    # Mean square innovation above which there is an excess, and up to which it counts, in A²
-    innovation: tuple[float, float]
+    quantile: Array  # (4, 3), q: standing, moving, then both with an excess of the innovation
 
     @classmethod
     def fit(
@@ -103,153 +172,63 @@ class TipInterval:
         the same rows with a wrong plant, one entry per kind.
         """
         first, first_m, run = calibration
-        squares = first**2 @ _marked(names, "innovation")
+        squares = first**2 @ sum_of_squares(names, [joint_inputs(names, "innovation")])
         usual, largest = (float(np.quantile(squares, level)) for level in (USUAL, LARGEST))
-        kinds_of_plant = ((first, first_m), *disturbed)
-        terms = [_terms(names, inputs, (usual, largest)) for inputs, _ in kinds_of_plant]
-        stacked, error_m = np.vstack(terms), np.vstack([error_m for _, error_m in kinds_of_plant])
+        terms = VarianceTerms(names, usual, largest)
+        plants = ((first, first_m), *disturbed)
+        values = [evaluate(terms.write, inputs) for inputs, _ in plants]
+        stacked, error_m = np.vstack(values), np.vstack([error_m for _, error_m in plants])
         weights = np.column_stack(
-            [_fit_variance(stacked, error_m[:, axis], names, axis) for axis in range(3)]
+            [_fit_variance(stacked, error_m[:, axis], terms.pairs(), axis) for axis in range(3)]
         )
         quantile = np.zeros((4, 3))
-        for number, (inputs, own_m) in enumerate(kinds_of_plant):
-            score = own_m / np.sqrt(terms[number] @ weights)
-            kind = _kinds(names, inputs, usual)
-            found = [
-                _wrong_quantiles(score, run, kind == k, by_trial=k in _MOVING)
-                if number
-                else _quantiles(score, run, kind == k)
-                for k in range(4)
-            ]
-            quantile = np.maximum(quantile, found)
-        quantile[_STANDING] = np.maximum(quantile[_STANDING], quantile[_MOVING])
-        return cls(names, weights, quantile, (usual, largest))
+        for number, (inputs, plant_m) in enumerate(plants):
+            score = plant_m / np.sqrt(values[number] @ weights)
+            kind = evaluate(terms.write_class, inputs) @ [1, 2]
+            for k in range(4):
+                rows = kind == k
+                of_plant = (
+                    _wrong_quantiles(score, run, rows, by_trial=k in MOVING)
+                    if number
+                    else _quantiles(score, run, rows)
+                )
+                quantile[k] = np.maximum(quantile[k], of_plant)
+        quantile[STANDING] = np.maximum(quantile[STANDING], quantile[MOVING])
+        return cls(terms, weights, quantile)
 
     def half_width(self, inputs: Array) -> Array:
         """Half width of the 95 % interval in m, shape (n, 3)."""
-        deviation_m = np.sqrt(_terms(self.names, inputs, self.innovation) @ self.weights)
-        return np.asarray(
-            deviation_m * self.quantile[_kinds(self.names, inputs, self.innovation[0])]
-        )
+        return evaluate(self.write, inputs)
 
     def write(self, graph: GraphWriter, source: str) -> str:
-        """Write the half width of an input row; returns the name of the result, shape (1, 3)."""
-        sums, constants, most = _bases(self.names, self.innovation)
-        first, second = _factors(self.names)
-        square = graph.temporary("Mul", [source, source], "square")
-        base = graph.temporary(
-            "Gemm",
-            [square, graph.constant("sums", sums), graph.constant("constants", constants)],
-            "sum",
-        )
-        base = graph.clipped(base, np.zeros(most.shape[1]), most[0])
-        left = graph.temporary("MatMul", [base, graph.constant("first", first)], "left")
-        right = graph.temporary("MatMul", [base, graph.constant("second", second)], "right")
-        terms = graph.temporary("Mul", [left, right], "terms")
+        """Write the half width of an input row, shape (1, 3).
+
+        q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of the two bits m and e.
+        """
         variance = graph.temporary(
-            "MatMul", [terms, graph.constant("variances", self.weights)], "variance"
+            "MatMul",
+            [self.terms.write(graph, source), graph.constant("variances", self.weights)],
+            "variance",
         )
         deviation = graph.temporary("Sqrt", [variance], "deviation")
-        factor = self._write_factor(graph, square)
-        return graph.temporary("Mul", [deviation, factor], "usual_width")
-
-    def _write_factor(self, graph: GraphWriter, square: str) -> str:
-        """Write q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of two bits m, e."""
-        bits = []
-        for stem, bound in (("joint_rate", STANDING_RAD_S**2), ("innovation", self.innovation[0])):
-            column = graph.constant(f"{stem}_columns", _marked(self.names, stem)[:, None])
-            total = graph.temporary("MatMul", [square, column], stem)
-            bits.append(graph.bits(total, np.array([bound]), stem))
-        bits.append(graph.temporary("Mul", bits, "both"))
         q0, q1, q2, q3 = self.quantile
+        bits = self.terms.write_class(graph, source)
+        moving, excess = (graph.columns(bits, 2, [k], stem) for k, stem in enumerate("me"))
+        both = graph.temporary("Mul", [moving, excess], "both")
         factor = graph.constant("quantile", q0[None])
-        for bit, change in zip(bits, (q1 - q0, q2 - q0, q3 - q2 - q1 + q0), strict=True):
+        for bit, change in ((moving, q1 - q0), (excess, q2 - q0), (both, q3 - q2 - q1 + q0)):
             step = graph.temporary("MatMul", [bit, graph.constant("change", change[None])], "step")
             factor = graph.temporary("Add", [factor, step], "factor")
-        return factor
+        return graph.temporary("Mul", [deviation, factor], "usual_width")
 
 
-def _joints(names: Sequence[str]) -> range:
-    return range(1, 3 if "angle_2_rad" in names else 2)
-
-
-def _bases(names: Sequence[str], innovation: tuple[float, float]) -> tuple[Array, Array, Array]:
-    """Sums of squares of inputs, (inputs, bases), constants and largest values, (1, bases) each.
-
-    The bases are: one, D² of each axis, E, a², then β², β̇² and q̇² of each joint.
-    """
-    groups: list[list[str]] = [[]]
-    groups += [[f"tip_{axis}_deviation_m"] for axis in AXES]
-    groups += [[f"innovation_{j}_a" for j in _joints(names)], [AGE.name]]
-    for kind in ("bend_{j}_rad", "bend_rate_{j}_rad_s", "joint_rate_{j}_rad_s"):
-        groups += [[kind.format(j=j)] for j in _joints(names)]
-    sums = np.zeros((len(names), len(groups)))
-    for column, group in enumerate(groups):
-        for name in group:
-            sums[names.index(name), column] = 1.0
-    constants = np.zeros((1, len(groups)))
-    constants[0, 0] = 1.0
-    constants[0, _EXCESS] = -innovation[0]
-    most = np.full((1, len(groups)), np.finfo(float).max)
-    most[0, _EXCESS] = innovation[1] - innovation[0]
-    return sums, constants, most
-
-
-_ONE, _DEVIATION, _EXCESS, _AGE, _FIRST_JOINT = 0, 1, 4, 5, 6
-
-
-def _pairs(names: Sequence[str]) -> list[tuple[int, int]]:
-    """Bases whose product is a term; the last ones are those of an old sample."""
-    count = len(_joints(names))
-    bends, swings, rates = (
-        [_FIRST_JOINT + kind * count + j for j in range(count)] for kind in range(3)
-    )
-    pairs = [(_ONE, _ONE), *((_DEVIATION + axis, _ONE) for axis in range(3))]
-    pairs += [(base, _ONE) for base in (*bends, *swings, *rates)]
-    pairs += [(base, _EXCESS) for base in (*bends, *swings)]
-    return [*pairs, *((base, _AGE) for base in (*swings, *rates))]
-
-
-def _factors(names: Sequence[str]) -> tuple[Array, Array]:
-    pairs = _pairs(names)
-    first, second = np.zeros((2, _FIRST_JOINT + 3 * len(_joints(names)), len(pairs)))
-    for term, (left, right) in enumerate(pairs):
-        first[left, term] = second[right, term] = 1.0
-    return first, second
-
-
-def _terms(names: Sequence[str], inputs: Array, innovation: tuple[float, float]) -> Array:
-    sums, constants, most = _bases(names, innovation)
-    first, second = _factors(names)
-    base = np.clip(inputs**2 @ sums + constants, 0.0, most)
-    return np.asarray((base @ first) * (base @ second))
-
-
-def _marked(names: Sequence[str], stem: str) -> Array:
-    return np.array([float(name.startswith(stem)) for name in names])
-
-
-def _kinds(names: Sequence[str], inputs: Array, usual: float) -> NDArray[np.intp]:
-    """Class of each row: 0 standing, 1 moving, 2 and 3 the same with an excess."""
-    moving = inputs**2 @ _marked(names, "joint_rate") > STANDING_RAD_S**2
-    excess = inputs**2 @ _marked(names, "innovation") > usual
-    return np.asarray(moving + 2 * excess, dtype=np.intp)
-
-
-_STANDING: Final = [0, 2]
-"""Classes of joints that stand. Training has few rows of them, mostly of a link at rest that hardly
-bends; if a link swings while the joints stand, a wrong plant errs as much as in motion. Their q is
-therefore no less than that of `_MOVING`."""
-_MOVING: Final = [1, 3]
-"""Classes of joints that move, in the same order."""
-
-
-def _fit_variance(terms: Array, error_m: Array, names: Sequence[str], axis: int) -> Array:
+def _fit_variance(
+    terms: Array, error_m: Array, pairs: Sequence[tuple[str, str]], axis: int
+) -> Array:
     """Non-negative least squares of squared errors, weighted by their own variance."""
-    pairs = _pairs(names)
-    other = {_DEVIATION + k for k in range(3)} - {_DEVIATION + axis}
-    aged = [k for k, pair in enumerate(pairs) if pair[1] == _AGE]
-    free = [k for k, (left, _) in enumerate(pairs) if k not in aged and left not in other]
+    other = {f"tip_{a}_deviation_m" for a in AXES if a != AXES[axis]}
+    aged = [k for k, pair in enumerate(pairs) if pair[1] == AGE.name]
+    free = [k for k, pair in enumerate(pairs) if k not in aged and pair[0] not in other]
     terms, squares = terms[:, free], error_m**2
     scale = terms.max(axis=0) + 1e-300
     variance = np.full(len(squares), squares.mean() + SMALLEST_M**2)
@@ -258,33 +237,30 @@ def _fit_variance(terms: Array, error_m: Array, names: Sequence[str], axis: int)
         # The triangular factor has the same sums of squares in few rows.
         gram = weighted.T @ weighted
         root = np.linalg.cholesky(gram + 1e-12 * np.trace(gram) * np.eye(len(gram)))
-        found = nnls(root.T, np.linalg.solve(root, weighted.T @ (squares / variance)))[0]
-        variance = np.maximum(terms / scale @ found, SMALLEST_M**2)
+        solution = nnls(root.T, np.linalg.solve(root, weighted.T @ (squares / variance)))[0]
+        variance = np.maximum(terms / scale @ solution, SMALLEST_M**2)
     weights = np.zeros(len(pairs))
-    weights[free] = found / scale
+    weights[free] = solution / scale
     weights[0] = max(weights[0], SMALLEST_M**2)
     weights[aged] = LEVER_M**2
     return weights
 
 
 def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_]) -> Array:
-    """Factor q of some rows, (3,), from their signed scores; every trial has the same weight."""
+    """Factor q of some rows left out, (3,), from their signed scores."""
     if not rows.any():
         rows = np.ones(len(run), dtype=bool)
-    runs, own = np.unique(run[rows], return_inverse=True)
-    count = len(runs)
-    weight = 1.0 / np.bincount(own)[own] / count
-    seen = max(count, 2)
-    level = min(HIGHEST_LEVEL, COVERAGE * (1.0 + 1.0 / seen))
-    lasting = float(student_t.ppf(0.5 + COVERAGE / 2, seen - 1)) * np.sqrt(1 + 1 / seen)
-    found = []
-    for axis in range(3):
-        signed = score[rows, axis]
-        mean = np.bincount(own, weight * signed) * count
-        within = weight @ (signed - mean[own]) ** 2
+    trial, count, weight = _weights(run, rows)
+    n = max(len(count), 2)
+    level = min(HIGHEST_LEVEL, COVERAGE * (1.0 + 1.0 / n))
+    lasting = float(student_t.ppf(0.5 + COVERAGE / 2, n - 1)) * np.sqrt(1 + 1 / n)
+    q = []
+    for signed in score[rows].T:
+        mean = np.bincount(trial, weight * signed) * len(count)
+        within = weight @ (signed - mean[trial]) ** 2
         least = np.sqrt(lasting**2 * np.mean(mean**2) + NORMAL**2 * within)
-        found.append(max(_weighted_quantile(np.abs(signed), weight, level), least))
-    return np.array(found)
+        q.append(max(_weighted_quantile(np.abs(signed), weight, level), least))
+    return np.array(q)
 
 
 def _wrong_quantiles(
@@ -293,75 +269,26 @@ def _wrong_quantiles(
     """Factor q required for a wrong plant, (3,); 0 if there are no such rows."""
     if not rows.any():
         return np.zeros(3)
-    own = np.unique(run[rows], return_inverse=True)[1]
-    count = np.bincount(own)
-    weight = 1.0 / count[own] / len(count)
+    trial, count, weight = _weights(run, rows)
     sizes = np.abs(score[rows])
-    found = [[_weighted_quantile(size, weight, WRONG_LEVEL) for size in sizes.T]]
+    q = [[_weighted_quantile(size, weight, WRONG_LEVEL) for size in sizes.T]]
     if by_trial:
         long = np.flatnonzero(count >= FEWEST_ROWS)
-        each = [np.quantile(sizes[own == k], WRONG_TRIAL_LEVEL, axis=0) for k in long]
-        found += [np.quantile(each, TRIALS, axis=0)] if each else []
-    return np.asarray(np.max(found, axis=0))
+        each = [np.quantile(sizes[trial == k], WRONG_TRIAL_LEVEL, axis=0) for k in long]
+        q += [np.quantile(each, TRIALS, axis=0)] if each else []
+    return np.asarray(np.max(q, axis=0))
+
+
+def _weights(
+    run: NDArray[np.intp], rows: NDArray[np.bool_]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Trial of each row, rows of each trial, and weights that are the same for every trial."""
+    trial = np.unique(run[rows], return_inverse=True)[1]
+    count = np.bincount(trial)
+    return trial, count, 1.0 / count[trial] / len(count)
 
 
 def _weighted_quantile(size: Array, weight: Array, level: float) -> float:
     order = np.argsort(size)
     last = int(np.searchsorted(np.cumsum(weight[order]), level))
     return float(size[order][min(last, len(order) - 1)])
-
-
-FACTOR: Final = 1.5
-"""Bound as a multiple of the largest innovation in training rows that move. Chosen on nine rigs for
-tuning: 1.25 rejects rows of the right plant, 2 lets errors of 40 mm pass."""
-NONE_A: Final = float(np.sqrt(np.finfo(float).max))
-"""Bound that nothing exceeds."""
-
-
-@dataclass(frozen=True)
-class InnovationBound:
-    """Bound on the innovation of each joint."""
-
-    names: tuple[str, ...]
-    bound_a: Array  # (dof,), root mean square innovation above which the interval is too narrow
-
-    @classmethod
-    def of(cls, rows: TipRows) -> InnovationBound:
-        """Bound from training rows with the right plant; none if no joint moves."""
-        squares = rows.inputs**2 @ _sums(rows.names, rows.dof)
-        moving = squares[:, -1] > STANDING_RAD_S**2
-        if not moving.any():
-            return cls(rows.names, np.full(rows.dof, NONE_A))
-        return cls(rows.names, FACTOR * np.sqrt(squares[moving, :-1].max(axis=0)))
-
-    def exceeded(self, inputs: Array) -> NDArray[np.bool_]:
-        """Where joints move and an innovation exceeds its bound, shape (n,)."""
-        above = inputs**2 @ _sums(self.names, len(self.bound_a)) > self._thresholds()
-        return np.asarray(above[:, :-1].any(axis=1) & above[:, -1])
-
-    def write(self, graph: GraphWriter, source: str) -> str:
-        """Write 1.0 where joints move and an innovation exceeds its bound, else 0.0.
-
-        Returns the name of the result, shape (1, 1).
-        """
-        dof = len(self.bound_a)
-        square = graph.temporary("Mul", [source, source], "bounded")
-        sums = graph.constant("bounded_sums", _sums(self.names, dof))
-        total = graph.temporary("MatMul", [square, sums], "bounded_total")
-        above = graph.bits(total, self._thresholds(), "above")
-        # The sum exceeds dof only with the moving bit and at least one other.
-        votes = graph.constant("above_votes", np.array([[1.0]] * dof + [[float(dof)]]))
-        count = graph.temporary("MatMul", [above, votes], "above_count")
-        return graph.bits(count, np.array([dof + 0.5]), "exceeded")
-
-    def _thresholds(self) -> Array:
-        return np.append(self.bound_a, STANDING_RAD_S) ** 2
-
-
-def _sums(names: tuple[str, ...], dof: int) -> Array:
-    """Matrix from squared inputs to the squared innovation of each joint and that of all rates."""
-    sums = np.zeros((len(names), dof + 1))
-    for joint in range(dof):
-        sums[names.index(f"innovation_{joint + 1}_a"), joint] = 1.0
-        sums[names.index(f"joint_rate_{joint + 1}_rad_s"), dof] = 1.0
-    return sums

@@ -1,9 +1,7 @@
-"""Rows of trials for tip predictors: inputs, measured tip, and the trial, motion and payload of
-each.
+"""Rows for tip predictors: trials with the observer that ran along them, stacked.
 
-Trials with the signals of their observer, also of observers with a deliberately wrong plant.
-
-Runs of the plant observer on recorded trials, with the equations of the observer FMU.
+The observer is the step model of a plant, the one whose FMU runs on the robot. To calibrate the
+interval it runs along the same trials with deliberately wrong plants, too.
 """
 
 from __future__ import annotations
@@ -19,14 +17,17 @@ from firmware_py.errors import InputError
 from firmware_py.signals import AGE, feature_names, observer_signals, tip_names
 from models.plant.simulation.runner import CompiledModel, model_inputs
 from models.plant.step_model import StepModel, names
-from models.predictor.polynomials import Array
+from models.predictor.onnx_graphs import Array
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial
 
-
-def input_names(dof: int) -> tuple[str, ...]:
-    """Inputs of every candidate: measured signals, their age, and signals of the observer."""
-    return (*feature_names(dof), AGE.name, *(signal.name for signal in observer_signals(dof)))
+WRONG_STIFFNESS: Final = (0.8, 1.2)
+"""Factors on the stiffness of the observer's plant, for the calibration of the interval: the
+largest error of a plant that must be detected."""
+ASKEW_RAD: Final = 0.005
+"""Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
+the tip [assumed] for a link that is taken off and mounted again by hand. `train --askew-deg`
+sets another; 0 ignores this error, which the servos cannot measure."""
 
 
 class ObservedTrial(NamedTuple):
@@ -34,6 +35,33 @@ class ObservedTrial(NamedTuple):
 
     trial: Trial
     signals: Mapping[str, Array]  # (n,), outputs of the observer after each sample
+
+
+def observe(
+    observer: CompiledModel, trials: Sequence[Trial], changes: Mapping[str, float] | None = None
+) -> list[ObservedTrial]:
+    """Run the observer along trials, from their first row at rest on.
+
+    Row k is the output after the step that ends at sample k, as on the robot. The geometry is the
+    plant's, not the trial's. `changes`: values of parameters of a wrong plant.
+    """
+    model, observed = observer.model, []
+    p: Array = model.parameter_values(changes)
+    for trial in trials:
+        y = observer.simulate(model_inputs(model, trial), trial.step_s, p)[1:]
+        signals = dict(zip(names(model.outputs), np.ascontiguousarray(y.T), strict=True))
+        observed.append(ObservedTrial(trial, signals))
+    return observed
+
+
+def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
+    """Values of all stiffness parameters times a factor."""
+    return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
+
+
+def input_names(dof: int) -> tuple[str, ...]:
+    """Inputs of every candidate: measured signals, their age, and signals of the observer."""
+    return (*feature_names(dof), AGE.name, *(signal.name for signal in observer_signals(dof)))
 
 
 @dataclass(frozen=True)
@@ -78,8 +106,7 @@ class TipRows:
 def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
     """Stack the rows of trials, rest rows included; rows without a measured tip are left out."""
     names = input_names(observed[0].trial.meta.dof)
-    parts: list[tuple[Array, ...]] = []
-    motions, phases = [], []
+    parts = []
     for number, (trial, signals) in enumerate(observed):
         columns = {**trial.columns, **signals, AGE.name: np.zeros(len(trial))}
         if missing := [name for name in names if name not in columns]:
@@ -88,53 +115,15 @@ def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
                 "choose a plant of the link",
             )  # fmt: skip
         inputs = np.column_stack([columns[name] for name in names])
-        kept = np.isfinite(trial.tip_m).all(axis=1) & np.isfinite(inputs).all(axis=1)
-        count = int(kept.sum())
-        parts.append((
-            inputs[kept], trial.tip_m[kept], np.full(count, trial.meta.payload_kg),
-            np.full(count, number),
-        ))  # fmt: skip
-        motions.append(np.full(count, trial.meta.motion))
+        seen = np.isfinite(trial.tip_m).all(axis=1) & np.isfinite(inputs).all(axis=1)
+        count = int(seen.sum())
         moving = np.arange(len(trial)) >= trial.meta.rest_samples
-        phases.append(np.where(moving, "motion", "rest")[kept])
-    inputs, tip_m, payload_kg, run = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    return TipRows(
-        names, inputs, tip_m, payload_kg, np.concatenate(motions), run.astype(np.intp),
-        np.concatenate(phases),
-    )  # fmt: skip
-
-
-WRONG_STIFFNESS: Final = (0.8, 1.2)
-"""Factors on the stiffness of the observer's plant, for the calibration of the interval: the
-largest error of a plant that must be detected."""
-
-
-ASKEW_RAD: Final = 0.005
-"""Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip [assumed] for a link that is taken off and mounted again by hand. `train --askew-deg`
-sets another; 0 ignores this error, which the servos cannot measure."""
-
-
-def observe(
-    compiled: CompiledModel, trials: Sequence[Trial], changes: Mapping[str, float] | None = None
-) -> list[ObservedTrial]:
-    """Run the observer along trials.
-
-    Row k is the output after the step that ends at sample k, as on the robot. The geometry is the
-    plant's, not the trial's.
-    """
-    model, found = compiled.model, []
-    p: Array = model.parameter_values(changes)
-    for trial in trials:
-        y = compiled.simulate(model_inputs(model, trial), trial.step_s, p)[1:]
-        signals = dict(zip(names(model.outputs), np.ascontiguousarray(y.T), strict=True))
-        found.append(ObservedTrial(trial, signals))
-    return found
-
-
-def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
-    """Values of all stiffness parameters times a factor."""
-    return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
+        parts.append((
+            inputs[seen], trial.tip_m[seen], np.full(count, trial.meta.payload_kg),
+            np.full(count, trial.meta.motion), np.full(count, number, dtype=np.intp),
+            np.where(moving, "motion", "rest")[seen],
+        ))  # fmt: skip
+    return TipRows(names, *map(np.concatenate, zip(*parts, strict=True)))
 
 
 def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
@@ -145,30 +134,9 @@ def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
     if askew_rad == 0.0:
         return []
     joints = range(1, rows.dof + 1)
-    angles_rad = rows.of([f"angle_{j}_rad" for j in joints])
-    turn = base_rotation(angles_rad)
+    turn = base_rotation(rows.of([f"angle_{j}_rad" for j in joints]))
     # Joint 1 turns about y, joint 2 about -x (docs/architecture.md, "Physics").
     axes = {1: turn[:, :, 1], 2: -turn[:, :, 0]}
     return [
         sign * askew_rad * np.cross(axes[j], rows.tip_m) for j in joints for sign in (-1.0, 1.0)
     ]
-
-
-class ObserverRun(NamedTuple):
-    """Output of the observer after each sample of a trial."""
-
-    di: Array  # (n,)
-    tip_m: Array  # (n, 3), end effector by the plant alone: a baseline without a polynomial
-    payload_kg: Array  # (n,)
-
-
-def run_observer(observer: CompiledModel, trial: Trial) -> ObserverRun:
-    """Drive the observer with a trial's angles and currents, from its first row on.
-
-    Row k is the output after the step that ends at sample k, as on the robot. The rest rows are
-    part of the run. The geometry is the plant's, not the trial's.
-    """
-    y = observer.simulate(model_inputs(observer.model, trial), trial.step_s)[1:]
-    rows = dict(zip(names(observer.model.outputs), y.T, strict=True))
-    tip_m = np.column_stack([rows[f"tip_{axis}_m"] for axis in "xyz"])
-    return ObserverRun(rows["di"], tip_m, rows["payload_kg"])

@@ -1,235 +1,180 @@
-"""Writer of ONNX graphs from NumPy constants, for the converters of skl2onnx.
+"""ONNX graphs of predictors: writer, evaluation of what it writes on arrays, import into CasADi.
 
-Converters from scikit-learn to ONNX in the power form, registered with skl2onnx.
-
-A polynomial of degree d in n inputs is an exact sum of d-th powers of linear forms (a Waring
-decomposition), so that
-
-    y = (([1, x] A) ** d) C
-
-needs one Gemm, one to three Mul and one MatMul whatever the number of monomials, where skl2onnx
-itself writes 2 M + 5 nodes for M monomials (docs/sources.md, "ONNX").
-Two models have converters here:
-
-`PolynomialGraph`   one polynomial, its inputs clipped into the training box or not
-`GuardedPredictor`  features -> tip_m, in_range, half_width_m, in one graph
-
-All graphs are float64, batch 1, opset 13, IR 7, so that onnxruntime from 1.16 on loads them, and
-use only operators that CasADi imports (tested). `in_range` is 1.0 or 0.0; it is 0.0 and the half
-width is NaN where an input is NaN.
-
-Symbolic import of an ONNX file of `models.predictor.onnx_graphs` as a CasADi function.
-
-The twin and predictor FMUs are generated from it, so the FMU and onnxruntime on the robot evaluate
-the same file.
+A model is written once, as operators. `to_onnx` turns them into the file that the robot loads,
+`evaluate` computes the same operators on many rows, and `predictor_function` imports the file for
+the twin and predictor FMUs. All graphs are float64, batch 1, opset 13, IR 7, so that onnxruntime
+from 1.16 on loads them, and use only operators that CasADi imports (tested).
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import casadi as ca
 import numpy as np
 import onnx
-from skl2onnx import convert_sklearn, update_registered_converter
-from skl2onnx.common.data_types import DoubleTensorType
-from sklearn.pipeline import Pipeline
+from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.inference.predictor import named_inputs
 from firmware_py.signals import feature_names
-from models.predictor.polynomials import Array, GuardedPredictor, Polynomial, power_form
+
+Array = NDArray[np.float64]
 
 OPSET: Final = 13
 """Version of the operators that onnxruntime 1.16 and later load."""
+IR_VERSION: Final = 7
+"""Version of the file format that onnxruntime 1.16 and later load."""
+ROW: Final = "features"
+"""Name of the input row of a predictor."""
 
 
 class GraphWriter:
-    """Writes nodes and constants into skl2onnx's container, under stable, unique names."""
+    """Nodes and constants of a graph, under stable, unique names."""
 
-    def __init__(self, scope: Any, container: Any) -> None:
-        self.scope, self.container = scope, container
+    def __init__(self) -> None:
+        self.nodes: list[onnx.NodeProto] = []
+        self.constants: list[onnx.TensorProto] = []
+        self._names: Counter[str] = Counter(OUTPUTS.keys())
 
-    def constant(self, name: str, value: Array) -> str:
+    def unique(self, stem: str) -> str:
+        """Name that begins with `stem` and that nothing else in the graph has."""
+        self._names[stem] += 1
+        return stem if self._names[stem] == 1 else f"{stem}_{self._names[stem] - 1}"
+
+    def constant(self, stem: str, value: Array) -> str:
         """Add a float64 constant; return its unique name."""
-        unique: str = self.scope.get_unique_variable_name(name)
-        shape = list(value.shape)
-        self.container.add_initializer(unique, onnx.TensorProto.DOUBLE, shape, value.ravel())
-        return unique
+        name = self.unique(stem)
+        self.constants.append(onnx.numpy_helper.from_array(np.asarray(value, dtype=float), name))
+        return name
 
     def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
         """Add an operator whose result is called `output`; return that name."""
-        name = self.scope.get_unique_operator_name(f"{output}_{op}")
-        self.container.add_node(
-            op, list(inputs), [output], name=name, op_version=OPSET, **attributes
-        )
+        name = self.unique(f"{output}_{op}")
+        self.nodes.append(onnx.helper.make_node(op, list(inputs), [output], name, **attributes))
         return output
 
     def temporary(self, op: str, inputs: Sequence[str], stem: str, **attributes: Any) -> str:
         """Add an operator; return the unique name of its result."""
-        return self.node(op, inputs, self.scope.get_unique_variable_name(stem), **attributes)
+        return self.node(op, inputs, self.unique(stem), **attributes)
 
     def clipped(self, source: str, lower: Array, upper: Array) -> str:
         """Clip a row into a box."""
         raised = self.temporary("Max", [source, self.constant("lower", lower[None])], "raised")
         return self.temporary("Min", [raised, self.constant("upper", upper[None])], "clipped")
 
-    def bits(self, source: str, thresholds: Array, stem: str) -> str:
+    def inside(self, source: str, lower: Array, upper: Array) -> tuple[str, str]:
+        """Clip a row into a box; return the clipped row and the number of inputs in the box.
+
+        A NaN is in no box. The sum is a matrix product: CasADi imports no reduction
+        (docs/sources.md, "ONNX").
+        """
+        clipped = self.clipped(source, lower, upper)
+        same = self.temporary("Equal", [clipped, source], "same")
+        same = self.temporary("Cast", [same], "same_number", to=onnx.TensorProto.DOUBLE)
+        ones = self.constant("ones", np.ones((len(lower), 1)))
+        return clipped, self.temporary("MatMul", [same, ones], "inside")
+
+    def bits(self, source: str, thresholds: Array, stem: str, output: str | None = None) -> str:
         """1.0 where a row exceeds its thresholds, else 0.0; 0.0 for NaN."""
         above = self.temporary(
             "Greater", [source, self.constant(f"{stem}_threshold", thresholds[None])], stem
         )
-        return self.temporary("Cast", [above], f"{stem}_bit", to=onnx.TensorProto.DOUBLE)
+        output = output or self.unique(f"{stem}_bit")
+        return self.node("Cast", [above], output, to=onnx.TensorProto.DOUBLE)
 
-    def columns(self, source: str, width: int, columns: Sequence[int], stem: str) -> str:
+    def columns(
+        self, source: str, width: int, columns: Sequence[int], stem: str, output: str | None = None
+    ) -> str:
         """Select columns of a row by a product: CasADi imports no Gather."""
         selection = np.zeros((width, len(columns)))
         selection[list(columns), range(len(columns))] = 1.0
-        return self.temporary("MatMul", [source, self.constant(f"{stem}_columns", selection)], stem)
-
-    def polynomial(self, source: str, polynomial: Polynomial, stem: str, output: str) -> str:
-        """Write a polynomial in the power form."""
-        rows, bias, weights = power_form(polynomial)
-        forms = self.temporary(
-            "Gemm",
-            [source, self.constant(f"{stem}_rows", rows), self.constant(f"{stem}_bias", bias)],
-            f"{stem}_forms",
-        )
-        power = self.power(forms, polynomial.degree, stem)
-        return self.node("MatMul", [power, self.constant(f"{stem}_weights", weights)], output)
-
-    def power(self, base: str, degree: int, stem: str) -> str:
-        """Raise to a power by repeated squaring: Pow is slow, and CasADi broadcasts it wrongly."""
-        result = ""
-        while degree:
-            if degree & 1:
-                result = self.temporary("Mul", [result, base], f"{stem}_power") if result else base
-            degree >>= 1
-            if degree:
-                base = self.temporary("Mul", [base, base], f"{stem}_square")
-        return result
+        chosen = self.constant(f"{stem}_columns", selection)
+        return self.node("MatMul", [source, chosen], output or self.unique(stem))
 
 
-IR_VERSION: Final = 7
-"""Version of the file format that onnxruntime 1.16 and later load."""
+class GraphModel(Protocol):
+    """Model that can be written as a graph."""
+
+    def write_graph(self, graph: GraphWriter, source: str) -> None:
+        """Write every result for the input row `source`, shape (1, inputs), under its name."""
+        ...
 
 
-@dataclass(frozen=True)
-class PolynomialGraph:
-    """Fitted `polynomial_pipeline` that is converted alone."""
-
-    pipeline: Pipeline
-    output: str  # Name of the graph's output
-    # (n,) each, lower and upper bounds that the inputs are clipped to; none by default
-    box: tuple[Array, Array] | None = None
-
-
-def _convert_polynomial(scope: Any, operator: Any, container: Any) -> None:
-    model: PolynomialGraph = operator.raw_operator
-    graph = GraphWriter(scope, container)
-    source = operator.inputs[0].full_name
-    if model.box is not None:
-        source = graph.clipped(source, *model.box)
-    graph.polynomial(
-        source, Polynomial.of(model.pipeline), model.output, operator.outputs[0].full_name
-    )
-
-
-def _convert_guarded(scope: Any, operator: Any, container: Any) -> None:
-    model: GuardedPredictor = operator.raw_operator
-    graph = GraphWriter(scope, container)
-    source = operator.inputs[0].full_name
-    tip, in_range, half_width = (variable.full_name for variable in operator.outputs)
-
-    clipped = graph.clipped(source, model.lower, model.upper)
-    graph.polynomial(clipped, Polynomial.of(model.pipeline), "tip", tip)
-
-    count = len(model.lower)  # matrix product instead of a Reduce operator: docs/sources.md, "ONNX"
-    same = graph.temporary("Equal", [clipped, source], "same")
-    same = graph.temporary("Cast", [same], "same_number", to=onnx.TensorProto.DOUBLE)
-    ones = graph.constant("ones", np.ones((count, 1)))
-    inside = graph.temporary("MatMul", [same, ones], "inside")
-    every = graph.constant("count", np.full((1, 1), count - 0.5))
-    inside = graph.temporary("Greater", [inside, every], "all_inside")
-    graph.node("Cast", [inside], in_range, to=onnx.TensorProto.DOUBLE)
-
-    leverage = graph.polynomial(
-        source, model.leverage, "leverage", scope.get_unique_variable_name("leverage")
-    )
-    one = graph.constant("one", np.ones((1, 1)))
-    variance = graph.temporary("Add", [leverage, one], "relative_variance")
-    root = graph.temporary("Sqrt", [variance], "relative_width")
-    graph.node("MatMul", [root, graph.constant("quantile", model.quantile[None])], half_width)
-
-
-def register_model(
-    kind: type,
-    convert: Callable[[Any, Any, Any], None],
-    outputs: Callable[[Any], Mapping[str, int]],
-) -> None:
-    """Register a model with skl2onnx, so that `to_onnx` accepts it."""
-
-    def parse(scope: Any, model: Any, inputs: Any, custom_parsers: Any = None) -> Any:
-        operator = scope.declare_local_operator(f"Dropstitch{kind.__name__}", model)
-        operator.inputs.extend(inputs)
-        for name, width in outputs(model).items():
-            variable = scope.declare_local_variable(name, DoubleTensorType([1, width]))
-            operator.outputs.append(variable)
-        return operator.outputs
-
-    update_registered_converter(
-        kind, f"Dropstitch{kind.__name__}", _keep_shapes, convert, parser=parse
-    )
-
-
-def _keep_shapes(operator: Any) -> None:
-    """Do nothing, because the parser declares the shapes."""
-
-
-register_model(
-    PolynomialGraph,
-    _convert_polynomial,
-    lambda model: {model.output: Polynomial.of(model.pipeline).coefficients.shape[1]},
-)
-register_model(
-    GuardedPredictor,
-    _convert_guarded,
-    lambda model: {
-        "tip_m": len(model.quantile),
-        "in_range": 1,
-        "half_width_m": len(model.quantile),
-    },
-)
+OUTPUTS: Final = {"tip_m": 3, "in_range": 1, "half_width_m": 3}
+"""Results of a predictor's graph with their widths; `in_range` is 1.0 or 0.0."""
 
 
 def to_onnx(
-    model: Any,
+    model: GraphModel,
     inputs: int,
-    input_name: str = "features",
     metadata: Mapping[str, Any] | None = None,
+    input_name: str = ROW,
+    outputs: Mapping[str, int] = OUTPUTS,
 ) -> onnx.ModelProto:
-    """Convert a model to an ONNX graph; the same model gives the same bytes.
+    """Write a model as an ONNX file; the same model gives the same bytes.
 
     `metadata` is written to `metadata_props`, each value as JSON. onnxruntime exposes names, units
     and ranges in no other way.
     """
-    graph = convert_sklearn(
-        model,
-        name="dropstitch",
-        initial_types=[(input_name, DoubleTensorType([1, inputs]))],
-        target_opset=OPSET,
+    writer = GraphWriter()
+    model.write_graph(writer, writer.unique(input_name))
+    described = [
+        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, [1, width])
+        for name, width in ((input_name, inputs), *outputs.items())
+    ]
+    graph = onnx.helper.make_graph(
+        writer.nodes, "dropstitch", described[:1], described[1:], writer.constants
     )
-    graph.ir_version = IR_VERSION
-    del graph.opset_import[:]
-    graph.opset_import.extend([onnx.helper.make_opsetid("", OPSET)])
+    opset = [onnx.helper.make_opsetid("", OPSET)]
+    file = onnx.helper.make_model(
+        graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="dropstitch"
+    )
     texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (metadata or {}).items()}
-    onnx.helper.set_model_props(graph, texts)
-    onnx.checker.check_model(graph)
-    return graph
+    onnx.helper.set_model_props(file, texts)
+    onnx.checker.check_model(file)
+    return file
+
+
+_ON_ARRAYS: Final[Mapping[str, Callable[..., Array]]] = {
+    "Add": np.add, "Sub": np.subtract, "Mul": np.multiply, "MatMul": np.matmul,
+    "Gemm": lambda a, b, c: a @ b + c, "Max": np.maximum, "Min": np.minimum,
+    "Equal": np.equal, "Greater": np.greater, "Cast": lambda a, to: a.astype(float),
+    "Sqrt": np.sqrt, "Tanh": np.tanh, "Identity": lambda a: a,
+}  # fmt: skip
+"""Operators that a graph may use, as functions of arrays."""
+
+
+class _ArrayGraph(GraphWriter):
+    """Computes each node on arrays as it is written."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.values: dict[str, Array] = {}
+
+    def constant(self, stem: str, value: Array) -> str:
+        name = self.unique(stem)
+        self.values[name] = value
+        return name
+
+    def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
+        arrays = (self.values[name] for name in inputs)
+        self.values[output] = _ON_ARRAYS[op](*arrays, **attributes)
+        return output
+
+
+def evaluate(write: Callable[[GraphWriter, str], str], inputs: Array) -> Array:
+    """Compute what `write(graph, source)` writes for many rows at once, (n, width).
+
+    `write` gets the name of the input row and returns that of its result. `inputs`: (n, inputs).
+    """
+    graph = _ArrayGraph()
+    graph.values[graph.unique(ROW)] = inputs
+    return graph.values[write(graph, ROW)]
 
 
 def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:

@@ -1,29 +1,35 @@
-"""Choice of the robot's tip predictor by nested cross-validation over payloads and motions.
+"""Training of the robot's tip predictor: choice by nested cross-validation, fit, tests, document.
 
 Each outer fold leaves out one payload or one motion. Within it the variant of a candidate, such as
 its degree, is chosen on the rest alone, by leaving out payloads and motions again; the interval is
-calibrated on these inner rows. So the error on the outer fold is that on a robot: at another
-payload or motion than any used for training or choice.
-
-Training of the robot's tip predictor: rows of all training motions, choice, tests, document.
+calibrated on the rows that the other folds leave out. So the error on the outer fold is that on a
+robot: at another payload or motion than any used for training or choice.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.commands.range_check import RangeCount
 from firmware_py.display_units import FRACTION, LENGTH
+from firmware_py.signals import AGE
+from firmware_py.summary import RangeReasons
 from models.plant.simulation.runner import CompiledModel
-from models.predictor.candidates import TipPredictor
-from models.predictor.document import CandidateEntry, PredictorsDocument, TipScore, graph_latency
+from models.predictor.candidates import DEFAULT_CANDIDATES, TipPredictor
+from models.predictor.document import (
+    CandidateEntry,
+    PredictorsDocument,
+    TipScore,
+    graph_latency,
+    summary_of,
+)
 from models.predictor.guarded_tip import GuardedTip
 from models.predictor.interval import TipInterval
-from models.predictor.learners import CANDIDATES
 from models.predictor.observed_trials import (
     ASKEW_RAD,
     WRONG_STIFFNESS,
@@ -33,8 +39,8 @@ from models.predictor.observed_trials import (
     observe,
     wrong_stiffness,
 )
-from models.predictor.onnx_graphs import to_onnx
-from models.predictor.polynomials import Array, Fold
+from models.predictor.onnx_graphs import Array, to_onnx
+from models.predictor.polynomials import Fold
 from models.predictor.validation import axis_coverage, euclidean_distance_m
 from models.trials.trial import Trial, TrialSet
 
@@ -49,32 +55,76 @@ WORSE: Final = 1.1
 
 
 @dataclass(frozen=True)
-class CandidateResult:
+class TipTraining:
+    """Fitted predictor of the robot, its training rows, and its tests."""
+
+    predictor: GuardedTip
+    rows: TipRows
+    document: PredictorsDocument
+
+
+def train_tip(
+    training: Sequence[Trial],
+    tests: Mapping[str, TrialSet],
+    observer: CompiledModel,
+    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
+    progress: Callable[[str], None] = lambda detail: None,
+    askew_rad: float = ASKEW_RAD,
+) -> TipTraining:
+    """Choose among candidates, fit and test the robot's tip predictor.
+
+    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
+    """
+    rows = collect_rows(observe(observer, training))
+    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
+    wrong = {factor: changes for factor, changes in changed.items() if changes}
+    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
+    chosen, results = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
+    tested = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
+    if together := [trial for trials in tests.values() for trial in trials]:
+        tested |= {
+            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
+            for factor, changes in wrong.items()
+        }
+    document = PredictorsDocument(
+        schema=PredictorsDocument.VERSION,
+        dof=rows.dof,
+        chosen=chosen.candidate.name,
+        reason=_reason(chosen, results),
+        trials=tuple(t.name for t in training),
+        motions=tuple(sorted({t.meta.motion for t in training})),
+        payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
+        askew_rad=askew_rad,
+        candidates={result.candidate.name: _entry(result, tested) for result in results},
+        data={"training": summary_of(training)}
+        | {name: summary_of(trials) for name, trials in tests.items()},
+        out_of_range={
+            name: range_reasons(chosen.predictor, rows.inputs) for name, rows in tested.items()
+        },
+    )
+    return TipTraining(chosen.predictor, rows, document)
+
+
+class CandidateResult(NamedTuple):
     """Candidate in the nested cross-validation."""
 
-    name: str
-    summary: str
     variant: int  # Variant chosen on all training rows
     nested: TipScore  # Score on the rows that the outer folds left out
     predictor: GuardedTip  # Fitted on all training rows
 
-
-@dataclass(frozen=True)
-class TipChoice:
-    """Chosen candidate, and all that were compared."""
-
-    chosen: CandidateResult
-    candidates: tuple[CandidateResult, ...]  # All candidates, in the order of the list
+    @property
+    def candidate(self) -> TipPredictor:
+        return self.predictor.predictor
 
 
 def choose_tip_predictor(
     rows: TipRows,
     disturbed: Sequence[TipRows],
-    candidates: Sequence[type[TipPredictor]] = CANDIDATES,
+    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
     progress: Callable[[str], None] = lambda detail: None,
     askew_rad: float = ASKEW_RAD,
-) -> TipChoice:
-    """Compare candidates and fit each on all rows.
+) -> tuple[CandidateResult, list[CandidateResult]]:
+    """Compare candidates, simplest first, and fit each on all rows; return the best, and all.
 
     `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
     by which the link may be mounted askew, which the interval covers.
@@ -83,22 +133,17 @@ def choose_tip_predictor(
     others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
     results = []
     for candidate in candidates:
-        nested, left_out_m = _outer(candidate, few, others, askew_rad)
+        nested, left_out_m = _nested(candidate, few, others, askew_rad)
         variant = _best_variant(candidate, few)
         fitted = candidate(variant).fit(rows)
         interval = _interval(fitted, few, left_out_m, others, askew_rad)
-        results.append(
-            CandidateResult(
-                candidate.name, candidate.summary, variant, nested,
-                GuardedTip.of(rows, fitted, interval),
-            )
-        )  # fmt: skip
+        results.append(CandidateResult(variant, nested, GuardedTip.of(rows, fitted, interval)))
         progress(candidate.name)
     chosen = results[0]
     for result in results[1:]:
         if result.nested.mean_m < (1.0 - TOLERANCE) * chosen.nested.mean_m:
             chosen = result
-    return TipChoice(chosen, tuple(results))
+    return chosen, results
 
 
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
@@ -107,52 +152,20 @@ def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
     With one payload and one motion, trials are left out. `most`: largest number of groups of
     payloads; neighbours are in different groups.
     """
-    folds = []
     payload = np.unique(rows.payload_kg, return_inverse=True)[1]
-    for groups in (payload % most if most else payload, rows.motion):
-        values = np.unique(groups)
-        for value in values if len(values) > 1 else ():
-            folds.append((np.flatnonzero(groups != value), np.flatnonzero(groups == value)))
-    if not folds:
-        folds = [
-            (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
-            for run in np.unique(rows.run)
-        ]
+    folds = [
+        (np.flatnonzero(groups != value), np.flatnonzero(groups == value))
+        for groups in (payload % most if most else payload, rows.motion)
+        for value in np.unique(groups)
+    ]
+    folds = [fold for fold in folds if len(fold[0])] or [
+        (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
+        for run in np.unique(rows.run)
+    ]
     return [fold for fold in folds if len(fold[0])] or [(np.arange(len(rows)),) * 2]
 
 
-def score_tip(predictor: GuardedTip, rows: TipRows) -> TipScore:
-    """Errors of a predictor on rows."""
-    return _score(
-        rows.tip_m - predictor.predict(rows.inputs),
-        predictor.half_width(rows.inputs),
-        predictor.in_range(rows.inputs),
-        rows.dof,
-    )
-
-
-def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
-    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
-    distance_m = euclidean_distance_m(error_m, np.zeros_like(error_m))
-    return TipScore(
-        rows=len(error_m),
-        mean_m=float(distance_m.mean()),
-        p95_m=float(np.quantile(distance_m, 0.95)),
-        max_m=float(distance_m.max()),
-        coverage=coverage.mean,
-        half_width_m=float(half_width_m.mean()),
-        in_range=float(in_range.mean()),
-        max_in_range_m=float(distance_m[in_range].max(initial=0.0)),
-        coverage_least=coverage.least,
-    )
-
-
-def _joined(parts: Sequence[tuple[Array, Array, NDArray[np.bool_]]], dof: int) -> TipScore:
-    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return _score(error_m, half_width_m, in_range, dof)
-
-
-def _outer(
+def _nested(
     candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows], askew_rad: float
 ) -> tuple[TipScore, Array]:
     """Score on the rows that outer folds leave out, and the mean error of each row there.
@@ -170,15 +183,12 @@ def _outer(
     left_out_m = total / count
     parts = []
     for (train, test), predictor in zip(folds, fitted, strict=True):
-        seen, inputs = rows.take(train), rows.inputs[test]
+        seen = rows.take(train)
         wrong = [other.take(train) for other in disturbed]
         interval = _interval(predictor, seen, left_out_m[train], wrong, askew_rad)
-        guarded = GuardedTip.of(seen, predictor, interval)
-        parts.append((
-            rows.tip_m[test] - guarded.predict(inputs), guarded.half_width(inputs),
-            guarded.in_range(inputs),
-        ))  # fmt: skip
-    return _joined(parts, rows.dof), left_out_m
+        parts.append(_answers(GuardedTip.of(seen, predictor, interval), rows.take(test)))
+    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
+    return _score(error_m, half_width_m, in_range, rows.dof), left_out_m
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
@@ -217,56 +227,32 @@ def _interval(
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)
 
 
-@dataclass(frozen=True)
-class TipTraining:
-    """Fitted predictor of the robot, its training rows, and the comparison of candidates."""
-
-    predictor: GuardedTip
-    rows: TipRows
-    document: PredictorsDocument
+def _answers(predictor: GuardedTip, rows: TipRows) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Error, half width and range of each row."""
+    error_m = rows.tip_m - predictor.predict(rows.inputs)
+    return error_m, predictor.half_width(rows.inputs), predictor.in_range(rows.inputs)
 
 
-def train_tip(
-    training: Sequence[Trial],
-    tests: Mapping[str, TrialSet],
-    observer: CompiledModel,
-    candidates: Sequence[type[TipPredictor]] = CANDIDATES,
-    progress: Callable[[str], None] = lambda detail: None,
-    askew_rad: float = ASKEW_RAD,
-) -> TipTraining:
-    """Choose, fit and test the robot's tip predictor.
-
-    `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
-    """
-    rows = collect_rows(observe(observer, training))
-    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
-    wrong = {factor: changes for factor, changes in changed.items() if changes}
-    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
-    choice = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
-    seen = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
-    if together := [trial for trials in tests.values() for trial in trials]:
-        seen |= {
-            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
-            for factor, changes in wrong.items()
-        }
-    document = PredictorsDocument(
-        schema=PredictorsDocument.VERSION,
-        dof=rows.dof,
-        chosen=choice.chosen.name,
-        reason=_reason(choice),
-        trials=tuple(t.name for t in training),
-        motions=tuple(sorted({t.meta.motion for t in training})),
-        payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
-        askew_rad=askew_rad,
-        candidates={result.name: _entry(result, seen) for result in choice.candidates},
+def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
+    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
+    distance_m = np.linalg.norm(error_m, axis=1)
+    return TipScore(
+        rows=len(error_m),
+        mean_m=float(distance_m.mean()),
+        p95_m=float(np.quantile(distance_m, 0.95)),
+        max_m=float(distance_m.max()),
+        coverage=coverage.mean,
+        half_width_m=float(half_width_m.mean()),
+        in_range=float(in_range.mean()),
+        max_in_range_m=float(distance_m[in_range].max(initial=0.0)),
+        coverage_least=coverage.least,
     )
-    return TipTraining(choice.chosen.predictor, rows, document)
 
 
 def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
     graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
     return CandidateEntry(
-        summary=result.summary,
+        summary=result.candidate.summary,
         variant=result.variant,
         nested=result.nested,
         tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
@@ -276,28 +262,34 @@ def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEn
 
 
 def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
-    scores = {"all": score_tip(predictor, rows)}
-    for part in ("rest", "motion"):
-        if (own := rows.part == part).any():
-            scores[part] = score_tip(predictor, rows.take(own))
+    (error_m, half_width_m, in_range), scores = _answers(predictor, rows), {}
+    for part in ("all", "rest", "motion"):
+        if (k := (rows.part == part) | (part == "all")).any():
+            scores[part] = _score(error_m[k], half_width_m[k], in_range[k], rows.dof)
     return scores
 
 
-def _covered(score: TipScore) -> str:
-    mean = f"{FRACTION.number(score.coverage, 1)} %"
-    return f"{mean} ({FRACTION.number(score.coverage_least, 1)} % on the worst axis)"
+def range_reasons(predictor: GuardedTip, inputs: Array) -> RangeReasons:
+    """Why rows are out of range, as the robot counts it."""
+    half_width_m, age = predictor.half_width(inputs), predictor.names.index(AGE.name)
+    count = RangeCount(predictor.ranges())
+    for row in np.flatnonzero(~predictor.in_range(inputs)):
+        count.add(inputs[row], half_width_m[row], inputs[row, age])
+    return count.reasons()
 
 
-def _reason(choice: TipChoice) -> str:
-    chosen = choice.chosen
+def _reason(chosen: CandidateResult, results: Sequence[CandidateResult]) -> str:
+    """One sentence on the errors of the chosen candidate, and on those of the others."""
+    score = chosen.nested
     others = ", ".join(
-        f"{result.name} {LENGTH.number(result.nested.mean_m, 2)}"
-        for result in choice.candidates
+        f"{result.candidate.name} {LENGTH.number(result.nested.mean_m, 2)}"
+        for result in results
         if result is not chosen
     )
+    better = f"; no candidate that is less simple is better by more than 3 % ({others} mm)"
     return (
-        f"On payloads and motions left out {chosen.summary} is off by "
-        f"{LENGTH.number(chosen.nested.mean_m, 2)} mm on average and its interval covers "
-        f"{_covered(chosen.nested)}; no candidate that is less simple is "
-        f"better by more than 3 % ({others} mm)."
+        f"On payloads and motions left out {chosen.candidate.summary} is off by "
+        f"{LENGTH.number(score.mean_m, 2)} mm on average and its interval covers "
+        f"{FRACTION.number(score.coverage, 1)} % ({FRACTION.number(score.coverage_least, 1)} % on "
+        f"the worst axis){better if others else ''}."
     )

@@ -18,7 +18,7 @@ import msgspec
 
 from firmware_py.documents import Document, read_document
 from firmware_py.files.output_files import write_whole
-from models.trials.origin import TrialOrigin
+from models.predictor.document import TrialsSummary
 
 Test = str
 Part = str
@@ -31,18 +31,6 @@ ByDegree = dict[Degree, float]
 DistanceTable = dict[Part, dict[Variant, ByDegree]]
 """Distances in m of one test (paper, eq. 8 and Figs. 14 and 15)."""
 Curve = tuple[float, ...]
-
-
-class TrialsSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Set of trials that the study was trained or tested on."""
-
-    trials: tuple[str, ...]
-    sha256: str  # Hash of their content
-    payload_kg: tuple[float, ...]  # Values that occur, ascending
-    amplitude_rad: tuple[float, ...]
-    phase_2_rad: tuple[float, ...]
-    step_s: Annotated[float, msgspec.Meta(ge=1e-3, le=1.0)]
-    origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
 
 
 class FoldErrors(
@@ -158,7 +146,7 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     """Content of `study.json`."""
 
     VERSION: ClassVar[int] = 2
-    MADE_BY: ClassVar[str] = "dropstitch train"
+    MADE_BY: ClassVar[str] = "dropstitch train --study"
 
     dof: Annotated[int, msgspec.Meta(ge=1, le=2)]
     rows: str  # Which rows of the trials were used

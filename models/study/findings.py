@@ -12,8 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from firmware_py.display_units import FRACTION, LENGTH
-from models.predictor.polynomials import Array
-from models.predictor.validation import payload_key
+from models.predictor.onnx_graphs import Array
 from models.study.document import ByDegree, StudyDocument, StudyFinding
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
@@ -27,6 +26,11 @@ MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
 ANGLE_BINS: Final = 12
 """Number of bins of the angle over a DI loop."""
+
+
+def payload_key(payload_kg: float) -> str:
+    """Key of a payload in kg in `study.json`: "0", "0.5", "1"."""
+    return f"{payload_kg:g}"
 
 
 def judge_findings(
@@ -214,16 +218,3 @@ def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
         "the phase of joint 2, which the paper does not state: in phase the two planes bend "
         "together, a quarter period apart the link is bent at all times",
     )  # fmt: skip
-
-
-def doubts_of_di(document: StudyDocument) -> list[str]:
-    """Warning if the observer's DI estimates worse than its mean; one sentence or none."""
-    r2 = {name: scores["observer"].r2_di for name, scores in document.estimators.items()}
-    worst = min(r2, key=r2.__getitem__, default="")
-    if not worst or not r2[worst] < 0.0:
-        return []
-    return [
-        f"R² of the estimated DI is {r2[worst]:.3f} on {worst}: the mean of the DI would be a "
-        "better estimate, so the plant does not bend as the link of these trials; check their "
-        "payloads and sizes ('dropstitch validate') and identify the plant on them"
-    ]

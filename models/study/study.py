@@ -1,56 +1,35 @@
-"""Tables of a study on one set of held-out trials.
-
-Curves of the paper's figures 7 to 13, thinned and rounded to keep `study.json` small.
-
-Published study on any set of trials: training, cross-validation and tests of all predictors.
+"""The published study on any set of trials: every table and figure of the paper, and its findings.
 
 Predictors are trained on trial 1 and tested on trial 2 and on a motion that is not in the
 training. Degrees are compared by cross-validation on trial 1 alone; no test trial influences a
-choice. The tables of the tests use the paper's plain polynomials. Cross-validation and
-`deployed` use the guard that clips inputs into the training box, like the predictor on the robot.
-
-Summary of a study for the console: figures of each test, and warnings.
+choice. The tables of the tests use the paper's plain polynomials. Cross-validation and `deployed`
+use the guard that clips inputs into the training box, like the fallback on the robot.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.pipeline import Pipeline
 
-from firmware_py.display_units import FRACTION, LENGTH
-from firmware_py.errors import InputError
-from models.plant.simulation.runner import CompiledModel
-from models.plant.step_model import StepModel
-from models.predictor.lagged import LaggedRegressor
-from models.predictor.observed_trials import ObserverRun, run_observer
-from models.predictor.polynomials import (
-    DEGREES,
-    Array,
-    Fold,
-    GuardedPredictor,
-    polynomial_pipeline,
-    predict,
-    predict_held_out,
-)
-from models.predictor.validation import (
-    VARIANTS,
+from models.predictor.document import summary_of
+from models.predictor.fallback import (
+    Fallback,
+    Folds,
     Samples,
     Source,
-    axis_coverage,
-    block_folds,
-    collect_samples,
-    euclidean_distance_m,
-    payload_folds,
-    payload_key,
-    r_squared,
+    by_payload,
+    held_out_distances_m,
+    observed_samples,
 )
+from models.predictor.observed_trials import ObservedTrial
+from models.predictor.onnx_graphs import Array
+from models.predictor.polynomials import DEGREES, GuardedPredictor, polynomial_pipeline, predict
+from models.predictor.validation import axis_coverage, euclidean_distance_m, r_squared
 from models.shared.kinematics import base_rotation, rigid_tip_m
 from models.study.document import (
     BaselineErrors,
@@ -66,74 +45,168 @@ from models.study.document import (
     StudyCurves,
     StudyDocument,
     TipPath,
-    TrialsSummary,
 )
-from models.study.findings import judge_findings
+from models.study.findings import judge_findings, payload_key
 from models.trials.deformation import deformation_index
-from models.trials.origin import origins_of
 from models.trials.trial import Trial, TrialSet
 
-if TYPE_CHECKING:
-    from models.study.document import StudyDocument
-
-
+VARIANTS: Final[dict[str, Source]] = {
+    "with_di": "true",
+    "without_di": "none",
+    "estimated_di": "observer",
+}
+"""The study's three predictors, and the source of DI for the training and tests of each."""
 ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
+ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
+TABLES: Final = (
+    "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators", "baselines", "deployed",
+)  # fmt: skip
+"""Tables of the document with one entry per test."""
 Fitted = Mapping[tuple[Source, int], Pipeline]
 """Fitted pipelines by source of DI and degree."""
 Distances = Mapping[tuple[Source, int], Array]
 """Euclidean distance of every row in m, by source of DI and degree."""
 
 
-@dataclass(frozen=True)
-class StudyTest:
-    """Results on one set of held-out trials."""
+def run_study(
+    training: TrialSet,
+    tests: Mapping[str, TrialSet],
+    fallback: Fallback,
+    others: TrialSet | None = None,
+    progress: Callable[[str], None] = lambda detail: None,
+) -> StudyDocument:
+    """Train, cross-validate and test every predictor of the study.
 
-    samples: Samples
-    mean_m: DistanceTable  # Mean of the Euclidean distance over rows
-    std_m: DistanceTable  # Its standard deviation
-    estimators: dict[str, EstimatorScores]  # By source of DI
-    baselines: BaselineErrors  # Distances without a polynomial
-    deployed: DeployedScores  # Scores of the robot's predictor
-
-
-def score_predictors(
-    samples: Samples, runs: list[ObserverRun], fitted: Fitted, predictor: GuardedPredictor
-) -> StudyTest:
-    distances = distances_m(samples, fitted)
-    return StudyTest(
-        samples=samples,
-        mean_m=distance_table(samples, distances, np.mean),
-        std_m=distance_table(samples, distances, np.std),
-        estimators=estimator_table(samples, distances),
-        baselines=baseline_table(samples, runs),
-        deployed=deployed_table(predictor, samples),
+    `fallback`: as fitted to the same training trials. `others`: trials of the other dof, for the
+    comparison of mean DI.
+    """
+    training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
+    samples = fallback.samples
+    cross_validation = {
+        variant: _cross_validated(samples, source, fallback.folds)
+        for variant, source in VARIANTS.items()
+    }
+    progress("cross-validation")
+    fitted: Fitted = {
+        (source, degree): polynomial_pipeline(degree).fit(samples.features(source), samples.tip_m)
+        for source in ("true", *ESTIMATORS)
+        for degree in DEGREES
+    }
+    tables: dict[str, dict[str, Any]] = {key: {} for key in TABLES}
+    tested: dict[str, Samples] = {}
+    for name, trials in tests.items():
+        tested[name], runs = observed_samples(trials, fallback.observer, fallback.lagged)
+        for key, table in _tables(tested[name], runs, fitted, fallback.predictor).items():
+            tables[key][name] = table
+        progress(name)
+    document = StudyDocument(
+        schema=StudyDocument.VERSION,
+        dof=training[0].meta.dof,
+        rows=ROWS,
+        training=summary_of(training),
+        cross_validation=cross_validation,
+        mean_di=_mean_di(training),
+        mean_di_other_dof=_mean_di(others) if others else {},
+        chosen_degree=fallback.degree,
+        tests={name: summary_of(trials) for name, trials in tests.items()},
+        series=_curves(samples, tested, fitted),
+        findings=(),
+        **tables,
     )
+    findings = judge_findings(document, training, tests)
+    return msgspec.structs.replace(document, findings=findings)
 
 
-def distances_m(samples: Samples, fitted: Fitted) -> Distances:
+def _mean_di(trials: TrialSet) -> dict[str, float]:
+    """Mean DI over the moving rows by payload (paper, Fig. 11)."""
+    of_payload: dict[str, list[Array]] = {}
+    for t in trials:
+        moving = deformation_index(t)[t.moving]
+        of_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
     return {
+        key: float(np.nanmean(np.concatenate(of_payload[key])))
+        for key in sorted(of_payload, key=float)
+    }
+
+
+def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str, FoldErrors]:
+    """Held-out distances by degree.
+
+    With several payloads, those left out choose the degree, because a robot will carry other
+    payloads than the trained ones. Blocks of time are reported too: if one block holds the only
+    start of a motion, that block alone would decide.
+    """
+    errors = {}
+    for degree in DEGREES:
+        mean_m, std_m = {}, {}
+        for kind, parts in folds.items():
+            features = samples.features(source)
+            distances = held_out_distances_m(degree, features, samples.tip_m, parts)
+            mean_m[kind] = float(np.mean(np.concatenate(distances)))
+            std_m[kind] = float(np.std([float(d.mean()) for d in distances]))
+        errors[str(degree)] = FoldErrors(
+            blocks_m=mean_m["blocks"],
+            blocks_fold_std_m=std_m["blocks"],
+            leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
+            leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
+            selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
+        )
+    return errors
+
+
+def _tables(
+    samples: Samples, runs: list[ObservedTrial], fitted: Fitted, predictor: GuardedPredictor
+) -> dict[str, Any]:
+    """Tables of one set of held-out trials, by their keys in the document."""
+    parts = split_rows(samples)
+    distances = {
         (source, degree): euclidean_distance_m(
             samples.tip_m, predict(pipeline, samples.features(source))
         )
         for (source, degree), pipeline in fitted.items()
     }
+    return {
+        "mean_euclidean_distance_m": _distance_table(parts, distances, np.mean),
+        "std_euclidean_distance_m": _distance_table(parts, distances, np.std),
+        "estimators": _estimator_table(samples, distances),
+        "baselines": _baselines(samples, parts, runs),
+        "deployed": _deployed(samples, parts, predictor),
+    }
 
 
-def distance_table(
-    samples: Samples, distances: Distances, statistic: Callable[[Array], Any]
+def split_rows(samples: Samples) -> dict[str, NDArray[np.bool_]]:
+    """Rows of each part of a table, shape (n,) each.
+
+    The parts are "pooled" for all rows; "0", "0.5", … for one payload in kg; "phase_90deg", … for
+    one phase of joint 2 if the rows have several.
+    """
+    parts = {"pooled": np.ones(len(samples), dtype=bool)}
+    for kg in np.unique(samples.payload_kg):
+        parts[payload_key(float(kg))] = samples.payload_kg == kg
+    phase_rad = np.array([t.meta.phase_2_rad for t in samples.trials])[samples.run]
+    phases = np.unique(phase_rad)
+    for phase in phases if len(phases) > 1 else ():
+        parts[f"phase_{np.degrees(phase):.0f}deg"] = phase_rad == phase
+    return parts
+
+
+def _distance_table(
+    parts: Mapping[str, NDArray[np.bool_]],
+    distances: Distances,
+    statistic: Callable[[Array], Any],
 ) -> DistanceTable:
     """Statistic of the distances by part, variant and degree (paper, eq. 8)."""
-    table: DistanceTable = {}
-    for variant, source in VARIANTS.items():
-        for degree in DEGREES:
-            for key, rows in samples.parts().items():
-                by_variant = table.setdefault(key, {}).setdefault(variant, {})
-                by_variant[str(degree)] = float(statistic(distances[source, degree][rows]))
-    return table
+    return {
+        part: {
+            variant: {str(d): float(statistic(distances[source, d][rows])) for d in DEGREES}
+            for variant, source in VARIANTS.items()
+        }
+        for part, rows in parts.items()
+    }
 
 
-def estimator_table(samples: Samples, distances: Distances) -> dict[str, EstimatorScores]:
-    result: dict[str, EstimatorScores] = {}
+def _estimator_table(samples: Samples, distances: Distances) -> dict[str, EstimatorScores]:
+    table: dict[str, EstimatorScores] = {}
     true = samples.di["true"]
     for source in ESTIMATORS:
         estimate = samples.di.get(source, np.zeros_like(true))
@@ -144,37 +217,42 @@ def estimator_table(samples: Samples, distances: Distances) -> dict[str, Estimat
             benefit_m = without_m - distances["true", degree].mean()
             gained_m = without_m - errors_m[str(degree)]
             fractions[str(degree)] = float(gained_m / benefit_m) if benefit_m > 0 else None
-        result[source] = EstimatorScores(
+        table[source] = EstimatorScores(
             r2_di=r_squared(true, estimate),
             rms_error_di=float(np.sqrt(np.mean((estimate - true) ** 2))),
             mean_euclidean_distance_m=errors_m,
             benefit_recovered=fractions,
         )
-    return result
+    return table
 
 
-def baseline_table(samples: Samples, runs: list[ObserverRun]) -> BaselineErrors:
+def _baselines(
+    samples: Samples, parts: Mapping[str, NDArray[np.bool_]], runs: Sequence[ObservedTrial]
+) -> BaselineErrors:
     """Distances without a polynomial: the observer's tip, and a link that does not bend."""
     rigid = [
         rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
     ]
+    observed = [np.column_stack([run.signals[f"tip_{a}_m"] for a in "xyz"]) for run in runs]
 
     def by_part(tips_m: list[Array]) -> dict[str, float]:
         distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
-        return {key: float(distance_m[rows].mean()) for key, rows in samples.parts().items()}
+        return {key: float(distance_m[rows].mean()) for key, rows in parts.items()}
 
     return BaselineErrors(
-        observer_tip=by_part([run.tip_m for run in runs]),
+        observer_tip=by_part(observed),
         rigid_kinematics=by_part(rigid),
         final_payload_error_kg={
-            trial.name: float(run.payload_kg[-1] - trial.meta.payload_kg)
-            for trial, run in zip(samples.trials, runs, strict=True)
+            run.trial.name: float(run.signals["payload_kg"][-1] - run.trial.meta.payload_kg)
+            for run in runs
         },
     )
 
 
-def deployed_table(predictor: GuardedPredictor, samples: Samples) -> DeployedScores:
-    """Scores of the robot's predictor, with guard and 95 % interval."""
+def _deployed(
+    samples: Samples, parts: Mapping[str, NDArray[np.bool_]], predictor: GuardedPredictor
+) -> DeployedScores:
+    """Scores of the fallback with the observer's DI, with guard and 95 % interval."""
     features = samples.features("observer")
     predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
     inside = np.abs(samples.tip_m - predicted_m) <= half_width_m
@@ -185,7 +263,7 @@ def deployed_table(predictor: GuardedPredictor, samples: Samples) -> DeployedSco
         interval_coverage={axis: float(inside[:, k].mean()) for k, axis in axes},
         interval_coverage_mean=axis_coverage(inside, dof).mean,
         interval_coverage_by_part={
-            key: axis_coverage(inside[rows], dof).mean for key, rows in samples.parts().items()
+            key: axis_coverage(inside[rows], dof).mean for key, rows in parts.items()
         },
         mean_half_width_m={axis: float(half_width_m[:, k].mean()) for k, axis in axes},
         in_range_fraction=float(predictor.in_range(features).mean()),
@@ -198,7 +276,7 @@ POSES: Final = 9
 """Shapes of the link in one cycle: every eighth of it."""
 
 
-def figure_curves(
+def _curves(
     training: Samples,
     tests: Mapping[str, Samples],
     fitted: Fitted,
@@ -308,220 +386,3 @@ def _estimates(samples: Samples) -> DiEstimates:
         observer=_rounded(samples.di["observer"][rows]),
         lagged=_rounded(samples.di["lagged"][rows]),
     )
-
-
-Folds = dict[str, list[Fold]]
-"""Folds by kind: "blocks" of time, and "leave_one_payload_out" if there are several payloads."""
-
-ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
-
-
-@dataclass(frozen=True)
-class Study:
-    """Result of `run_study`."""
-
-    document: StudyDocument
-    predictor: GuardedPredictor  # Trained on the observer's DI at the chosen degree
-    lagged: LaggedRegressor  # Fallback estimator of DI
-    training: Samples  # Rows that both were trained on
-    observer: CompiledModel  # Observer that estimated the DI
-
-
-def run_study(
-    training: TrialSet,
-    tests: Mapping[str, TrialSet],
-    observer: StepModel,
-    others: TrialSet | None = None,
-    progress: Callable[[str], None] = lambda detail: None,
-) -> Study:
-    """Train, cross-validate and test every predictor of the study.
-
-    `others`: trials of the other dof, for the comparison of mean DI.
-    """
-    training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
-    lagged = LaggedRegressor.fit(tuple(training), [deformation_index(t) for t in training])
-    compiled = CompiledModel(observer)
-    samples, _ = _estimated(training, compiled, lagged)
-    progress("DI")
-    folds = _folds(samples)
-    cross_validation = _cross_validation(samples, folds, progress)
-    degree = _best_degree(cross_validation["estimated_di"])
-    predictor, fitted = _deployed_predictor(degree, samples, folds), _fit_every_predictor(samples)
-    progress("fits")
-    results: dict[str, StudyTest] = {}
-    for name, trials in tests.items():
-        results[name] = score_predictors(*_estimated(trials, compiled, lagged), fitted, predictor)
-        progress(name)
-    document = StudyDocument(
-        schema=StudyDocument.VERSION,
-        dof=training[0].meta.dof,
-        rows=ROWS,
-        training=_summary(training),
-        cross_validation=cross_validation,
-        mean_di=_mean_di(training),
-        mean_di_other_dof=_mean_di(others) if others else {},
-        chosen_degree=degree,
-        tests={name: _summary(trials) for name, trials in tests.items()},
-        mean_euclidean_distance_m={name: r.mean_m for name, r in results.items()},
-        std_euclidean_distance_m={name: r.std_m for name, r in results.items()},
-        estimators={name: r.estimators for name, r in results.items()},
-        baselines={name: r.baselines for name, r in results.items()},
-        deployed={name: r.deployed for name, r in results.items()},
-        series=figure_curves(samples, {name: r.samples for name, r in results.items()}, fitted),
-        findings=(),
-    )
-    return Study(_with_findings(document, training, tests), predictor, lagged, samples, compiled)
-
-
-def _with_findings(
-    document: StudyDocument, training: TrialSet, tests: Mapping[str, TrialSet]
-) -> StudyDocument:
-    findings = judge_findings(document, training, tests)
-    return msgspec.structs.replace(document, findings=findings)
-
-
-def by_payload(trials: TrialSet) -> TrialSet:
-    """Trials in the order of tables and figures: by payload, phase of joint 2 and name."""
-    return TrialSet(
-        tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
-    )
-
-
-def _estimated(
-    trials: TrialSet, observer: CompiledModel, lagged: LaggedRegressor
-) -> tuple[Samples, list[ObserverRun]]:
-    """Rows of trials with DI from every source, and the runs of the observer."""
-    runs = [run_observer(observer, t) for t in trials]
-    di = {
-        "true": [deformation_index(t) for t in trials],
-        "observer": [run.di for run in runs],
-        "lagged": [lagged.estimate(t) for t in trials],
-    }
-    return collect_samples(tuple(trials), di), runs
-
-
-def _fit_every_predictor(samples: Samples) -> Fitted:
-    return {
-        (source, degree): polynomial_pipeline(degree).fit(samples.features(source), samples.tip_m)
-        for source in ("true", *ESTIMATORS)
-        for degree in DEGREES
-    }
-
-
-def _deployed_predictor(degree: int, samples: Samples, folds: Folds) -> GuardedPredictor:
-    """Fit the robot's predictor; its interval is calibrated on whole runs that are held out.
-
-    The robot's next run is a whole one. Blocks would be too optimistic: a predictor trained on the
-    start of every motion never has to extrapolate to it.
-    """
-    runs = folds.get("leave_one_payload_out", folds["blocks"])
-    return GuardedPredictor.fit(degree, samples.features("observer"), samples.tip_m, runs)
-
-
-def _summary(trials: TrialSet) -> TrialsSummary:
-    def values(name: str) -> tuple[float, ...]:
-        return tuple(sorted({getattr(t.meta, name) for t in trials}))
-
-    return TrialsSummary(
-        trials=tuple(t.name for t in trials),
-        sha256=trials.sha256(),
-        payload_kg=values("payload_kg"),
-        amplitude_rad=values("amplitude_rad"),
-        phase_2_rad=values("phase_2_rad"),
-        step_s=round(trials[0].step_s, 9),
-        origins=origins_of(trials),
-    )
-
-
-def _mean_di(trials: TrialSet) -> dict[str, float]:
-    """Mean DI over the moving rows by payload (paper, Fig. 11)."""
-    of_payload: dict[str, list[Array]] = {}
-    for t in trials:
-        moving = deformation_index(t)[t.moving]
-        of_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
-    return {
-        key: float(np.nanmean(np.concatenate(of_payload[key])))
-        for key in sorted(of_payload, key=float)
-    }
-
-
-def _folds(samples: Samples) -> Folds:
-    folds = {"blocks": block_folds(samples.run, samples.time_s)}
-    if len(np.unique(samples.payload_kg)) > 1:
-        folds["leave_one_payload_out"] = payload_folds(samples.payload_kg)
-    shortest = min(min(len(train), len(test)) for train, test in folds["blocks"])
-    if shortest < samples.signals.shape[1] + 1:
-        raise InputError(
-            samples.trials[0].path,
-            f"{len(samples)} moving rows are too few to hold out five blocks with 1 s gaps",
-            "train on runs of at least 4 s",
-        )
-    return folds
-
-
-def _cross_validation(
-    samples: Samples, folds: Folds, progress: Callable[[str], None]
-) -> dict[str, dict[str, FoldErrors]]:
-    """Held-out distances by variant and degree.
-
-    With several payloads, those left out choose the degree, because a robot will carry other
-    payloads than the trained ones. Blocks of time are reported too: if one block holds the only
-    start of a motion, that block alone would decide.
-    """
-    result: dict[str, dict[str, FoldErrors]] = {}
-    for variant, source in VARIANTS.items():
-        result[variant] = {}
-        for degree in DEGREES:
-            features = samples.features(source)
-            result[variant][str(degree)] = _fold_errors(degree, features, samples.tip_m, folds)
-            progress(f"cross-validation {variant} degree {degree}")
-    return result
-
-
-def _fold_errors(degree: int, features: Array, tip_m: Array, folds: Folds) -> FoldErrors:
-    mean_m: dict[str, float] = {}
-    std_m: dict[str, float] = {}
-    for kind, parts in folds.items():
-        distances = [
-            euclidean_distance_m(tip_m[fold[1]], predict_held_out(degree, features, tip_m, fold))
-            for fold in parts
-        ]
-        mean_m[kind] = float(np.mean(np.concatenate(distances)))
-        std_m[kind] = float(np.std([float(d.mean()) for d in distances]))
-    return FoldErrors(
-        blocks_m=mean_m["blocks"],
-        blocks_fold_std_m=std_m["blocks"],
-        leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
-        leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
-        selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
-    )
-
-
-def _best_degree(by_degree: Mapping[str, FoldErrors]) -> int:
-    return int(min(by_degree, key=lambda degree: by_degree[degree].selection_m))
-
-
-def study_summary(out: Path, document: StudyDocument) -> str:
-    degree = str(document.chosen_degree)
-    lines = [f"{out}: degree {degree} by cross-validation on trial 1"]
-    for name, table in document.mean_euclidean_distance_m.items():
-        pooled, kept = table["pooled"], document.deployed[name]
-        r2 = document.estimators[name]["observer"].r2_di
-        lines.append(
-            f"  {name}: mean Euclidean distance "
-            f"{LENGTH.number(pooled['estimated_di'][degree], 2)} mm with "
-            f"estimated DI ({LENGTH.number(pooled['with_di'][degree], 2)} with true DI, "
-            f"{LENGTH.number(pooled['without_di'][degree], 2)} without), R² of DI {r2:.3f}; "
-            f"with inputs kept within the training range "
-            f"{LENGTH.number(kept.mean_euclidean_distance_m, 2)} mm: "
-            f"{FRACTION.text(kept.in_range_fraction)} of the rows are within it, the interval "
-            f"covers {FRACTION.text(kept.interval_coverage_mean)}"
-        )
-    if not any(name.startswith("trial_") for name in document.tests):
-        lines.append("  no trial 2 to test on: simulate with --trials 2")
-    if not any(name.startswith("unseen") for name in document.tests):
-        lines.append(
-            "  no unseen motion: dropstitch simulate --amplitude-deg 20 --trials 1 --out "
-            "build/unseen_20deg (with --rig link.toml for your link), then --unseen that directory"
-        )
-    return "\n".join(lines)

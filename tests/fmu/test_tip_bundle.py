@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main as dropstitch
+from firmware_py.commands.range_check import RangeWatch
 from firmware_py.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import read_golden, verify_equal
 from firmware_py.inference.manifest import write_manifest
 from models.predictor.document import read_predictors
-from models.trials.files import write_trial
+from models.trials.files import read_trial, write_trial
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +30,7 @@ def trained(toy_trials, tmp_path_factory):
     arguments = [
         "train", str(root / "trials"), "--dof", "1", "--out", str(root / "bundle"),
         "--plant", "models/plant/nominal.toml", "--motions", str(root / "further"),
+        "--compare",
     ]  # fmt: skip
     assert dropstitch(arguments) == 0
     return root
@@ -47,6 +49,7 @@ def test_the_bundle_says_what_was_compared_and_why(trained):
         assert min(entry.latency.warm_s, entry.latency.cold_s) > 0
         assert {"stiffness_x_0.8", "stiffness_x_1.2"} < set(entry.tests)
     assert document.runtimes == {} and "warm / cold" in card
+    assert "study.json" not in read_manifest(bundle).files  # without --study
 
 
 def test_the_observer_adds_what_a_whole_answer_costs(observed):
@@ -75,6 +78,33 @@ def test_without_the_observer_the_polynomial_runs_and_with_it_the_chosen_one(tra
     old = answer.half_width_m.copy()
     late = after.predictor.predict(*sample, estimate.di, estimate.signals, 0.05)
     assert (late.half_width_m >= old).all()
+
+
+@pytest.mark.parametrize("runtime", ["onnx", "compiled"])
+def test_training_counts_the_rows_out_of_range_as_the_robot_does(trained, observed, runtime):
+    """`train` said 100 % in range of a bundle that then ran with 70 %: of the polynomial."""
+    bundle, rows, outside = ModelBundle.load(observed, runtime=runtime), 0, 0
+    watch = RangeWatch(bundle)
+    for path in sorted((trained / "trials").glob("*_2.csv")):
+        trial = read_trial(path)
+        bundle.estimator.reset()
+        for angle_rad, current_a in zip(trial.angle_rad, trial.current_a, strict=True):
+            estimate = bundle.estimator.update(angle_rad, current_a, trial.step_s)
+            answer = watch.predict(angle_rad, current_a, estimate.di, estimate.signals)
+            rows, outside = rows + 1, outside + (not answer.in_range)
+    document = read_predictors(observed / "predictors.json")
+    score = document.candidates[document.chosen].tests["trial_2"]["all"]
+    assert score.rows == rows and 0 < outside == round((1 - score.in_range) * rows)
+    told, seen = document.out_of_range["trial_2"], watch.reasons()
+    same = {"angle_1_rad", "current_1_a", "di", "innovation_1_a"}
+    assert [(i.name, i.ticks) for i in seen.inputs if i.name in same] == [
+        (i.name, i.ticks) for i in told.inputs if i.name in same
+    ]
+    if runtime == "onnx":
+        assert (told.wide_ticks, told.other_ticks) == (seen.wide_ticks, seen.other_ticks)
+    assert f"- trial_2: {outside} of {rows} rows are out of range: " in (
+        observed / "MODEL_CARD.md"
+    ).read_text(encoding="utf-8")
 
 
 def test_the_observer_passes_its_check_and_takes_the_age_of_a_sample_as_zero(observed, capsys):

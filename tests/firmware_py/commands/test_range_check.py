@@ -1,14 +1,17 @@
 """What `dropstitch run` says of the inputs of the predictor that were out of range."""
 
 import json
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.commands.range_check import RangeWatch
+from firmware_py.commands.range_check import RangeCount, RangeWatch
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.predictor import InputRange
 from firmware_py.summary import read_run_summary
 from tests.firmware_py import test_robot_commands as robot
 
@@ -58,14 +61,37 @@ def test_what_is_no_number_is_no_extreme(watch, value):
     assert "1 of them" in found.note
 
 
-def test_a_range_of_the_graph_counts_before_that_of_the_manifest(toy_bundle):
+def test_the_bounds_of_the_graph_count_and_not_the_training_range(toy_bundle):
     bundle = ModelBundle.load(toy_bundle)
-    bundle.predictor.ranges["angle_1_rad"] = (-0.75, 0.75)
-    watch = RangeWatch(bundle)
+    angle, *others = bundle.ranges
+    bounded = msgspec.structs.replace(angle, bounds=(-0.75, 0.75))
+    watch = RangeWatch(replace(bundle, ranges=(bounded, *others)))
     predict(watch, angle_rad=0.7)
     predict(watch, angle_rad=0.8)
-    assert [row.ticks for row in watch.reasons().inputs] == [1]
-    assert watch.reasons().other_ticks == 1
+    found = watch.reasons()
+    assert [row.ticks for row in found.inputs] == [1]
+    assert found.wide_ticks + found.other_ticks == 1
+
+
+def test_each_cause_is_counted_apart():
+    """An innovation widens the interval only if the joints move; a late sample widens it, too."""
+    bend = InputRange("bend_1_rad", -0.1, 0.1, (-0.15, 0.15))
+    innovation = InputRange("innovation_1_a", 0.0, 0.1, (None, 0.15))
+    count = RangeCount((bend, innovation))
+    narrow, wide = np.full(3, 0.004), np.array([0.004, 0.0, 0.023])
+    count.add(np.array([0.2, 0.05]), narrow)
+    count.add(np.array([0.0, 0.4]), wide)
+    count.add(np.array([0.0, 0.01]), wide, age_s=0.034)
+    count.add(np.array([0.0, 0.01]), 2 * wide)
+    count.add(np.array([0.0, 0.4]), narrow)
+    found = count.reasons()
+    assert [(row.name, row.ticks, row.extreme) for row in found.inputs] == [
+        ("bend_1_rad", 1, 0.2), ("innovation_1_a", 1, 0.4),
+    ]  # fmt: skip
+    assert (found.wide_ticks, found.late_ticks, found.other_ticks) == (2, 1, 1)
+    assert found.widest_m == 0.046
+    note = found.note.replace("\u00a0", " ")
+    assert all(words in note for words in ("innovation 1 reached 400.0 mA", "±46.0 mm", "late"))
 
 
 def test_the_summary_of_a_run_names_the_input(servos, config, toy_bundle, tmp_path, capsys):

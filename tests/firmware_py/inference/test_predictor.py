@@ -19,14 +19,14 @@ def predictor(toy_bundle):
     return OnnxPredictor(toy_bundle / "predictor.onnx", 1)
 
 
-def test_answers_what_the_training_room_would(predictor, toy_study):
-    rows = toy_study.training.features("observer")[::50]
+def test_answers_what_the_training_room_would(predictor, toy_fallback):
+    rows = toy_fallback.samples.features("observer")[::50]
     for row in rows:
         answer = predictor.predict(row[:1], row[1:2], row[2])
-        expected = toy_study.predictor.predict(row[None])[0]
+        expected = toy_fallback.predictor.predict(row[None])[0]
         np.testing.assert_allclose(answer.tip_m, expected, rtol=0, atol=1e-9)
         np.testing.assert_allclose(
-            answer.half_width_m, toy_study.predictor.half_width(row[None])[0], rtol=0, atol=1e-9
+            answer.half_width_m, toy_fallback.predictor.half_width(row[None])[0], rtol=0, atol=1e-9
         )
         assert answer.in_range is True
 
@@ -106,7 +106,7 @@ def test_a_missing_graph_and_a_graph_of_another_robot_are_named(toy_bundle, tmp_
 
 
 def test_lagged_estimator_runs_like_the_regression_over_the_whole_trial(
-    toy_bundle, toy_study, toy_trials
+    toy_bundle, toy_fallback, toy_trials
 ):
     manifest = read_manifest(toy_bundle)
     estimator = LaggedEstimator(toy_bundle / "lagged.onnx", manifest.lag_ticks, manifest.dof)
@@ -116,7 +116,7 @@ def test_lagged_estimator_runs_like_the_regression_over_the_whole_trial(
             estimator.update(angle_rad, current_a, 0.017)
             for angle_rad, current_a in zip(trial.angle_rad, trial.current_a, strict=True)
         ]
-        expected = toy_study.lagged.estimate(trial)
+        expected = toy_fallback.lagged.estimate(trial)
         np.testing.assert_allclose([e.di for e in estimates], expected, rtol=0, atol=1e-9)
         assert all(math.isnan(e.payload_kg) for e in estimates)
 

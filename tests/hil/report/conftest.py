@@ -26,6 +26,7 @@ from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
+from models.predictor.fallback import fit_fallback
 from models.study.document import write_study
 from models.study.study import run_study
 from models.trials.files import write_trial
@@ -49,6 +50,12 @@ def with_phase(trials, phase_2_rad):
     )  # fmt: skip
 
 
+def study_of(training, held_out, observer, others):
+    """A study of these trials."""
+    fallback = fit_fallback(training, CompiledModel(observer))
+    return run_study(training, name_tests(training, tuple(held_out)), fallback, others)
+
+
 @pytest.fixture(scope="session")
 def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     directory = tmp_path_factory.mktemp("build")
@@ -56,17 +63,16 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
     (directory / "bundle_2dof").mkdir()
     training, held_out = toy_trials(2, payloads_kg=(0.0, 2.0)).split()
     one, _ = toy_trials(1).split()
-    study = run_study(training, name_tests(training, tuple(held_out)), toy_observer(2), one)
+    study = study_of(training, held_out, toy_observer(2), one)
     both = TrialSet((*training, *with_phase(training, 1.5708)))
-    tests = name_tests(both, (*held_out, *with_phase(held_out, 1.5708)))
-    pooled = run_study(both, tests, toy_observer(2), one)
-    write_study(directory / "bundle_2dof" / "study.json", pooled.document)
+    every = (*held_out, *with_phase(held_out, 1.5708))
+    pooled = study_of(both, every, toy_observer(2), one)
+    write_study(directory / "bundle_2dof" / "study.json", pooled)
     around = with_phase(training, 1.5708)
-    apart = run_study(around, name_tests(around, tuple(with_phase(held_out, 1.5708))),
-                      toy_observer(2), one)  # fmt: skip
+    apart = study_of(around, with_phase(held_out, 1.5708), toy_observer(2), one)
     for name, of_phase in (("phase0", study), ("phase90", apart)):
         (directory / f"study_2dof_{name}").mkdir()
-        write_study(directory / f"study_2dof_{name}" / "study.json", of_phase.document)
+        write_study(directory / f"study_2dof_{name}" / "study.json", of_phase)
     plant = read_plant()
     few = TrialSet((*held_out[:1], *one[:1]))
     (directory / "evaluate_unseen_20deg.json").write_bytes(

@@ -12,8 +12,7 @@ from firmware_py.log.recording import read_recording
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.timing_document import read_timing
 from models.plant.plant import read_plant
-from models.predictor import learners as candidate_list
-from models.predictor.candidates import ObserverTip, PaperPolynomial
+from models.predictor.document import read_predictors
 from models.rig.drawn import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE
 from models.trials.files import read_trial
@@ -28,7 +27,7 @@ MOTION = "--period 2.2 --amplitude-deg 20"
 
 @pytest.fixture
 def brief(monkeypatch):
-    """Leave out what costs most: long rests, optimised C, second fits, costly candidates."""
+    """Leave out what costs most: long rests, optimised C, second fits."""
     monkeypatch.setenv(OPTIONS_VARIABLE, "-O1")
     monkeypatch.setattr(
         "models.commands.simulate.rig_named",
@@ -36,7 +35,6 @@ def brief(monkeypatch):
     )
     monkeypatch.setattr("models.plant.identification.identify.starts_with_option", lambda plant: [])
     monkeypatch.setattr("models.commands.identify.with_noise_floor", lambda plant, trials: plant)
-    monkeypatch.setattr(candidate_list, "CANDIDATES", (ObserverTip, PaperPolynomial))
 
 
 @pytest.mark.usefixtures("brief")
@@ -57,6 +55,8 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
 
     text = passes(f"train {trials} --dof 1 --plant {plant} --out {bundle}")
     assert "no unseen motion" in text and "--amplitude-deg 20" in text
+    assert "--study" in text and not (bundle / "study.json").exists()
+    assert list(read_predictors(bundle / "predictors.json").candidates) == ["observer"]
     kept = read_plant(bundle / "plant.json").link
     of_run = sil_config(SilOptions(bundle=ModelBundle.load(bundle), model=model_named("XM430-W350"),
                                    out=sil, link=kept), "virtual").limits  # fmt: skip

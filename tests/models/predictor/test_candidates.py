@@ -1,31 +1,17 @@
-"""Candidates: the graph of each answers what scikit-learn does, and so does CasADi."""
+"""Candidates: each graph, and its import into CasADi, answers as scikit-learn; your own one."""
 
-from typing import ClassVar
+import re
+from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime as ort
 import pytest
 
-from models.predictor.candidates import TipPredictor
-from models.predictor.guarded_tip import GuardedTip
-from models.predictor.interval import TipInterval
-from models.predictor.learners import CANDIDATES, BoostedTrees
+from firmware_py.errors import InputError
+from models.predictor.candidates import CANDIDATES, BoostedTrees, TipPredictor, own_candidate
 from models.predictor.onnx_graphs import predictor_function, to_onnx
 from models.predictor.training import choose_tip_predictor
-from tests.models.predictor.tip_cases import made_up_rows
-
-
-def guarded(rows, predictor):
-    error_m = rows.tip_m - predictor.predict(rows.inputs)
-    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run))
-    return GuardedTip.of(rows, predictor, interval)
-
-
-def answers(path, points):
-    session = ort.InferenceSession(path)
-    rows = [session.run(None, {"features": point[None]}) for point in points]
-    return [np.array([row[k][0] for row in rows]) for k in range(3)]
+from tests.models.predictor.cases import graph_outputs, guarded, made_up_rows
 
 
 @pytest.mark.parametrize("dof", [1, 2])
@@ -37,8 +23,8 @@ def test_graph_and_fmu_answer_what_scikit_learn_does(candidate, dof, tmp_path):
     onnx.save(to_onnx(model, len(rows.names)), path)
     points = np.vstack([rows.inputs[:60], 1.4 * rows.inputs[60:120]])  # half of them outside
     points[::3, rows.names.index(f"innovation_{dof}_a")] *= 10.0
-    assert 5 < model.innovation.exceeded(points).sum() < 40
-    tip_m, in_range, half_width_m = answers(path, points)
+    assert 5 < model.innovation_exceeded(points).sum() < 40
+    tip_m, in_range, half_width_m = graph_outputs(path, points)
     np.testing.assert_allclose(tip_m, model.predict(points), rtol=0, atol=1e-9)
     np.testing.assert_allclose(half_width_m, model.half_width(points), rtol=0, atol=1e-9)
     assert in_range[:, 0].astype(bool).tolist() == model.in_range(points).tolist()
@@ -71,45 +57,42 @@ def test_a_nan_is_out_of_range(tmp_path):
     onnx.save(to_onnx(model, len(rows.names)), path)
     for column in range(len(rows.names)):
         point = 0.1 * rows.inputs[:1].copy()
-        assert answers(path, point)[1][0, 0] == 1.0
+        assert graph_outputs(path, point)[1][0, 0] == 1.0
         point[0, column] = np.nan
-        assert answers(path, point)[1][0, 0] == 0.0
+        assert graph_outputs(path, point)[1][0, 0] == 0.0
 
 
-class MeanOfTheTraining:
-    """A candidate of somebody's own: the whole contract in one class."""
-
-    name: ClassVar[str] = "shifted observer"
-    summary: ClassVar[str] = "the observer's tip, shifted by its mean error"
-    variants: ClassVar[tuple[int, ...]] = (0, 1)
-
-    def __init__(self, variant):
-        self.variant = variant
-
-    def fit(self, rows):
-        self._columns, self._width = (
-            rows.columns(["tip_x_m", "tip_y_m", "tip_z_m"]),
-            len(rows.names),
-        )
-        self._shift_m = self.variant * (rows.tip_m - rows.observer_tip_m).mean(axis=0)
-        return self
-
-    def predict(self, inputs):
-        return inputs[:, self._columns] + self._shift_m
-
-    def write(self, graph, source, output):
-        tip = graph.columns(source, self._width, self._columns, "observed")
-        graph.node("Add", [tip, graph.constant("shift", self._shift_m[None])], output)
+PAGE = Path(__file__).parents[3] / "docs" / "predictor" / "choice.md"
+[CODE] = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def test_a_candidate_from_outside_is_compared_chosen_and_exported(tmp_path):
-    assert issubclass(MeanOfTheTraining, object) and isinstance(MeanOfTheTraining(0), TipPredictor)
+def test_the_class_of_the_documentation_is_compared_chosen_and_exported(tmp_path):
+    (tmp_path / "mine.py").write_text(CODE, encoding="utf-8")
+    mine = own_candidate(tmp_path / "mine.py", CANDIDATES)
     rows = made_up_rows()
-    shifted = rows.take(np.arange(len(rows)))
-    shifted.tip_m[:] += [0.01, 0.0, -0.01]
-    choice = choose_tip_predictor(shifted, [], (CANDIDATES[0], MeanOfTheTraining))
-    assert choice.chosen.name == "shifted observer" and choice.chosen.variant == 1
-    path = tmp_path / "predictor.onnx"
-    onnx.save(to_onnx(choice.chosen.predictor, len(rows.names)), path)
-    tip_m, *_ = answers(path, rows.inputs[:5])
-    np.testing.assert_allclose(tip_m, choice.chosen.predictor.predict(rows.inputs[:5]), atol=1e-12)
+    rows.tip_m[:] += [0.01, 0.0, -0.01]
+    assert isinstance(mine(1), TipPredictor)
+    chosen, _ = choose_tip_predictor(rows, [], (CANDIDATES[0], mine))
+    assert chosen.candidate.name == "shifted observer" and chosen.variant == 1
+    onnx.save(to_onnx(chosen.predictor, len(rows.names)), tmp_path / "predictor.onnx")
+    tip_m, *_ = graph_outputs(tmp_path / "predictor.onnx", rows.inputs[:5])
+    np.testing.assert_allclose(tip_m, chosen.predictor.predict(rows.inputs[:5]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("class A:\n", "does not run (IndentationError"),
+        ("1 / 0\n", "does not run (ZeroDivisionError"),
+        ("x = 1\n", "has 0 candidates, no class at all"),
+        (CODE.replace("def write", "def save"), "ShiftedObserver lacks write"),
+        (CODE + CODE.replace("ShiftedObserver", "Other"), "has 2 candidates, not one"),
+        (CODE.replace("shifted observer", "observer"), "'observer' as another is"),
+        (CODE.replace("(1,)", "()"), "no variant"),
+    ],
+)
+def test_other_files_are_refused_in_one_sentence(text, said, tmp_path):
+    (tmp_path / "mine.py").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refusal:
+        own_candidate(tmp_path / "mine.py", CANDIDATES)
+    assert said in str(refusal.value) and "\n" not in str(refusal.value)

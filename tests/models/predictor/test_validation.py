@@ -8,7 +8,6 @@ from models.predictor.validation import (
     euclidean_distance_m,
     payload_folds,
     r_squared,
-    split_rows,
 )
 
 
@@ -44,15 +43,6 @@ def test_euclidean_distance_by_hand():
     distance_m = euclidean_distance_m(actual_m, predicted_m)
     np.testing.assert_allclose(distance_m, [0.005, 0.012, 0.0], atol=1e-15)
     assert distance_m.mean() == pytest.approx((0.005 + 0.012) / 3)
-
-
-def test_rows_are_split_by_payload_and_by_phase_only_where_it_varies():
-    payload_kg = np.array([0.0, 0.5, 0.5, 2.0])
-    parts = split_rows(payload_kg, np.zeros(4))
-    assert list(parts) == ["pooled", "0", "0.5", "2"]
-    assert parts["0.5"].tolist() == [False, True, True, False]
-    parts = split_rows(payload_kg, np.array([0, np.pi / 2, 0, 0]))
-    assert parts["phase_90deg"].tolist() == [False, True, False, False]
 
 
 def test_r_squared_is_one_for_the_truth_and_zero_for_the_mean():

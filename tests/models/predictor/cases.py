@@ -1,8 +1,29 @@
-"""Rows of a made-up link for tests of the tip predictors."""
+"""Fitted predictors, outputs of their graphs by onnxruntime, and rows of a made-up link."""
 
 import numpy as np
+import onnxruntime as ort
 
+from models.predictor.candidates import ObserverTip
+from models.predictor.guarded_tip import GuardedTip
+from models.predictor.interval import TipInterval
 from models.predictor.observed_trials import TipRows, input_names
+from models.predictor.polynomials import GuardedPredictor
+
+
+def fitted_predictor(n, degree, seed=0):
+    rng = np.random.default_rng(seed)
+    size = np.array([0.5, 0.5, 3.0, 3.0, 0.005])[[0, 2, 4] if n == 3 else slice(None)]
+    features = rng.uniform(-1, 1, (1500, n)) * size
+    targets = np.column_stack([np.sin(0.3 * features @ rng.normal(size=n) + k) for k in range(3)])
+    folds = [(np.arange(300, 1500), np.arange(300))]
+    return GuardedPredictor.fit(degree, features, targets, folds), features
+
+
+def graph_outputs(path, points):
+    session = ort.InferenceSession(path)
+    rows = [session.run(None, {"features": point[None]}) for point in points]
+    return [np.array([row[k][0] for row in rows]) for k in range(3)]
+
 
 SIZE = {"m": 0.3, "rad": 0.4, "rad_s": 0.5, "a": 0.1, "kg": 0.5, "di": 0.005, "s": 0.0}
 
@@ -27,3 +48,11 @@ def made_up_rows(dof=1, count=1200, seed=0, bias_m=0.0, payloads_kg=(0.0, 1.0, 2
         names, inputs, tip_m, payload_kg, np.where(run < 3, "sinusoid", "multisine"), run,
         np.where(np.arange(count) % 7 == 0, "rest", "motion"),
     )  # fmt: skip
+
+
+def guarded(rows, predictor=None):
+    """A predictor of these rows, the observer's tip by default, with interval and range."""
+    predictor = predictor or ObserverTip(0).fit(rows)
+    error_m = rows.tip_m - predictor.predict(rows.inputs)
+    interval = TipInterval.fit(rows.names, (rows.inputs, error_m, rows.run))
+    return GuardedTip.of(rows, predictor, interval)

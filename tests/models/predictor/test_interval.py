@@ -1,52 +1,17 @@
-"""Choice among candidates, and the interval of the chosen one."""
+"""Interval of a prediction and its range: what widens the one and ends the other."""
 
 import msgspec
 import numpy as np
+import onnx
 import pytest
 
-from models.predictor.candidates import CorrectedTip, ObserverTip
+from firmware_py.commands.range_check import RangeCount
+from firmware_py.inference.predictor import OnnxPredictor
+from models.predictor.guarded_tip import INNOVATION_FACTOR
 from models.predictor.interval import TipInterval
-from models.predictor.learners import CANDIDATES
-from models.predictor.observed_trials import ASKEW_RAD, askew_shifts_m
-from models.predictor.training import choose_tip_predictor, group_folds
-from tests.models.predictor.tip_cases import made_up_rows
-
-
-def test_folds_leave_out_each_payload_and_each_motion():
-    rows = made_up_rows()
-    folds = group_folds(rows)
-    assert len(folds) == 5  # three payloads, two motions
-    for train, test in folds:
-        assert not set(train) & set(test) and len(train) + len(test) == len(rows)
-        own = {*rows.payload_kg[test]}, {*rows.motion[test]}
-        others = {*rows.payload_kg[train]}, {*rows.motion[train]}
-        assert any(not mine & theirs for mine, theirs in zip(own, others, strict=True))
-
-
-def test_rows_of_one_payload_and_motion_leave_out_trials():
-    rows = made_up_rows(payloads_kg=(1.0,))
-    rows.motion[:] = "sinusoid"
-    assert [set(rows.run[test]) for _, test in group_folds(rows)] == [{k} for k in range(6)]
-
-
-def test_a_correction_is_chosen_where_it_helps_and_none_where_it_does_not():
-    rows = made_up_rows()
-    corrected = choose_tip_predictor(rows, [], (ObserverTip, CorrectedTip))
-    assert (corrected.chosen.name, corrected.chosen.variant) == ("corrected observer", 2)
-    exact = rows.take(np.arange(len(rows)))
-    exact.tip_m[:] = exact.observer_tip_m + 1e-4 * np.random.default_rng(1).normal(size=(1200, 3))
-    plain = choose_tip_predictor(exact, [], (ObserverTip, CorrectedTip))
-    assert plain.chosen.name == "observer"
-    assert plain.candidates[1].variant == 0
-
-
-def test_every_candidate_beats_none_and_says_how_it_did():
-    choice = choose_tip_predictor(made_up_rows(), [])
-    assert [c.name for c in choice.candidates] == [c.name for c in CANDIDATES]
-    for result in choice.candidates:
-        score = msgspec.structs.asdict(result.nested)
-        assert 0 < score["mean_m"] <= score["p95_m"] <= score["max_m"]
-        assert 0 <= score["coverage"] <= 1 and 0 <= score["in_range"] <= 1
+from models.predictor.onnx_graphs import to_onnx
+from models.predictor.training import range_reasons
+from tests.models.predictor.cases import guarded, made_up_rows
 
 
 @pytest.mark.parametrize("bias_m", [0.0, 2e-3])
@@ -111,31 +76,6 @@ def test_a_violent_motion_widens_the_interval_only_so_far():
     assert first == pytest.approx(second)
 
 
-def test_the_angle_of_mounting_is_what_widens_an_interval_of_a_right_plant():
-    rows = made_up_rows()
-    widths_m = [
-        choose_tip_predictor(rows, [], (ObserverTip,), askew_rad=askew_rad)
-        .chosen.predictor.half_width(rows.inputs)[:, 0].mean()
-        for askew_rad in (0.0, 0.005, 0.01)
-    ]  # fmt: skip
-    assert widths_m[0] < widths_m[1] < widths_m[2]
-    assert not askew_shifts_m(rows, 0.0)
-
-
-def test_a_link_mounted_askew_shifts_the_tip_in_the_plane_of_a_joint():
-    rows = made_up_rows(dof=2)
-    angles = [rows.names.index(f"angle_{j}_rad") for j in (1, 2)]
-    rows.inputs[:, angles] = 0.0
-    rows.tip_m[:] = [0.0, 0.0, 1.0]
-    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows)]
-    a = ASKEW_RAD
-    assert np.allclose(shifts_m, [[-a, 0, 0], [a, 0, 0], [0, -a, 0], [0, a, 0]])
-    rows.inputs[:, angles[0]] = np.pi / 2  # the link points along x; plane 1 is x and z
-    rows.tip_m[:] = [1.0, 0.0, 0.0]
-    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows)]
-    assert np.allclose(shifts_m, [[0, 0, a], [0, 0, -a], [0, -a, 0], [0, a, 0]])
-
-
 def test_the_interval_covers_each_trial_with_a_wrong_plant_on_each_axis():
     rows = made_up_rows()
     error_m = rows.tip_m - rows.observer_tip_m
@@ -149,3 +89,73 @@ def test_the_interval_covers_each_trial_with_a_wrong_plant_on_each_axis():
     assert inside[one & moving].mean(axis=0).min() >= 0.88
     standing, moving, swinging, moving_in_excess = interval.quantile
     assert (standing >= moving).all() and (swinging >= moving_in_excess).all()
+
+
+def point(rows, **changes):
+    """A row at zero bend, where the interval is narrow."""
+    row = np.zeros((1, len(rows.names)))
+    for name, value in changes.items():
+        row[0, rows.names.index(name)] = value
+    return row
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_an_innovation_far_above_the_usual_ends_the_range_where_bend_passes_zero(dof):
+    rows = made_up_rows(dof)
+    model, rate = guarded(rows), {f"joint_rate_{dof}_rad_s": 0.3}
+    largest_a = rows.inputs[:, rows.names.index(f"innovation_{dof}_a")].max()
+    usual = point(rows, **rate, **{f"innovation_{dof}_a": largest_a})
+    far = point(rows, **rate, **{f"innovation_{dof}_a": 4 * largest_a})
+    assert model.in_range(usual).all()
+    assert not model.in_range(far).any()
+    assert (model.half_width(far) > model.half_width(usual) + 0.014).all()
+
+
+def test_a_link_that_swings_behind_joints_that_stand_stays_in_range():
+    rows = made_up_rows()
+    model = guarded(rows)
+    assert model.in_range(point(rows, innovation_1_a=1.0, bend_rate_1_rad_s=0.3)).all()
+
+
+def test_the_bound_is_a_multiple_of_the_largest_innovation_of_rows_that_move():
+    rows = made_up_rows()
+    rate, innovation = (
+        rows.inputs[:, rows.names.index(name)] for name in ("joint_rate_1_rad_s", "innovation_1_a")
+    )
+    innovation[np.abs(rate) < 0.05] = 1.0  # a link that swings freely sets no bound
+    moving = np.abs(rate) > 0.05
+    bound_a = guarded(rows).innovation_a
+    assert bound_a == pytest.approx(INNOVATION_FACTOR * innovation[moving].max())
+    still = rows.take(~moving)
+    assert not guarded(still).innovation_exceeded(rows.inputs).any()
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_training_counts_the_causes_that_the_robot_counts(dof, tmp_path):
+    """Each cause alone, on rows of which most are in range."""
+    rows = made_up_rows(dof)
+    model, points = guarded(rows), 0.5 * rows.inputs[:200]
+    columns = {name: rows.names.index(name) for name in rows.names}
+    points[:7, columns["bend_1_rad"]] = 2.0
+    points[10:15, columns[f"innovation_{dof}_a"]] = 1.0
+    points[10:15, columns[f"joint_rate_{dof}_rad_s"]] = 0.3
+    points[20:24, columns["age_s"]] = 0.5
+    told = range_reasons(model, points)
+    assert [(i.name, i.ticks) for i in told.inputs] == [
+        ("bend_1_rad", 7), (f"innovation_{dof}_a", 5),
+    ]  # fmt: skip
+    assert told.wide_ticks == told.late_ticks == 4 and told.widest_m > 0.015
+    facts = {"features": msgspec.to_builtins(model.ranges()), "dof": dof}
+    onnx.save(to_onnx(model, len(rows.names), facts), tmp_path / "predictor.onnx")
+    robot, count = OnnxPredictor(tmp_path / "predictor.onnx", dof), 0
+    watched = RangeCount(robot.ranges)
+    for point in points:
+        first = 2 * dof + 1
+        answer = robot.predict(
+            point[:dof], point[dof : first - 1], point[first - 1], point[first + 1 :], point[first]
+        )
+        if not answer.in_range:
+            count += 1
+            watched.add(point, answer.half_width_m, point[first])
+    assert count == (~model.in_range(points)).sum() == 16
+    assert watched.reasons() == told
