@@ -107,14 +107,17 @@ def _relaxed_goals(twin: TipTwin, places: Array, slope: Array, payload_kg: float
 def _solved(twin: TipTwin, wanted: Array, start: Array, slope: Array, payload_kg: float) -> Array:
     """Goals at which the relaxed tip lies at a place; NaN where there are none."""
 
-    def off(goal: Array) -> Array:
-        return twin.resting_tip_m(goal, payload_kg) - wanted
-
     start = np.clip(start, -LARGEST_RAD, LARGEST_RAD)
+
+    def off(change: Array) -> Array:
+        return twin.resting_tip_m(start + change, payload_kg) - wanted
+
     # Powell's hybrid method, whose slopes are updated after Broyden
-    found = root(off, start, jac=lambda _: slope, options={"xtol": 1e-4, "maxfev": 15})
-    close = np.linalg.norm(found.fun) < CLOSE_M and np.abs(found.x).max() <= LARGEST_RAD
-    return np.asarray(found.x if close else np.full(twin.dof, np.nan))
+    options = {"xtol": 1e-4, "maxfev": 15}
+    found = root(off, np.zeros(twin.dof), jac=lambda _: slope, options=options)
+    goal = start + found.x
+    close = np.linalg.norm(found.fun) < CLOSE_M and np.abs(goal).max() <= LARGEST_RAD
+    return goal if close else np.full(twin.dof, np.nan)
 
 
 def _shortfall_m(twin: TipTwin, places: Array, relaxed: Array, payload_kg: float) -> Array:
