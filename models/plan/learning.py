@@ -36,6 +36,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
+from scipy.signal import correlate
 
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
@@ -162,7 +163,8 @@ def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | Non
         wrong = f"misses {missing} of {plan.rows} measurements"
         raise InputError(path, wrong, "record the run again")
     names = _joint_names(plan.dof) + [f"predicted_{n}" for n in tip_names()[: plan.dof]]
-    table = np.column_stack([np.interp(grid, tick[inside], columns[n][inside]) for n in names])
+    table = np.column_stack([columns[name][inside] for name in names])
+    table = _resampled(grid.astype(float), tick[inside].astype(float), table)
     _check_size(path, table)
     facts, estimate = logged_run(log), columns["payload_kg"][inside]
     assumed_kg = facts.assumed_payload_kg
@@ -240,17 +242,19 @@ def fitting_payload(plan: TipPlan, goals_rad: Array) -> tuple[float, float]:
 def _start_row(goals: Array, plan: TipPlan) -> int:
     """Row of a recording at which its last complete run begins, by matching the plan's goals."""
     wanted = np.mean(plan.goals_rad(), axis=0)
-    starts = len(goals) - plan.rows + 1
-    size, total = 1 << (len(goals) + plan.rows).bit_length(), np.zeros(starts)
+    power = np.concatenate([[0.0], np.cumsum(np.sum(goals**2, axis=1))])
+    distance = power[plan.rows :] - power[: -plan.rows] + np.sum(wanted**2)
     for own, sent in zip(wanted.T, goals.T, strict=True):
-        both = np.fft.rfft(sent, size) * np.conj(np.fft.rfft(own, size))
-        power = np.concatenate([[0.0], np.cumsum(sent**2)])
-        total += power[plan.rows :] - power[:starts] + np.sum(own**2)
-        total -= 2.0 * np.fft.irfft(both, size)[:starts]
-    near = total <= total.min() + VALLEY * float(np.sum(wanted**2))
+        distance -= 2.0 * correlate(sent, own, mode="valid", method="fft")
+    near = distance <= distance.min() + VALLEY * float(np.sum(wanted**2))
     last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose minimum is the start
     low = max(0, last - plan.rows // 2)
-    return low + int(np.argmin(total[low : last + 1]))
+    return low + int(np.argmin(distance[low : last + 1]))
+
+
+def _resampled(at: Array, places: Array, table: Array) -> Array:
+    """Columns of a table, interpolated linearly."""
+    return np.column_stack([np.interp(at, places, column) for column in table.T])
 
 
 def _joint_names(dof: int) -> list[str]:
@@ -297,16 +301,14 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     went_back = start is not run
     twin = TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)
     step = _Step(plan, start, twin)
-    tried: InputError | None = None
     for part in (1.0, 0.5, 0.25, 0.1):
         improved, predicted_m = step.plan(gain * part)
         try:
             check_plan_goals(improved, limits, f"plan {plan.path}, improved")
             break
-        except InputError as error:
-            tried = error
-    else:
-        raise tried or InputError("--improve", "changes nothing", "name another recording")
+        except InputError:
+            if part == 0.1:
+                raise
     unknown_m = unknown_error_m(plan, run, [run.payload_kg])[0]
     learned = LearnedRun(
         sha256=run.sha256, source=run.source, payload_kg=run.payload_kg, rms_m=measured_m,
@@ -453,8 +455,7 @@ class _Step:
     def _moved(self, table: Array, lead_s: float) -> Array:
         """Table advanced by a time that need not be whole periods."""
         rows = np.arange(len(table), dtype=np.float64)
-        at = rows + lead_s / self._plan.period_s
-        return np.column_stack([np.interp(at, rows, column) for column in table.T])
+        return _resampled(rows + lead_s / self._plan.period_s, rows, table)
 
 
 def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
@@ -462,8 +463,7 @@ def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
     rows = np.arange(len(twin_rad), dtype=np.float64)
 
     def distance(periods: float) -> float:
-        late = [np.interp(rows - periods, rows, column) for column in twin_rad.T]
-        return float(np.sum((measured_rad - np.column_stack(late)) ** 2))
+        return float(np.sum((measured_rad - _resampled(rows - periods, rows, twin_rad)) ** 2))
 
     grid = np.arange(-LONGEST_DELAY_PERIODS, LONGEST_DELAY_PERIODS + 1e-9, 0.05)
     found = float(min(grid, key=distance))

@@ -106,8 +106,7 @@ def _relaxed_goals(twin: TipTwin, places: Array, slope: Array, payload_kg: float
 
 def _solved(twin: TipTwin, wanted: Array, start: Array, slope: Array, payload_kg: float) -> Array:
     """Goals at which the relaxed tip lies at a place; NaN where there are none."""
-
-    start = np.clip(start, -LARGEST_RAD, LARGEST_RAD)
+    start = np.clip(start, -LARGEST_RAD, LARGEST_RAD).astype(np.float64)
 
     def off(change: Array) -> Array:
         return twin.resting_tip_m(start + change, payload_kg) - wanted
