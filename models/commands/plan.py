@@ -48,8 +48,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("path", metavar="PATH",
         help="built-in path or CSV file; with --improve the plan that was run")  # fmt: skip
-    add("--improve", type=Path, metavar="LOG",
-        help="improve the plan PATH by a recorded run of it: trial (.csv) or log (.mcap)")  # fmt: skip
+    add("--improve", type=Path, metavar="LOG", help="improve the plan PATH by a recorded run of "
+        "it: a trial (.csv) or a log (.mcap)")  # fmt: skip
     add("--plant", type=Path, required=True, metavar="PLANT", help="plant to invert")
     add("--bundle", type=Path, required=True, metavar="BUNDLE",
         help="bundle of the robot: its joints and its period")  # fmt: skip

@@ -8,7 +8,7 @@ Seering, *ASME J. Dynamic Systems* 112, 1990: zero vibration and derivative).
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,29 +18,34 @@ from firmware_py.safety.limits import Limits
 from models.plan.paths import Timeline
 from models.plant.linear_twin import LinearMode, LinearTwins, resting_modes
 
-if TYPE_CHECKING:
-    from models.plan.planning import PlanRequest
-
 Array = NDArray[np.float64]
 
 
-def comparison_goals(pointing_rad: Array, line: Timeline, request: PlanRequest) -> list[Array]:
+def comparison_goals(
+    pointing_rad: Array,
+    line: Timeline,
+    limits: Limits,
+    twins: LinearTwins,
+    payloads_kg: Sequence[float],
+    *,
+    zvd: bool,
+) -> list[Array]:
     """Goals of a rigid link whose moves are as fast as the limits permit, for each payload.
 
-    `pointing_rad`, shape (n, dof): goals at which the rigid link points at the desired tip.
+    `pointing_rad`, shape (n, dof): goals at which the rigid link points at the desired tip. `zvd`:
+    whether moves are shaped.
     """
-    period_s, tables = request.period_s, []
-    twins = LinearTwins(request.plant, request.dof, period_s)
-    for payload_kg in request.payloads_kg:
+    period_s, tables = twins.period_s, []
+    for payload_kg in payloads_kg:
         table = pointing_rad.copy()
         for first, after in line.moves:
             end = pointing_rad[after - 1]
-            fast = rate_limited(pointing_rad[first], end, request.limits, period_s)
+            fast = rate_limited(pointing_rad[first], end, limits, period_s)
             table[first:after] = end
             table[first] = pointing_rad[first]
             table[first + 1 : first + 1 + len(fast)] = fast[: after - first - 1]
             late_s = 0.0
-            if request.method == "zvd":
+            if zvd:
                 for joint, mode in enumerate(resting_modes(twins, payload_kg, end)):
                     column, impulses = table[first:after, joint], zvd_impulses(mode)
                     table[first:after, joint] = shaped(column, impulses, period_s)

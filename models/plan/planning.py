@@ -24,6 +24,7 @@ from models.plan.moves import comparison_goals
 from models.plan.paths import DesiredPath, Timeline, timeline
 from models.plan.probing import design_probe
 from models.plan.tip_twin import TipTwin
+from models.plant.linear_twin import LinearTwins
 from models.plant.parameter import check_payload
 from models.plant.plant import Plant
 
@@ -88,7 +89,11 @@ def plan_path(
     if request.method == "inverse":
         found = inverter.invert(payloads)
     else:
-        tables = comparison_goals(inverter.pointing_rad(), line, request)
+        tables = comparison_goals(
+            inverter.pointing_rad(), line, limits,
+            LinearTwins(plant, request.dof, request.period_s), payloads,
+            zvd=request.method == "zvd",
+        )  # fmt: skip
         found = [inverter.response(t, m) for t, m in zip(tables, payloads, strict=True)]
     plan = _document(path, request, line, twin, found, rigid)
     check_plan_goals(plan, limits, where)

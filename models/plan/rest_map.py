@@ -100,13 +100,13 @@ def _relaxed_goals(twin: TipTwin, places: Array, slope: Array, payload_kg: float
         near = found[tuple(slice(max(0, k - 1), k + 2) for k in index)].reshape(-1, twin.dof)
         known = near[~np.isnan(near[:, 0])]
         start = known.mean(axis=0) if len(known) else np.linalg.solve(slope, wanted - rest)
-        found[index] = _solved(twin, wanted, start, slope, payload_kg)
+        found[index] = _solved(twin, wanted, np.asarray(start, np.float64), slope, payload_kg)
     return found
 
 
 def _solved(twin: TipTwin, wanted: Array, start: Array, slope: Array, payload_kg: float) -> Array:
     """Goals at which the relaxed tip lies at a place; NaN where there are none."""
-    start = np.clip(start, -LARGEST_RAD, LARGEST_RAD).astype(np.float64)
+    start = np.clip(start, -LARGEST_RAD, LARGEST_RAD)
 
     def off(change: Array) -> Array:
         return twin.resting_tip_m(start + change, payload_kg) - wanted

@@ -179,9 +179,10 @@ def modes(system: control.StateSpace) -> list[LinearMode]:
 
         share = 2 |c v| |w' c'| / (|w' v| c c')
 
-    That is the modal participation of Pérez-Arriaga, Verghese and Schweppe (*IEEE Trans. Power
-    Apparatus and Systems* 101, 1982) of the deflection. The loop of the servo hardly bends the
-    link, so its poles have little share, however slow and however lightly damped they are.
+    without the 2 for a real mode, which has no conjugate. That is the modal participation of
+    Pérez-Arriaga, Verghese and Schweppe (*IEEE Trans. Power Apparatus and Systems* 101, 1982) of
+    the deflection. The loop of the servo hardly bends the link, so its poles have little share,
+    however slow and however lightly damped they are.
     """
     values, left, right = scipy.linalg.eig(system.A, left=True, right=True)
     bends = [n.startswith(("root_bend_", "span_bend_")) and n.endswith("_rad")
@@ -190,7 +191,8 @@ def modes(system: control.StateSpace) -> list[LinearMode]:
     overlap = np.abs(np.einsum("ik,ik->k", left.conj(), right))
     part = np.abs((deflection @ right) * (deflection @ left.conj()))
     size = np.sum(deflection**2, axis=1, keepdims=True)
-    shares = 2.0 * part / np.maximum(overlap * size, 1e-12)
+    conjugates = np.where(np.abs(values.imag) > 0.0, 2.0, 1.0)
+    shares = conjugates * part / np.maximum(overlap * size, 1e-12)
     alive = np.abs(values) > 1e-6
     rates = np.log(values[alive]) / system.dt
     found = [
