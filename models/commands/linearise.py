@@ -19,6 +19,8 @@ import math
 from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+
 from firmware_py.console import DONE, emit
 from firmware_py.display_units import ANGLE
 from firmware_py.errors import InputError
@@ -26,14 +28,11 @@ from firmware_py.files.output_files import write_whole
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.signals import PERIOD_S
 from models.commands.output_paths import check_output_file
-from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
 
 EXAMPLE = (
     "dropstitch linearise --plant build/plant.json --dof 1 --payload-kg 1 --out build/linear.json"
 )
-
-
 MOST_ANGLE_DEG: Final = 90.0
 """Largest angle: beyond a right angle the arm leans back over its mount [assumed]."""
 
@@ -59,46 +58,46 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("--angle-deg", f"has {len(angles_deg)} values", f"give {args.dof}")
     if not all(abs(angle) <= MOST_ANGLE_DEG for angle in angles_deg):
         raise InputError("--angle-deg", f"is {angles_deg}", f"give {MOST_ANGLE_DEG:g}° at most")
-    link = plant.link or STUDY_LINK
-    payload_kg = link.payload_kg / 2 if args.payload_kg is None else args.payload_kg
-    check_payload(payload_kg, link=link)
     if not 1e-3 <= args.period <= 1.0:
         raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")
-    if plant.load != "link":
-        raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
+    half_kg = (plant.link or STUDY_LINK).payload_kg / 2
+    payload_kg = half_kg if args.payload_kg is None else args.payload_kg
     # CasADi and python-control are loaded here, so that a wrong option is refused at once.
-    import numpy as np
-
     from models.plan.feedback import design_feedback
-    from models.plant.linear_twin import LinearTwins, modes
+    from models.plant.linear_twin import linearise, modes
 
-    twins = LinearTwins(plant, args.dof, args.period)
-    system = twins.at(payload_kg, np.radians(angles_deg), sliding=not args.at_rest)
+    angles_rad = [math.radians(angle) for angle in angles_deg]
+    system = linearise(
+        plant, payload_kg, dof=args.dof, period_s=args.period, angles_rad=angles_rad,
+        sliding=not args.at_rest,
+    )  # fmt: skip
     found = modes(system)
     margins = design_feedback(plant, args.dof, args.period, [payload_kg]).margins
     document: dict[str, Any] = {
         "plant_sha256": plant.sha256(), "payload_kg": payload_kg, "dof": args.dof,
-        "angles_rad": [math.radians(a) for a in angles_deg], "sliding": not args.at_rest,
-        "dt": args.period, "states": system.state_labels, "inputs": system.input_labels,
+        "angles_rad": angles_rad, "sliding": not args.at_rest, "dt": args.period,
+        "states": system.state_labels, "inputs": system.input_labels,
         "outputs": system.output_labels,
-        "A": system.A.tolist(), "B": system.B.tolist(), "C": system.C.tolist(),
-        "D": system.D.tolist(),
-        "modes": [{"frequency_rad_s": m.frequency_rad_s, "damping": m.damping} for m in found],
+        **{name: getattr(system, name).tolist() for name in "ABCD"},
+        "modes": msgspec.to_builtins(found),
         "margins": [
-            {"joint": j, "gain_db": m.gain_db, "phase_rad": m.phase_rad,
+            {"joint": joint, "gain_db": m.gain_db, "phase_rad": m.phase_rad,
              "crossover_rad_s": m.crossover_rad_s}
-            for j, own in enumerate(margins, start=1) for m in own
+            for joint, (m,) in enumerate(margins, start=1)
         ],
     }  # fmt: skip
     args.out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(args.out, json.dumps(document, indent=1).encode() + b"\n")
     lines = [f"{args.out}: {len(system.A)} states, {payload_kg:g} kg, {args.dof}DOF", "modes:"]
-    lines += [f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}" for m in found]
     lines += [
-        f"feedback of joint {j}: gain margin {m.gain_db:.1f} dB, phase margin "
+        f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}, "
+        + " and ".join(f"{share:.0%}" for share in m.shares) + " of the link's bend"
+        for m in found
+    ]  # fmt: skip
+    lines += [
+        f"feedback of joint {joint}: gain margin {m.gain_db:.1f} dB, phase margin "
         f"{ANGLE.text(m.phase_rad)}, crossover {m.crossover_rad_s:.1f} rad/s"
-        for j, own in enumerate(margins, start=1)
-        for m in own
+        for joint, (m,) in enumerate(margins, start=1)
     ]
     emit(args, document, "\n".join(lines))
     return DONE

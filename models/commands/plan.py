@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,29 +46,17 @@ EXAMPLE = (
 
 def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add(
-        "path",
-        metavar="PATH",
-        help="built-in path or CSV file; with --improve the plan that was run",
-    )
-    add(
-        "--improve", type=Path, metavar="LOG",
-        help="improve the plan PATH by a recorded run of it: a trial (.csv) or a log (.mcap)",
-    )  # fmt: skip
+    add("path", metavar="PATH",
+        help="built-in path or CSV file; with --improve the plan that was run")  # fmt: skip
+    add("--improve", type=Path, metavar="LOG", help="improve the plan PATH by a recorded run of "
+        "it: a trial (.csv) or a log (.mcap)")  # fmt: skip
     add("--plant", type=Path, required=True, metavar="PLANT", help="plant to invert")
-    add(
-        "--bundle",
-        type=Path,
-        required=True,
-        metavar="BUNDLE",
-        help="bundle of the robot: its joints and its period",
-    )
+    add("--bundle", type=Path, required=True, metavar="BUNDLE",
+        help="bundle of the robot: its joints and its period")  # fmt: skip
     add("--out", type=Path, required=True, metavar="PLAN", help="file to write")
-    add(
-        "--config", type=Path, metavar="ROBOT",
+    add("--config", type=Path, metavar="ROBOT",
         help="robot.toml, for its limits (default: those of one without [limits] that names the "
-        "plant's link)",
-    )  # fmt: skip
+        "plant's link)")  # fmt: skip
     add("--size", type=float, default=DEFAULT_SIZE_M, metavar="M",
         help="half of the largest extent, m (0.3)")  # fmt: skip
     add("--centre", type=float, nargs="+", default=[], metavar="M", help="x, and y, in m (0)")
@@ -92,46 +81,39 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             args.out, "is the name of the picture", "end the name of the plan in .json"
         )
-    check_output_file(args.out, _inputs(args))
+    read = [args.plant, args.config, args.improve]
+    if args.improve is None and args.path.lower().endswith(".csv"):
+        read.append(Path(args.path))  # an improved plan may replace the one that it improves
+    check_output_file(args.out, [path for path in read if path is not None])
     files = read_bundle_files(args.bundle)
-    manifest = files.manifest
-    if args.improve is not None:
-        return _improve(args, files)
-    path = _path(args, manifest.dof, manifest.period_s, args.move)
+    return _plan(args, files) if args.improve is None else _improve(args, files)
+
+
+def _plan(args: argparse.Namespace, files: BundleFiles) -> int:
+    dof, period_s = files.manifest.dof, files.manifest.period_s
+    path = _path(args, dof, period_s, args.move)
     method = _method(args, path)
+    feedback = not (args.open_loop or path.moves)
+    if args.probe and (not feedback or method != "inverse"):
+        raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
     plant = read_plant(args.plant)
     limits = _limits(args.config, plant)
+    compare_with_bundle(plant, args.plant, files, "this plan")
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
     from models.plan.planning import PlanRequest, plan_path, shortest_move_s
 
     payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
-    feedback = not (args.open_loop or path.moves)
-    if args.probe and (not feedback or method != "inverse"):
-        raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
-    compare_with_bundle(plant, args.plant, files, "this plan")
     steps = 1 + feedback + args.probe + len(payloads) if method == "inverse" else 1
     progress = Progress("plan", steps)
     request = PlanRequest(
-        plant, manifest.dof, manifest.period_s, limits, payloads,
-        files.manifest_sha256, method, feedback, args.probe,
-    )  # fmt: skip
+        plant, dof, period_s, limits, payloads, files.manifest_sha256, method, feedback, args.probe
+    )
     if args.fastest:
-        seconds = shortest_move_s(
-            lambda s: _path(args, manifest.dof, manifest.period_s, s), request
-        )
-        path = _path(args, manifest.dof, manifest.period_s, seconds)
+        seconds = shortest_move_s(lambda s: _path(args, dof, period_s, s), request)
+        path = _path(args, dof, period_s, seconds)
     plan = plan_path(path, request, progress.step)
-    picture = _write(plan, args.out)
-    emit(args, _result(plan, args.out), plan_in_words(plan, args.out, picture))
+    _write(args, plan)
     return DONE
-
-
-def _inputs(args: argparse.Namespace) -> list[Path]:
-    """Files that are read; an improved plan may replace the one that it improves."""
-    read = [args.plant, args.config, args.improve]
-    if args.improve is None and args.path.lower().endswith(".csv"):
-        read.append(Path(args.path))
-    return [path for path in read if path is not None]
 
 
 def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
@@ -149,39 +131,24 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
     plant = read_plant(args.plant)
     compare_with_bundle(plant, args.plant, files, "this plan")
     found = improve_plan(plan, run, plant, _limits(args.config, plant))
-    picture = _write(found.plan, args.out)
     own = found.run
-    text = (
+    lines = [
         f"{args.improve}: tip by {own.source}, {own.payload_kg:.2f} kg, off its path by "
-        f"{LENGTH.number(own.rms_m, 2)} mm RMS; "
-        f"{LENGTH.number(own.expected_rms_m, 2)} mm expected for the next "
-        f"run, {LENGTH.number(own.predicted_rms_m, 2)} mm where all errors repeat\n"
-    )
+        f"{LENGTH.number(own.rms_m, 2)} mm RMS; {LENGTH.number(own.expected_rms_m, 2)} mm expected "
+        f"for the next run, {LENGTH.number(own.predicted_rms_m, 2)} mm where all errors repeat"
+    ]
     if found.went_back:
-        text += "this run was worse than the best one, from which half a step was taken\n"
+        lines.append("this run was worse than the best one, from which half a step was taken")
     if own.goal_delay_s:
-        text += f"the joints follow {TIME.number(own.goal_delay_s, 4)} s later than the twin's\n"
-    text += (
-        f"the recording tells a link {own.stiffness:.2f} times as stiff and "
-        f"{own.damping:.2f} times as damped as the plant's\n"
+        delay = TIME.number(own.goal_delay_s, 4)
+        lines.append(f"the joints follow {delay} s later than the twin's")
+    lines.append(
+        f"the link of the recording is {own.stiffness:.2f} times as stiff and {own.damping:.2f} "
+        "times as damped as the plant's"
     )
-    result = _result(found.plan, args.out) | {
-        "learned": [msgspec.to_builtins(r) for r in found.plan.learned],
-        "went_back": found.went_back,
-    }
-    emit(args, result, text + plan_in_words(found.plan, args.out, picture))
+    learned = [msgspec.to_builtins(r) for r in found.plan.learned]
+    _write(args, found.plan, lines, {"learned": learned, "went_back": found.went_back})
     return DONE
-
-
-def _write(plan: TipPlan, out: Path) -> Path:
-    """Write a plan and its picture; return the path of the picture."""
-    from models.plan.picture import draw_plan
-
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_document(out, plan)
-    picture = out.with_suffix(".svg")
-    draw_plan(plan, picture)
-    return picture
 
 
 def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) -> DesiredPath:
@@ -189,14 +156,14 @@ def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) ->
         args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg),
         move_s,
     )  # fmt: skip
-    if args.path.lower().endswith(".csv"):
-        if options != PathOptions():
-            raise InputError(
-                args.path, "has its own size, place and time",
-                "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
-            )  # fmt: skip
-        return read_path(Path(args.path), dof, period_s)
-    return built_in_path(args.path, dof, period_s, options)
+    if not args.path.lower().endswith(".csv"):
+        return built_in_path(args.path, dof, period_s, options)
+    if options != PathOptions():
+        raise InputError(
+            args.path, "has its own size, place and time",
+            "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
+        )  # fmt: skip
+    return read_path(Path(args.path), dof, period_s)
 
 
 def _method(args: argparse.Namespace, path: DesiredPath) -> Method:
@@ -221,23 +188,28 @@ def _limits(path: Path | None, plant: Plant) -> Limits:
     return limits_of_link(plant.link, limits, given=()) if plant.link else limits
 
 
-def _result(plan: TipPlan, out: Path) -> dict[str, Any]:
-    return {
-        "plan": str(out),
-        "path": plan.path,
-        "seconds": plan.duration_s,
+def _write(
+    args: argparse.Namespace, plan: TipPlan, lines: Sequence[str] = (),
+    further: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write a plan and its picture, and print both."""
+    from models.plan.picture import draw_plan
+
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    write_document(args.out, plan)
+    picture = args.out.with_suffix(".svg")
+    draw_plan(plan, picture)
+    errors = ("payload_kg", "residual_rms_m", "rigid_rms_m", "expected_rms_m")
+    result = {
+        "plan": str(args.out), "path": plan.path, "seconds": plan.duration_s,
         "plant_error_rms_m": plan.plant_error_rms_m,
-        "payloads": [
-            {
-                name: getattr(own, name)
-                for name in ("payload_kg", "residual_rms_m", "rigid_rms_m", "expected_rms_m")
-            }
-            for own in plan.payloads
-        ],
-    }
+        "payloads": [{name: getattr(own, name) for name in errors} for own in plan.payloads],
+    }  # fmt: skip
+    text = "\n".join([*lines, *_in_words(plan, args.out), f"see {picture}"])
+    emit(args, result | dict(further or {}), text)
 
 
-def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
+def _in_words(plan: TipPlan, out: Path) -> list[str]:
     lines = [
         f"{out}: {plan.path}, {plan.method}, {plan.duration_s:.1f} s with rest and ways, "
         f"{plan.dof}DOF",
@@ -253,7 +225,7 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
     if any(run.source == "mocap" for run in plan.learned):
         lines.append(
             "no feedback of the tip: it would lead the observer's tip onto the path and undo what "
-            "motion capture has told"
+            "was learned from motion capture"
         )
     elif plan.feedback is not None:
         gain = min(m.gain_db for own in plan.feedback.margins for m in own)
@@ -267,20 +239,21 @@ def plan_in_words(plan: TipPlan, out: Path, picture: Path) -> str:
     if plan.probe is not None:
         lines.append(_probe_in_words(plan, plan.probe))
     if plan.plant_error_rms_m is None:
-        lines.append("the plant does not tell its own error: expected is what the inversion leaves")
-    lines.append(f"see {picture}")
-    return "\n".join(lines)
+        lines.append(
+            "the plant does not state its own error: expected is what the inversion leaves"
+        )
+    return lines
 
 
 def _probe_in_words(plan: TipPlan, probe: ProbeDesign) -> str:
     from models.plan.probing import expected_deviation
 
-    most = {
-        known: max(expected_deviation(probe, float(kg), known=known) for kg in plan.grid_kg)
+    known, unknown = (
+        max(expected_deviation(probe, float(kg), known=known) for kg in plan.grid_kg)
         for known in (True, False)
-    }
+    )
     return (
         f"a probing motion of {TIME.text(probe.rows * plan.period_s, 1)} before the first run "
-        f"tells the stiffness to ± {most[True]:.0%} where the payload is known, ± "
-        f"{most[False]:.0%} where it is not"
+        f"measures the stiffness to ± {known:.0%} where the payload is known, ± {unknown:.0%} "
+        "where it is not"
     )

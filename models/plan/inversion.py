@@ -5,8 +5,10 @@ c minimise the squared distance of the tip from the path and, weakly, the goals'
 
     sum |tip(c) - desired|^2 + (WEIGHT * acceleration)^2
 
-Gauss–Newton with the exact derivatives of the twin. They change little from step to step and from
-payload to payload, so they are renewed only if a step with the old ones gains too little.
+Gauss–Newton with the exact derivatives of the twin. They cost as much as twenty runs and change
+little from step to step and from payload to payload, so they are renewed only where a step with the
+old ones gains too little. (`scipy.optimize.least_squares` takes new ones in every step: the same
+goals in three times the time.)
 """
 
 from __future__ import annotations
@@ -57,20 +59,15 @@ class Inverter:
     """
 
     def __init__(
-        self, twin: TipTwin, line: Timeline, reach_m: float,
+        self,
+        twin: TipTwin,
+        line: Timeline,
+        reach_m: float,
         report: Callable[[str], None] = lambda text: None,
-    ) -> None:  # fmt: skip
-        self._twin, self._line, self._report = twin, line, report
-        self._reach_m = reach_m
-        self._basis, second = goal_splines(line, twin.period_s)
-        own = WEIGHT_M_S2**2 * second.T @ second
-        self._count = self._basis.shape[1]
-        self._rough = np.kron(np.eye(twin.dof), own)
-        self._slopes: Array | None = None
-
-    def rigid(self, payload_kg: float) -> Inverse:
-        """Goals of rigid kinematics: the joints point at the desired tip."""
-        return self.found(self.pointing_rad(), payload_kg)
+    ) -> None:
+        self._twin, self._line, self._reach_m, self._report = twin, line, reach_m, report
+        self._splines = GoalSplines(line, twin.period_s, WEIGHT_M_S2)
+        self._slopes: Array | None = None  # those of the last payload that was inverted
 
     def pointing_rad(self) -> Array:
         """Goals at which the rigid link points at the desired tip, shape (n, dof)."""
@@ -79,6 +76,13 @@ class Inverter:
         lateral[:, : self._twin.dof] = self._line.desired_m - offset
         height = np.sqrt(np.maximum(self._reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
         return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
+
+    def response(self, goals_rad: Array, payload_kg: float) -> Inverse:
+        """Response of the twin to goals of shape (n, dof)."""
+        y = self._twin.run(goals_rad, payload_kg)
+        error = self._twin.tip_m(y) - self._line.desired_m
+        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+        return Inverse(payload_kg, goals_rad, y, rms)
 
     def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
         """Goals for each payload, in the order of the payloads.
@@ -92,18 +96,17 @@ class Inverter:
             inner = k - 1 if k > middle else k + 1
             beyond = 2 * inner - k
             if inner not in found:
-                rigid = self.pointing_rad()
-                start = np.asarray(np.linalg.lstsq(self._basis, rigid, rcond=None)[0].T.ravel())
+                start = self._splines.fit(self.pointing_rad())
             elif beyond in found:
-                part = (payloads_kg[k] - payloads_kg[inner]) / (
-                    payloads_kg[inner] - payloads_kg[beyond]
-                )
+                step_kg = payloads_kg[inner] - payloads_kg[beyond]
+                part = (payloads_kg[k] - payloads_kg[inner]) / step_kg
                 start = found[inner] + part * (found[inner] - found[beyond])
             else:
                 start = found[inner]
             found[k] = self._solved(start, payloads_kg[k])
             self._report(f"{payloads_kg[k]:g} kg inverted")
-        return [self.found(self._goals(found[k]), m) for k, m in enumerate(payloads_kg)]
+        goals = (self._splines.goals(found[k]) for k in range(len(payloads_kg)))
+        return [self.response(g, m) for g, m in zip(goals, payloads_kg, strict=True)]
 
     def on(self, twin: TipTwin) -> Inverter:
         """Inversion of another twin of the same plant, with the present derivatives."""
@@ -116,70 +119,91 @@ class Inverter:
 
         The derivatives are renewed at most once: a link that is a fifth stiffer needs no more.
         """
-        start = np.asarray(
-            np.linalg.lstsq(self._basis, found.goals_rad, rcond=None)[0].T.ravel(), np.float64
-        )
+        start = self._splines.fit(found.goals_rad)
         c = self._solved(start, found.payload_kg, most_derivatives=1)
-        return self.found(self._goals(c), found.payload_kg)
-
-    def _goals(self, c: Array) -> Array:
-        return np.asarray(self._basis @ c.reshape(self._twin.dof, self._count).T)
-
-    def found(self, goals_rad: Array, payload_kg: float) -> Inverse:
-        """Response of the twin to given goals, as an `Inverse`.
-
-        Shapes: `goals_rad` (n, dof).
-        """
-        y = self._twin.run(goals_rad, payload_kg)
-        error = self._twin.tip_m(y) - self._line.desired_m
-        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        return Inverse(payload_kg, goals_rad, y, rms)
-
-    def _cost(self, c: Array, payload_kg: float) -> tuple[float, Array]:
-        y = self._twin.run(self._goals(c), payload_kg)
-        error = (self._line.desired_m - self._twin.tip_m(y)).ravel()
-        cost = float(error @ error + c @ self._rough @ c)
-        return (cost if np.isfinite(cost) else np.inf), error
+        return self.response(self._splines.goals(c), found.payload_kg)
 
     def _solved(
-        self, c: Array, payload_kg: float, most_derivatives: int = MOST_DERIVATIVES
+        self, start: Array, payload_kg: float, most_derivatives: int = MOST_DERIVATIVES
     ) -> Array:
-        cost, error = self._cost(c, payload_kg)
-        derived = 0
-        for _ in range(MOST_STEPS):
-            new = self._slopes is None
-            if self._slopes is None:
-                slopes = self._twin.slopes(self._goals(c), self._basis, payload_kg)
-                self._slopes = slopes.reshape(-1, slopes.shape[2])
-                derived += 1
-            normal = self._slopes.T @ self._slopes + self._rough
-            normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal)
-            step = np.linalg.solve(normal, self._slopes.T @ error - self._rough @ c)
-            ratio = np.inf
-            for part in (1.0, 0.5, 0.25, 0.1) if new else (1.0,):
-                tried, own_error = self._cost(c + part * step, payload_kg)
-                if tried < cost:
-                    ratio = tried / cost
-                    c, cost, error = c + part * step, tried, own_error
-                    break
-            if ratio > ENOUGH and (new or derived >= most_derivatives):
-                break
-            if ratio > GOOD_STEP and derived < most_derivatives:
-                self._slopes = None
+        twin, splines = self._twin, self._splines
+
+        def error(c: Array) -> Array:
+            tip = twin.tip_m(twin.run(splines.goals(c), payload_kg))
+            return np.append(tip - self._line.desired_m, splines.rough @ c)
+
+        def slopes(c: Array) -> Array:
+            by_c = twin.slopes(splines.goals(c), splines.basis, payload_kg)
+            return np.concatenate([by_c.reshape(-1, len(c)), splines.rough])
+
+        c, self._slopes = gauss_newton(error, slopes, start, most_derivatives, self._slopes)
         return c
 
 
-def goal_splines(line: Timeline, period_s: float) -> tuple[Array, Array]:
-    """Cubic B-splines after the rest, and their second derivatives, shape (n, count) each."""
-    rows = len(line.desired_m)
-    begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
-    count = max(4, round((end_s - begin_s) / KNOT_S)) - 3
-    knot_s = (end_s - begin_s) / (count + 3)
-    knots = begin_s + knot_s * np.arange(count + 4)
-    at_s = np.arange(rows) * period_s
-    basis, second = np.zeros((rows, count)), np.zeros((rows, count))
-    for k in range(count):
-        spline = BSpline.basis_element(knots[k : k + 5], extrapolate=False)
-        basis[:, k] = np.nan_to_num(spline(at_s))
-        second[:, k] = np.nan_to_num(spline.derivative(2)(at_s))
-    return basis, second
+def gauss_newton(
+    error: Callable[[Array], Array],
+    slopes: Callable[[Array], Array],
+    start: Array,
+    most_derivatives: int,
+    by_c: Array | None = None,
+) -> tuple[Array, Array | None]:
+    """Coefficients that minimise the sum of squared errors, and the last derivatives.
+
+    `by_c`: derivatives of a similar problem, to begin with.
+    """
+
+    def cost_of(error: Array) -> float:
+        cost = float(error @ error)
+        return cost if np.isfinite(cost) else np.inf
+
+    c, derived = start, 0
+    off = error(c)
+    for _ in range(MOST_STEPS):
+        new = by_c is None
+        if by_c is None:
+            by_c, derived = slopes(c), derived + 1
+        normal = by_c.T @ by_c
+        normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal)
+        step = np.linalg.solve(normal, -by_c.T @ off)
+        ratio = np.inf
+        for part in (1.0, 0.5, 0.25, 0.1) if new else (1.0,):
+            tried = error(c + part * step)
+            if cost_of(tried) < cost_of(off):
+                ratio = cost_of(tried) / cost_of(off)
+                c, off = c + part * step, tried
+                break
+        if ratio > ENOUGH and (new or derived >= most_derivatives):
+            break
+        if ratio > GOOD_STEP and derived < most_derivatives:
+            by_c = None
+    return c, by_c
+
+
+class GoalSplines:
+    """Cubic B-splines of the goals after the rest of a timeline.
+
+    `weight_m_s2`: tip error that an acceleration of 1 rad/s² outweighs.
+    """
+
+    def __init__(self, line: Timeline, period_s: float, weight_m_s2: float) -> None:
+        rows, self._dof = line.desired_m.shape
+        begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
+        count = max(4, round((end_s - begin_s) / KNOT_S)) - 3
+        knot_s = (end_s - begin_s) / (count + 3)
+        knots = begin_s + knot_s * np.arange(count + 4)
+        at_s = np.arange(rows) * period_s
+        self.basis, second = np.zeros((rows, count)), np.zeros((rows, count))
+        for k in range(count):
+            spline = BSpline.basis_element(knots[k : k + 5], extrapolate=False)
+            self.basis[:, k] = np.nan_to_num(spline(at_s))
+            second[:, k] = np.nan_to_num(spline.derivative(2)(at_s))
+        # As long as the accelerations of all rows, with as many rows as coefficients
+        self.rough = weight_m_s2 * np.kron(np.eye(self._dof), np.linalg.qr(second, mode="r"))
+
+    def goals(self, c: Array) -> Array:
+        """Goals of coefficients, joint after joint, shape (n, dof)."""
+        return np.asarray(self.basis @ c.reshape(self._dof, -1).T)
+
+    def fit(self, goals_rad: Array) -> Array:
+        """Coefficients whose goals are nearest to goals of shape (n, dof)."""
+        return np.asarray(np.linalg.lstsq(self.basis, goals_rad, rcond=None)[0].T.ravel())

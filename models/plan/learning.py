@@ -1,47 +1,17 @@
-"""Recorded run of a plan: goals sent, angles and tip measured, row by row of the plan.
-
-A trial (CSV and TOML, of `dropstitch import` or `dropstitch sil`) holds the tip by motion capture,
-a log of `dropstitch run` the tip that the robot predicted with its observer. Of several runs in one
-recording the last complete one counts, because the robot's estimate of the payload has settled
-there.
-
-A trial holds the mass at the tip. The goals sent include the corrections of feedback, which no
-recording separates. So the payload between whose plans the robot interpolated can be derived from
-the goals only if the plan has no corrections.
-
-Expected error of a plan that has learned, from the uncertainty that recorded runs leave.
-
-Over payloads the plant's error is a Gaussian process with the correlation by which changes of the
-goals are spread (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006, equation
-2.26). Its posterior error and the scatter between runs are independent. Runs whose tip comes from
-the observer do not reduce the plant's error: the observer has it too.
-
-Twin with the stiffness and damping of the link estimated from a recorded run.
-
-Learning multiplies errors by the inverse of the twin. At the first mode that inverse is right only
-if the twin has the mode at the frequency of the link: with a link that is a fifth stiffer than its
-plant, errors there did not fall from run to run. So the relative stiffness k and damping c of the
-twin are fitted to the recorded tip y::
-
-    sum |y - tip(k, c) - offset|^2 / NOISE^2 + (log k / STIFFNESS_SD)^2 + (log c / DAMPING_SD)^2
-
-by Gauss–Newton. The offset of the recording is free. The priors keep k and c near 1 if a run does
-not determine them.
-
-Learning from recorded runs of a plan: norm-optimal iterative learning on the twin.
+"""Learning from recorded runs of a plan: norm-optimal iterative learning on the twin.
 
 With the goals u sent and the tip y measured, the next goals u + B c minimise::
 
     |desired - y - S c|^2 + (CHANGE * acceleration of B c)^2
 
 S are the exact derivatives of the twin's tip along the goals sent, B the splines of the plan. The
-twin gets the stiffness and damping that are estimated from the recording
-(`models.plan.learning`). Its remaining error that repeats from run to run is contained in y
-and need not be known (Amann, Owens and Rogers, *IEE Proc. Control Theory Appl.* 143, 1996; Bristow,
-Tharayil and Alleyne, *IEEE Control Systems* 26, 2006). The step is taken as far as the twin itself,
-shifted to the recorded run, predicts that it helps. The k-th run at a payload counts with 2 / (k +
-1), so that learning averages runs that differ. After a run that was worse than the best one at its
-payload, learning goes back to the best one and takes half the step.
+twin gets the stiffness and damping of the link that fit the recording. Its remaining error that
+repeats from run to run is contained in y and need not be known (Amann, Owens and Rogers, *IEE Proc.
+Control Theory Appl.* 143, 1996; Bristow, Tharayil and Alleyne, *IEEE Control Systems* 26, 2006).
+The step is taken as far as the twin itself, shifted to the recorded run, predicts that it helps.
+The k-th run at a payload counts with 2 / (k + 1), so that learning averages runs that differ. After
+a run that was worse than the best one at its payload, learning goes back to the best one and takes
+half the step.
 
 Goals for other payloads get a part of the change that falls with the distance in payload, so that
 the goals for the recorded payload change by exactly B c and all others as little as is smooth.
@@ -65,16 +35,18 @@ from typing import Final
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+from scipy.signal import correlate
 
 from firmware_py.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
-from firmware_py.goals.tip_plan import BestRun, LearnedRun, PayloadPlan, TipPlan, as_columns
+from firmware_py.goals.tip_plan import BestRun, LearnedRun, TipPlan, as_columns
 from firmware_py.log.logged_run import logged_run
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
-from models.plan.inversion import goal_splines
+from models.plan.inversion import GoalSplines, gauss_newton
 from models.plan.paths import Timeline
 from models.plan.tip_twin import TipTwin
 from models.plant.linear_twin import STIFFNESS
@@ -92,11 +64,39 @@ MOST: Final = 1e6
 """Largest goal, angle or place, in radians and metres: far beyond any robot [assumed]."""
 LEAST_FRESH: Final = 0.9
 """Least fraction of rows with a measurement; between them it is interpolated [assumed]."""
-
-
 CORRECTED_KG: Final = 0.25
 """Distance from the mass at the tip within which corrections, not another payload, explain the
 goals of a trial [assumed]: half the step of the default grid."""
+DAMPING: Final = ("root_damping", "span_damping")
+"""Prefixes of the parameters that scale with the damping of the link."""
+STIFFNESS_SD: Final = 0.2
+DAMPING_SD: Final = 0.5
+"""Prior standard deviations of the logarithms of both factors [assumed]."""
+NOISE_M: Final = 2e-3
+"""Standard deviation of the tip about the fitted twin: the error of the demo's plant on trials that
+it was not fitted to."""
+CORRELATED_S: Final = 0.5
+"""Time over which that error counts once: about a period of the first mode."""
+CHANGE_M_S2: Final = 1e-4
+"""Tip error that 1 rad/s² of a change's acceleration outweighs: ten times the weight of planning,
+because a measured tip has noise and the twin is least accurate where it hardly moves [assumed]."""
+WORSE: Final = 1.3
+"""RMS of a run over that of the best at its payload, above which learning goes back. Measured on
+the rig, circle of 6 s with 1.8 kg: runs of one plan differ by a quarter."""
+NEAR_KG: Final = 0.1
+"""Difference below which two payloads count as one [assumed]."""
+LONGEST_DELAY_PERIODS: Final = 3.0
+LEAST_DELAY_PERIODS: Final = 0.25
+"""Range of the delays of the joints, and the least delay that is compensated [assumed]."""
+PAYLOAD_REACH_KG: Final = 1.0
+"""Distance in payload over which a change fades: correlation length of the learned
+goals [assumed]."""
+SCATTER: Final = 0.25
+"""RMS difference of two runs of a plan over the plant's error. Measured on the rig, circle of 6 s
+with 1.8 kg: runs differ by a quarter."""
+REMAINS: Final = 1e-3
+"""Part of the plant's squared error that remains at the payload of a run [assumed]: without it
+several runs at one payload make the equations singular."""
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,21 @@ class RecordedRun:
 
 
 def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
-    """Read the last complete run of a plan from a trial (`.csv`) or a log of the robot
-    (`.mcap`).
+    """Read the last complete run of a plan from a trial (`.csv`) or a log of the robot (`.mcap`).
+
+    A trial holds the tip by motion capture and the mass at the tip, a log the tip that the robot
+    predicted with its observer. Of several runs the last complete one counts, because the robot's
+    estimate of the payload has settled there.
+
+    The goals sent include the corrections of feedback, which no recording separates. So the payload
+    between whose plans the robot interpolated can be derived from the goals only if the plan has no
+    corrections.
     """
     _check_size(f"plan {plan.path}", plan.goals_rad())
-    if path.suffix == ".csv":
-        (table, payload_kg, went_by_kg), source = _of_trial(path, plan), "mocap"
+    if path.suffix.lower() == ".csv":
+        (table, payload_kg, assumed_kg), source = _of_trial(path, plan), "mocap"
     else:
-        (table, payload_kg, went_by_kg), source = _of_log(path, plan), "observer"
+        (table, payload_kg, assumed_kg), source = _of_log(path, plan), "observer"
     goals, angle, tip = (table[:, k * plan.dof : (k + 1) * plan.dof] for k in range(3))
     fitting_kg, difference = fitting_payload(plan, goals)
     scale = float(np.sqrt(np.mean(interpolated(plan, fitting_kg) ** 2)))
@@ -130,11 +137,76 @@ def read_plan_run(path: Path, plan: TipPlan) -> RecordedRun:
             path, f"is no run of the plan {plan.path}: its goals differ by {difference:.3f} rad",
             "name a recording of this plan",
         )  # fmt: skip
-    goals_payload_kg = _goals_payload_kg(plan, fitting_kg, payload_kg, went_by_kg)
+    goals_payload_kg = _goals_payload_kg(plan, fitting_kg, payload_kg, assumed_kg)
     return RecordedRun(
         goals, angle, tip, goals_payload_kg if payload_kg is None else payload_kg,
         goals_payload_kg, source, hashlib.sha256(path.read_bytes()).hexdigest(),
     )  # fmt: skip
+
+
+def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
+    """Table of the last complete run, the mass at the tip, and the payload that the robot used."""
+    log = read_recording(path)
+    _check_dof(path, log.dof, plan)
+    columns = log.columns
+    tick = columns["tick"].astype(np.int64)
+    fresh = (columns["stale_ticks"] == 0) & (columns["state"] < SafetyState.STOPPING)
+    if not fresh.any():
+        raise InputError(path, "holds no fresh measurement", "record the run again")
+    runs = int(tick[fresh].max() + 1) // plan.rows
+    if runs < 1:
+        raise InputError(path, f"ends before the {plan.rows} rows of the plan", "run it once whole")
+    grid = np.arange((runs - 1) * plan.rows, runs * plan.rows)
+    inside = fresh & (tick >= grid[0]) & (tick <= grid[-1])
+    if np.count_nonzero(inside) < LEAST_FRESH * plan.rows:
+        missing = plan.rows - np.count_nonzero(inside)
+        wrong = f"misses {missing} of {plan.rows} measurements"
+        raise InputError(path, wrong, "record the run again")
+    names = _joint_names(plan.dof) + [f"predicted_{n}" for n in tip_names()[: plan.dof]]
+    table = np.column_stack([columns[name][inside] for name in names])
+    table = _resampled(grid.astype(float), tick[inside].astype(float), table)
+    _check_size(path, table)
+    facts, estimate = logged_run(log), columns["payload_kg"][inside]
+    assumed_kg = facts.assumed_payload_kg
+    if assumed_kg is None and np.isfinite(estimate).all():
+        assumed_kg = float(estimate.mean())
+    return table, facts.payload_kg, assumed_kg
+
+
+def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
+    """Table and mass as in `_of_log`; a trial does not record the payload that the robot used."""
+    trial = read_trial(path)
+    _check_dof(path, trial.meta.dof, plan)
+    table = trial.stack(*_joint_names(plan.dof), *tip_names()[: plan.dof])
+    since_s, measured = trial.time_s - trial.time_s[0], np.isfinite(table)
+    if np.any(np.count_nonzero(measured, axis=0) < LEAST_FRESH * len(table)):
+        raise InputError(path, "has too many empty cells", "record the run again")
+    _check_size(path, table[measured])
+    at_s = np.arange(0.0, since_s[-1] + 1e-9, plan.period_s)
+    table = np.column_stack([
+        np.interp(at_s, since_s[own], column[own])
+        for column, own in zip(table.T, measured.T, strict=True)
+    ])  # fmt: skip
+    if len(table) < plan.rows:
+        raise InputError(path, f"is shorter than the {plan.rows} rows of the plan", "run it whole")
+    start = _start_row(table[:, : plan.dof], plan)
+    return table[start : start + plan.rows], trial.meta.payload_kg, None
+
+
+def _goals_payload_kg(
+    plan: TipPlan, fitting_kg: float, payload_kg: float | None, assumed_kg: float | None
+) -> float:
+    """Payload that the goals were interpolated at, without corrections."""
+    if plan.feedback is None or plan.feedback.size_rad == 0.0:
+        return fitting_kg
+    low, high = plan.grid_kg[0], plan.grid_kg[-1]
+    if assumed_kg is not None:
+        return float(np.clip(assumed_kg, low, high))
+    if payload_kg is None:
+        return fitting_kg
+    # The robot of a trial may have estimated the mass at the tip, with a large error.
+    mass_kg = float(np.clip(payload_kg, low, high))
+    return mass_kg if abs(fitting_kg - mass_kg) <= CORRECTED_KG else fitting_kg
 
 
 def interpolated(plan: TipPlan, payload_kg: float) -> Array:
@@ -167,103 +239,22 @@ def fitting_payload(plan: TipPlan, goals_rad: Array) -> tuple[float, float]:
     return payload_kg, rms
 
 
-def _goals_payload_kg(
-    plan: TipPlan, fitting_kg: float, payload_kg: float | None, went_by_kg: float | None
-) -> float:
-    """Payload that the goals were interpolated at, without corrections."""
-    if plan.feedback is None or plan.feedback.size_rad == 0.0:
-        return fitting_kg
-    low, high = plan.grid_kg[0], plan.grid_kg[-1]
-    if went_by_kg is not None:
-        return float(np.clip(went_by_kg, low, high))
-    if payload_kg is None:
-        return fitting_kg
-    # The robot of a trial may have estimated the mass at the tip, with a large error.
-    told_kg = float(np.clip(payload_kg, low, high))
-    return told_kg if abs(fitting_kg - told_kg) <= CORRECTED_KG else fitting_kg
-
-
-def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
-    """Table of the last complete run, the mass at the tip, and the payload that the robot used."""
-    log = read_recording(path)
-    _check_dof(path, log.dof, plan)
-    columns = log.columns
-    tick = columns["tick"].astype(np.int64)
-    fresh = (columns["stale_ticks"] == 0) & (columns["state"] < SafetyState.STOPPING)
-    if not fresh.any():
-        raise InputError(path, "holds no fresh measurement", "record the run again")
-    runs = int(tick[fresh].max() + 1) // plan.rows
-    start = (runs - 1) * plan.rows
-    if runs < 1:
-        raise InputError(path, f"ends before the {plan.rows} rows of the plan", "run it once whole")
-    inside = fresh & (tick >= start) & (tick < start + plan.rows)
-    if np.count_nonzero(inside) < LEAST_FRESH * plan.rows:
-        raise InputError(
-            path, f"misses {plan.rows - np.count_nonzero(inside)} of {plan.rows} measurements",
-            "record the run again",
-        )  # fmt: skip
-    names = _joint_names(plan.dof) + [f"predicted_{n}" for n in tip_names()[: plan.dof]]
-    grid = np.arange(start, start + plan.rows)
-    table = np.column_stack([np.interp(grid, tick[inside], columns[n][inside]) for n in names])
-    _check_size(path, table)
-    facts, estimate = logged_run(log), columns["payload_kg"][inside]
-    went_by_kg = facts.assumed_payload_kg
-    if went_by_kg is None and np.isfinite(estimate).all():
-        went_by_kg = float(estimate.mean())
-    return table, facts.payload_kg, went_by_kg
-
-
-def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
-    """Table and mass as in `_of_log`; a trial does not record the payload that the robot used."""
-    trial = read_trial(path)
-    _check_dof(path, trial.meta.dof, plan)
-    table = trial.stack(*_joint_names(plan.dof), *tip_names()[: plan.dof])
-    if not np.isfinite(table).all():
-        table = _filled(table, path)
-    _check_size(path, table)
-    grid = np.arange(0.0, trial.time_s[-1] - trial.time_s[0] + 1e-9, plan.period_s)
-    since = trial.time_s - trial.time_s[0]
-    table = np.column_stack([np.interp(grid, since, column) for column in table.T])
-    if len(table) < plan.rows:
-        raise InputError(path, f"is shorter than the {plan.rows} rows of the plan", "run it whole")
-    start = _start_row(table[:, : plan.dof], plan)
-    return table[start : start + plan.rows], trial.meta.payload_kg, None
-
-
-def _check_size(path: Path | str, table: Array) -> None:
-    """Refuse values whose squares would overflow."""
-    if not np.all(np.abs(table) < MOST):
-        raise InputError(
-            path,
-            f"has goals, angles or places that are not finite or beyond {MOST:g}",
-            "record it again",
-        )
-
-
-def _filled(table: Array, path: Path) -> Array:
-    rows = np.arange(len(table))
-    for column in table.T:
-        fresh = np.isfinite(column)
-        if np.count_nonzero(fresh) < LEAST_FRESH * len(column):
-            raise InputError(path, "has too many empty cells", "record the run again")
-        column[~fresh] = np.interp(rows[~fresh], rows[fresh], column[fresh])
-    return table
-
-
 def _start_row(goals: Array, plan: TipPlan) -> int:
     """Row of a recording at which its last complete run begins, by matching the plan's goals."""
     wanted = np.mean(plan.goals_rad(), axis=0)
-    starts = len(goals) - plan.rows + 1
-    size, total = 1 << (len(goals) + plan.rows).bit_length(), np.zeros(starts)
+    power = np.concatenate([[0.0], np.cumsum(np.sum(goals**2, axis=1))])
+    distance = power[plan.rows :] - power[: -plan.rows] + np.sum(wanted**2)
     for own, sent in zip(wanted.T, goals.T, strict=True):
-        both = np.fft.rfft(sent, size) * np.conj(np.fft.rfft(own, size))
-        power = np.concatenate([[0.0], np.cumsum(sent**2)])
-        total += power[plan.rows :] - power[:starts] + np.sum(own**2)
-        total -= 2.0 * np.fft.irfft(both, size)[:starts]
-    near = total <= total.min() + VALLEY * float(np.sum(wanted**2))
+        distance -= 2.0 * correlate(sent, own, mode="valid", method="fft")
+    near = distance <= distance.min() + VALLEY * float(np.sum(wanted**2))
     last = int(np.flatnonzero(near)[-1])  # inside the last valley, whose minimum is the start
     low = max(0, last - plan.rows // 2)
-    return low + int(np.argmin(total[low : last + 1]))
+    return low + int(np.argmin(distance[low : last + 1]))
+
+
+def _resampled(at: Array, places: Array, table: Array) -> Array:
+    """Columns of a table, interpolated linearly."""
+    return np.column_stack([np.interp(at, places, column) for column in table.T])
 
 
 def _joint_names(dof: int) -> list[str]:
@@ -278,109 +269,14 @@ def _check_dof(path: Path, dof: int, plan: TipPlan) -> None:
         )
 
 
-PAYLOAD_REACH_KG: Final = 1.0
-"""Distance in payload over which a change fades: correlation length of the learned
-goals [assumed]."""
-SCATTER: Final = 0.25
-"""RMS difference of two runs of a plan over the plant's error. Measured on the rig, circle of 6 s
-with 1.8 kg: runs differ by a quarter."""
-UNTOLD: Final = 1e-3
-"""Part of the plant's squared error that remains at the payload of a run [assumed]: without it
-several runs at one payload make the equations singular."""
-
-
-def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:
-    """Correlation of goals and of the plant's error between payloads, shape (a, b)."""
-    apart = np.subtract.outer(np.asarray(a_kg), np.asarray(b_kg)) / PAYLOAD_REACH_KG
-    return np.asarray(np.exp(-0.5 * apart**2))
-
-
-def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> Array:
-    """RMS error at payloads that neither the twin nor the recorded runs predict, shape (p,).
-
-    Shapes: `payloads_kg` (p,).
-    """
-    off_m = float(np.sqrt(np.mean(np.sum((run.tip_m - plan.desired_tip_m()) ** 2, axis=1))))
-    plant_m = plan.plant_error_rms_m or 0.0
-    scatter_m = SCATTER * (plant_m or off_m)
-    seen = [known.payload_kg for known in plan.learned if known.source == "mocap"]
-    if run.source == "mocap":
-        seen.append(run.payload_kg)
-    at = np.asarray(payloads_kg, dtype=np.float64)
-    left = np.ones(len(at))
-    if seen:
-        own = payload_correlation(seen, seen) + UNTOLD * np.eye(len(seen))
-        across = payload_correlation(at, seen)
-        left -= np.sum(across * np.linalg.solve(own, across.T).T, axis=1)
-    return np.hypot(plant_m * np.sqrt(np.maximum(left, 0.0)), scatter_m)
-
-
-DAMPING: Final = ("root_damping", "span_damping")
-"""Prefixes of the parameters that scale with the damping of the link."""
-STIFFNESS_SD: Final = 0.2
-DAMPING_SD: Final = 0.5
-"""Standard deviations of the logarithms of both factors [assumed]."""
-NOISE_M: Final = 2e-3
-"""Standard deviation of the tip about the fitted twin: the error of the demo's plant on trials that
-it was not fitted to."""
-CORRELATED_S: Final = 0.5
-"""Time over which that error counts once: about a period of the first mode."""
-STEPS: Final = 6
-DIFFERENCE: Final = 0.02
-"""Most steps, and the difference of a logarithm over which slopes are taken [assumed]."""
-
-
-def recorded_twin(
-    twin: TipTwin, plant: Plant, goals_rad: Array, tip_m: Array, payload_kg: float
-) -> tuple[TipTwin, float, float]:
-    """Fit stiffness and damping of the link; return the twin and both factors.
-
-    Shapes: `goals_rad` (n, dof), `tip_m` (n, dof).
-    """
-    sd = np.array([STIFFNESS_SD, DAMPING_SD])
-    weight = np.sqrt(twin.period_s / CORRELATED_S) / NOISE_M
-
-    def changed(logs: Array) -> TipTwin:
-        factors = np.exp(logs)
-        return twin.changed({
-            name: own.value * factors[k]
-            for k, begins in enumerate((STIFFNESS, DAMPING))
-            for name, own in plant.parameters.items()
-            if name.startswith(begins)
-        })  # fmt: skip
-
-    def off(logs: Array) -> Array:
-        own = changed(logs)
-        error = tip_m - own.tip_m(own.run(goals_rad, payload_kg))
-        return np.concatenate([weight * (error - error.mean(axis=0)).ravel(), logs / sd])
-
-    logs, now = np.zeros(2), off(np.zeros(2))
-    for _ in range(STEPS):
-        slopes = np.column_stack(
-            [(off(logs + d) - now) / DIFFERENCE for d in DIFFERENCE * np.eye(2)]
+def _check_size(path: Path | str, table: Array) -> None:
+    """Refuse values whose squares would overflow."""
+    if not np.all(np.abs(table) < MOST):
+        raise InputError(
+            path,
+            f"has goals, angles or places that are not finite or beyond {MOST:g}",
+            "record it again",
         )
-        step = np.clip(-np.linalg.lstsq(slopes, now, rcond=None)[0], -sd, sd)
-        tried = off(logs + step)
-        if not tried @ tried < now @ now:
-            break
-        logs, now = logs + step, tried
-    stiffness, damping = (float(f) for f in np.exp(logs))
-    return changed(logs), stiffness, damping
-
-
-CHANGE_M_S2: Final = 1e-4
-"""Tip error that 1 rad/s² of a change's acceleration outweighs: ten times the weight of planning,
-because a measured tip has noise and the twin is least accurate where it hardly moves [assumed]."""
-STEPS_plan_learning: Final = 3
-"""Gauss–Newton steps with the same derivatives [assumed]."""
-WORSE: Final = 1.3
-"""RMS of a run over that of the best at its payload, above which learning goes back. Measured on
-the rig, circle of 6 s with 1.8 kg: runs of one plan differ by a quarter."""
-NEAR_KG: Final = 0.1
-"""Difference below which two payloads count as one [assumed]."""
-LONGEST_DELAY_PERIODS: Final = 3.0
-LEAST_DELAY_PERIODS: Final = 0.25
-"""Range of the delays of the joints, and the least delay that is compensated [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -404,17 +300,15 @@ def improve_plan(plan: TipPlan, run: RecordedRun, plant: Plant, limits: Limits) 
     start, gain, before = _start(plan, run, measured_m)
     went_back = start is not run
     twin = TipTwin(plant.step_model(plan.dof), plan.dof, plan.period_s)
-    step = _Step(plan, start, twin, plant)
-    tried: InputError | None = None
+    step = _Step(plan, start, twin)
     for part in (1.0, 0.5, 0.25, 0.1):
         improved, predicted_m = step.plan(gain * part)
         try:
             check_plan_goals(improved, limits, f"plan {plan.path}, improved")
             break
-        except InputError as error:
-            tried = error
-    else:
-        raise tried or InputError("--improve", "changes nothing", "name another recording")
+        except InputError:
+            if part == 0.1:
+                raise
     unknown_m = unknown_error_m(plan, run, [run.payload_kg])[0]
     learned = LearnedRun(
         sha256=run.sha256, source=run.source, payload_kg=run.payload_kg, rms_m=measured_m,
@@ -447,121 +341,6 @@ def _check(plan: TipPlan, run: RecordedRun, plant: Plant) -> None:
             "--improve", "names a log with the tip by the observer, whose error would undo what "
             "the plan has learned from motion capture", "name a trial with motion capture",
         )  # fmt: skip
-
-
-class _Step:
-    """Change of the goals by one recorded run."""
-
-    def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin, plant: Plant) -> None:
-        self._plan, self._run = plan, run
-        rest = round(plan.rest_s / plan.period_s)
-        desired = plan.desired_tip_m()
-        line = Timeline(desired, rest, plan.start_row, plan.end_row, plan.drawn)
-        self._basis, second = goal_splines(line, plan.period_s)
-        self._rough = np.kron(np.eye(plan.dof), CHANGE_M_S2**2 * second.T @ second)
-        self._rest, self._error = rest, desired - run.tip_m
-        outputs = twin.run(run.goals_rad, run.payload_kg)
-        self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
-        self._sent = self._late(run.goals_rad)
-        twin, self.stiffness, self.damping = recorded_twin(
-            twin, plant, self._sent, run.tip_m, run.payload_kg
-        )
-        self._twin, self._own_tip = twin, twin.tip_m(twin.run(self._sent, run.payload_kg))
-
-    def plan(self, gain: float) -> tuple[TipPlan, float]:
-        """Plan with a part of the change, and the RMS error that it predicts for the next run."""
-        plan, run, twin = self._plan, self._run, self._twin
-        lead_s = self.delay_s - plan.goal_lead_s
-        c = gain * self._solved
-        wanted = run.goals_rad + self._goals(c)
-        tables = [self._moved(t, lead_s) for t in plan.goals_rad()]
-        weights = payload_weights(plan, run.goals_payload_kg)
-        # The change is spread over payloads like a Gaussian process with this correlation.
-        spread = payload_correlation(plan.grid_kg, plan.grid_kg) @ weights
-        spread = spread / float(weights @ spread)
-        base = np.einsum("p,pnj->nj", weights, np.array(tables))
-        change = np.linalg.lstsq(self._basis, wanted - base, rcond=None)[0]
-        repeats = run.tip_m - self._own_tip
-        unknown = unknown_error_m(plan, run, plan.grid_kg)
-        payloads = []
-        for own, table, part, off in zip(plan.payloads, tables, spread, unknown, strict=True):
-            goals = table + part * (self._basis @ change)
-            goals[: self._rest] = 0.0
-            outputs = twin.run(self._late(goals), own.payload_kg)
-            tip = twin.tip_m(outputs) + part * repeats
-            left = _rms(tip - plan.desired_tip_m())
-            payloads.append(_next(own, goals, tip, twin.current_a(outputs), left, off))
-        improved = msgspec.structs.replace(plan, payloads=tuple(payloads), goal_lead_s=self.delay_s)
-        predicted = self._predicted(interpolated(improved, run.goals_payload_kg))
-        return improved, _rms(predicted - plan.desired_tip_m())
-
-    @functools.cached_property
-    def _solved(self) -> Array:
-        """Coefficients of the change, as far as the shifted twin predicts that it helps."""
-        slopes = self._twin.slopes(self._sent, self._late(self._basis), self._run.payload_kg)
-        slopes = slopes.reshape(-1, slopes.shape[2])
-        normal = slopes.T @ slopes + self._rough
-        normal[np.diag_indices_from(normal)] += 1e-12 * np.trace(normal)
-        c, cost = np.zeros(slopes.shape[1]), float(np.sum(self._error**2))
-        error = self._error
-        for _ in range(STEPS_plan_learning):
-            step = np.linalg.solve(normal, slopes.T @ error.ravel() - self._rough @ c)
-            for part in (1.0, 0.5, 0.25, 0.1):
-                tried = c + part * step
-                tip = self._predicted(self._run.goals_rad + self._goals(tried))
-                own_error = self._plan.desired_tip_m() - tip
-                own = float(np.sum(own_error**2) + tried @ self._rough @ tried)
-                if own < cost:
-                    c, cost, error = tried, own, own_error
-                    break
-            else:
-                break
-        return c
-
-    def _predicted(self, goals_rad: Array) -> Array:
-        """Tip of the recorded run with other goals: the measured tip plus the twin's change."""
-        outputs = self._twin.run(self._late(goals_rad), self._run.payload_kg)
-        return self._run.tip_m + self._twin.tip_m(outputs) - self._own_tip
-
-    def _goals(self, c: Array) -> Array:
-        return np.asarray(self._basis @ c.reshape(self._plan.dof, -1).T)
-
-    def _late(self, table: Array) -> Array:
-        return self._moved(table, -self.delay_s)
-
-    def _moved(self, table: Array, lead_s: float) -> Array:
-        """Table advanced by a time that need not be whole periods."""
-        if lead_s == 0.0:
-            return table
-        rows = np.arange(len(table), dtype=np.float64)
-        at = rows + lead_s / self._plan.period_s
-        return np.column_stack([np.interp(at, rows, column) for column in table.T])
-
-
-def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
-    """Delay of measured angles behind those of the twin; 0 if it is small."""
-    rows = np.arange(len(twin_rad), dtype=np.float64)
-
-    def distance(periods: float) -> float:
-        late = [np.interp(rows - periods, rows, column) for column in twin_rad.T]
-        return float(np.sum((measured_rad - np.column_stack(late)) ** 2))
-
-    grid = np.arange(-LONGEST_DELAY_PERIODS, LONGEST_DELAY_PERIODS + 1e-9, 0.05)
-    found = float(grid[int(np.argmin([distance(p) for p in grid]))])
-    if abs(found) < LEAST_DELAY_PERIODS or abs(found) > LONGEST_DELAY_PERIODS - 0.1:
-        return 0.0
-    return found * period_s
-
-
-def _next(
-    own: PayloadPlan, goals: Array, tip: Array, current: Array, left_m: float, off_m: float
-) -> PayloadPlan:
-    """Plan for one payload after a part of a change, with the expected remaining error."""
-    return msgspec.structs.replace(
-        own, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
-        current_a=as_columns(current, 4), residual_rms_m=left_m,
-        expected_rms_m=float(np.hypot(left_m, off_m)),
-    )  # fmt: skip
 
 
 def _start(
@@ -600,6 +379,163 @@ def _without_corrections(plan: TipPlan) -> TipPlan:
         )
     payloads = tuple(msgspec.structs.replace(own, stiffness=None) for own in plan.payloads)
     return msgspec.structs.replace(plan, feedback=None, payloads=payloads)
+
+
+class _Step:
+    """Change of the goals by one recorded run."""
+
+    def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin) -> None:
+        self._plan, self._run, self._desired = plan, run, plan.desired_tip_m()
+        self._rest = round(plan.rest_s / plan.period_s)
+        line = Timeline(self._desired, self._rest, plan.start_row, plan.end_row, plan.drawn)
+        self._splines = GoalSplines(line, plan.period_s, CHANGE_M_S2)
+        outputs = twin.run(run.goals_rad, run.payload_kg)
+        self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
+        self._sent = self._late(run.goals_rad)
+        self._twin, self.stiffness, self.damping = recorded_twin(
+            twin, self._sent, run.tip_m, run.payload_kg
+        )
+        self._twin_tip = self._twin.tip_m(self._twin.run(self._sent, run.payload_kg))
+
+    def plan(self, gain: float) -> tuple[TipPlan, float]:
+        """Plan with a part of the change, and the RMS error that it predicts for the next run."""
+        plan, run, twin, splines = self._plan, self._run, self._twin, self._splines
+        wanted = run.goals_rad + splines.goals(gain * self._change)
+        lead_s = self.delay_s - plan.goal_lead_s
+        tables = [self._moved(table, lead_s) for table in plan.goals_rad()]
+        weights = payload_weights(plan, run.goals_payload_kg)
+        # The change is spread over payloads like a Gaussian process with this correlation.
+        spread = payload_correlation(plan.grid_kg, plan.grid_kg) @ weights
+        spread = spread / float(weights @ spread)
+        base = np.einsum("p,pnj->nj", weights, np.array(tables))
+        change = splines.goals(splines.fit(wanted - base))
+        repeats = run.tip_m - self._twin_tip
+        unknown_m = unknown_error_m(plan, run, plan.grid_kg)
+        payloads = []
+        for own, table, part, off_m in zip(plan.payloads, tables, spread, unknown_m, strict=True):
+            goals = table + part * change
+            goals[: self._rest] = 0.0
+            outputs = twin.run(self._late(goals), own.payload_kg)
+            tip = twin.tip_m(outputs) + part * repeats
+            left_m = _rms(tip - self._desired)
+            payloads.append(
+                msgspec.structs.replace(
+                    own, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
+                    current_a=as_columns(twin.current_a(outputs), 4), residual_rms_m=left_m,
+                    expected_rms_m=float(np.hypot(left_m, off_m)),
+                )
+            )  # fmt: skip
+        improved = msgspec.structs.replace(plan, payloads=tuple(payloads), goal_lead_s=self.delay_s)
+        predicted = self._predicted(interpolated(improved, run.goals_payload_kg))
+        return improved, _rms(predicted - self._desired)
+
+    @functools.cached_property
+    def _change(self) -> Array:
+        """Coefficients of the change, as far as the shifted twin predicts that it helps."""
+        splines, run = self._splines, self._run
+
+        def error(c: Array) -> Array:
+            tip = self._predicted(run.goals_rad + splines.goals(c))
+            return np.append(tip - self._desired, splines.rough @ c)
+
+        def slopes(c: Array) -> Array:
+            by_c = self._twin.slopes(self._sent, self._late(splines.basis), run.payload_kg)
+            return np.concatenate([by_c.reshape(-1, len(c)), splines.rough])
+
+        return gauss_newton(error, slopes, np.zeros(len(splines.rough)), 1)[0]
+
+    def _predicted(self, goals_rad: Array) -> Array:
+        """Tip of the recorded run with other goals: the measured tip plus the twin's change."""
+        outputs = self._twin.run(self._late(goals_rad), self._run.payload_kg)
+        return self._run.tip_m + self._twin.tip_m(outputs) - self._twin_tip
+
+    def _late(self, table: Array) -> Array:
+        return self._moved(table, -self.delay_s)
+
+    def _moved(self, table: Array, lead_s: float) -> Array:
+        """Table advanced by a time that need not be whole periods."""
+        rows = np.arange(len(table), dtype=np.float64)
+        return _resampled(rows + lead_s / self._plan.period_s, rows, table)
+
+
+def _delay_s(twin_rad: Array, measured_rad: Array, period_s: float) -> float:
+    """Delay of measured angles behind those of the twin; 0 if it is small."""
+    rows = np.arange(len(twin_rad), dtype=np.float64)
+
+    def distance(periods: float) -> float:
+        return float(np.sum((measured_rad - _resampled(rows - periods, rows, twin_rad)) ** 2))
+
+    grid = np.arange(-LONGEST_DELAY_PERIODS, LONGEST_DELAY_PERIODS + 1e-9, 0.05)
+    found = float(min(grid, key=distance))
+    if abs(found) > LONGEST_DELAY_PERIODS - 0.1:
+        if distance(found) > 0.5 * distance(0.0):
+            return 0.0  # another cause than time
+        raise InputError(
+            "--improve", f"names a recording whose joints follow {LONGEST_DELAY_PERIODS:g} periods "
+            f"or more {'later' if found > 0 else 'earlier'} than the twin's",
+            "check the clock of the recording, or identify the plant again",
+        )  # fmt: skip
+    return 0.0 if abs(found) < LEAST_DELAY_PERIODS else found * period_s
+
+
+def recorded_twin(
+    twin: TipTwin, goals_rad: Array, tip_m: Array, payload_kg: float
+) -> tuple[TipTwin, float, float]:
+    """Twin with the stiffness k and damping c of the link that fit a recorded tip y, and both.
+
+    Learning multiplies errors by the inverse of the twin. At the first mode that inverse is right
+    only if the twin has the mode at the frequency of the link: with a link that is a fifth stiffer
+    than its plant, errors there did not fall from run to run. The relative k and c minimise::
+
+        sum |y - tip(k, c) - offset|^2 / NOISE^2 + (log k / STIFFNESS_SD)^2 + (log c / DAMPING_SD)^2
+
+    The offset of the recording is free. The priors keep k and c near 1 if a run does not determine
+    them. Shapes: `goals_rad` (n, dof), `tip_m` (n, dof).
+    """
+    sd = np.array([STIFFNESS_SD, DAMPING_SD])
+    weight = np.sqrt(twin.period_s / CORRELATED_S) / NOISE_M
+
+    def scaled(logs: Array) -> TipTwin:
+        stiffness, damping = np.exp(logs)
+        return twin.scaled({STIFFNESS: stiffness, DAMPING: damping})
+
+    def off(logs: Array) -> Array:
+        other = scaled(logs)
+        error = tip_m - other.tip_m(other.run(goals_rad, payload_kg))
+        return np.concatenate([weight * (error - error.mean(axis=0)).ravel(), logs / sd])
+
+    logs = least_squares(off, np.zeros(2), bounds=(-4.0 * sd, 4.0 * sd), x_scale=sd, xtol=1e-3).x
+    stiffness, damping = (float(f) for f in np.exp(logs))
+    return scaled(logs), stiffness, damping
+
+
+def payload_correlation(a_kg: ArrayLike, b_kg: ArrayLike) -> Array:
+    """Correlation of goals and of the plant's error between payloads, shape (a, b)."""
+    apart = np.subtract.outer(np.asarray(a_kg), np.asarray(b_kg)) / PAYLOAD_REACH_KG
+    return np.asarray(np.exp(-0.5 * apart**2))
+
+
+def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> Array:
+    """RMS error at payloads (p,) that neither the twin nor the recorded runs predict, shape (p,).
+
+    Over payloads the plant's error is a Gaussian process with the correlation by which changes of
+    the goals are spread (Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006,
+    equation 2.26). Its posterior error and the scatter between runs are independent. Runs whose tip
+    comes from the observer do not reduce the plant's error: the observer has it too.
+    """
+    off_m = float(np.sqrt(np.mean(np.sum((run.tip_m - plan.desired_tip_m()) ** 2, axis=1))))
+    plant_m = plan.plant_error_rms_m or 0.0
+    scatter_m = SCATTER * (plant_m or off_m)
+    measured_kg = [known.payload_kg for known in plan.learned if known.source == "mocap"]
+    if run.source == "mocap":
+        measured_kg.append(run.payload_kg)
+    at = np.asarray(payloads_kg, dtype=np.float64)
+    left = np.ones(len(at))
+    if measured_kg:
+        own = payload_correlation(measured_kg, measured_kg) + REMAINS * np.eye(len(measured_kg))
+        across = payload_correlation(at, measured_kg)
+        left -= np.sum(across * np.linalg.solve(own, across.T).T, axis=1)
+    return np.hypot(plant_m * np.sqrt(np.maximum(left, 0.0)), scatter_m)
 
 
 def _rms(error: Array) -> float:

@@ -1,17 +1,8 @@
-"""Single-stroke font: capitals, digits and a few signs, made for this project.
-
-A letter stands on a grid of 4 by 6. A stroke is a row of points, two digits each: column, row from
-below. A stroke that begins with `~` is rounded by cutting its corners (Chaikin 1974).
-
-Built-in paths of the tip: their shape over one turn, and their timing.
+"""Desired path of the tip over time: built-in shapes, texts, CSV files, and the ways around them.
 
 Every path starts and ends at rest. A closed curve is passed at constant speed between an eased
 start and an eased end; a polygon and a text stop at their corners, because the tip cannot turn at
-speed. `size_m` is half of the largest extent.
-
-Path of the tip from a CSV file of time and position.
-
-Timeline of a plan: rest, way to the path, path, way back, rest.
+speed. `timeline` adds the rest before a path, the way to it, the way back, and the rest after it.
 """
 
 from __future__ import annotations
@@ -30,84 +21,11 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_text
 
 Array = NDArray[np.float64]
-WIDTH: Final = 4.0
-HEIGHT: Final = 6.0
-GAP: Final = 1.6
-"""Space between two letters, in units of the grid."""
-ROUNDS: Final = 4
-"""Times that the corners of a round stroke are cut."""
 
-GLYPHS: Final[dict[str, str]] = {
-    " ": "",
-    "A": "002640|1232", "B": "0006|~0646464303|~0343434000", "C": "~444626060000204042",
-    "D": "0006|~06464640400000", "E": "46060040|0333", "F": "460600|0333",
-    "G": "~44462606000020404043|4323", "H": "0006|4046|0343", "I": "2026", "J": "~464640200002",
-    "K": "0006|460340", "L": "060040", "M": "0006234640", "N": "00064046",
-    "O": "~232606000020404046262606", "P": "0006|~0646464303", "Q": "~26060000404046462606|2240",
-    "R": "0006|~0646464303|2340", "S": "~45462606040343424020000001", "T": "0646|2620",
-    "U": "~06060000404046", "V": "062046", "W": "0610233046", "X": "0046|0640",
-    "Y": "062346|2320", "Z": "06460040",
-    "0": "~26060000404046462606", "1": "052620", "2": "~0506264644230000|0040",
-    "3": "~0506464643232343434000000001", "4": "30360242", "5": "46060333|~2343434000000001",
-    "6": "~4526060000404043432303", "7": "064610", "8": "~2306064646230000404023",
-    "9": "~4323030606464640200001", "-": "1333", ".": "2021", "+": "2125|0343", "/": "0046",
-}  # fmt: skip
-"""Strokes of each character, separated by `|`."""
-
-ROUND_LETTERS: Final = {"O": (2.0, 3.0), "0": (2.0, 3.0), "Q": (2.0, 3.0)}
-"""Characters whose first stroke is an ellipse: its half axes."""
-
-
-def text_strokes(text: str) -> list[Array]:
-    """Strokes of a text in the order of writing, centred, with a largest extent of 2.
-
-    Shapes: each (points, 2).
-    """
-    unknown = sorted({c for c in text.upper() if c not in GLYPHS})
-    if unknown or not text.strip():
-        raise InputError(
-            f"text {text!r}", f"has {' '.join(unknown)!r}, which the font lacks" if unknown
-            else "is empty", "use " + "".join(sorted(GLYPHS)).strip(),
-        )  # fmt: skip
-    strokes = []
-    for place, letter in enumerate(text.upper()):
-        origin = np.array([place * (WIDTH + GAP), 0.0])
-        strokes += [origin + stroke for stroke in _strokes_of(letter)]
-    every = np.concatenate(strokes)
-    low, high = every.min(axis=0), every.max(axis=0)
-    scale = 2.0 / max(*(high - low), 1e-9)
-    return [scale * (stroke - 0.5 * (low + high)) for stroke in strokes]
-
-
-def _strokes_of(letter: str) -> list[Array]:
-    result = []
-    for number, text in enumerate(filter(None, GLYPHS[letter].split("|"))):
-        if letter in ROUND_LETTERS and number == 0:
-            result.append(_ellipse(*ROUND_LETTERS[letter]))
-            continue
-        digits = np.array([int(c) for c in text.lstrip("~")], dtype=np.float64)
-        points = digits.reshape(-1, 2)
-        result.append(_rounded(points) if text.startswith("~") else points)
-    return result
-
-
-def _ellipse(half_width: float, half_height: float) -> Array:
-    """Ellipse, counter-clockwise from the top, about the middle of the grid."""
-    turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
-    middle = np.array([0.5 * WIDTH, 0.5 * HEIGHT])
-    return middle + np.column_stack([half_width * np.cos(turn), half_height * np.sin(turn)])
-
-
-def _rounded(points: Array) -> Array:
-    """Polyline whose corners are cut repeatedly; its ends stay."""
-    points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
-    for _ in range(ROUNDS):
-        a, b = points[:-1], points[1:]
-        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
-        points = np.concatenate([points[:1], cut, points[-1:]])
-    return points
-
-
+SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")
+"""Names of the built-in paths, beside `text:…`."""
+FOR_ONE_JOINT: Final = ("line", "hold", "point_to_point")
+DEFAULT_SIZE_M: Final = 0.3
 EASE_FRACTION: Final = 0.25
 """Part of the first and of the last turn in which the speed rises and falls [assumed]."""
 CORNER_RAD: Final = 0.9
@@ -115,11 +33,6 @@ CORNER_RAD: Final = 0.9
 TIME_EXPONENT: Final = 0.6
 """Exponent of the length of a piece of a stroke in its share of the time: between equal speeds (1)
 and equal accelerations (1/2) [assumed]."""
-DEFAULT_SIZE_M: Final = 0.3
-
-SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")
-"""Names of the built-in paths, beside `text:…`."""
-FOR_ONE_JOINT: Final = ("line", "hold", "point_to_point")
 
 
 @dataclass(frozen=True)
@@ -140,9 +53,78 @@ class PathOptions:
     size_m: float = DEFAULT_SIZE_M  # Half of the largest extent
     centre_m: tuple[float, ...] = ()
     seconds: float = 8.0  # Duration of one turn, or of a whole text
-    turns: int = 1  # Number of turns
+    turns: int = 1
     angle_rad: float = 0.0  # Direction of a line in the plane, from x towards y
     move_s: float = 0.0  # Duration of a move of `point_to_point`; 0 means a quarter of a turn
+
+
+def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) -> DesiredPath:
+    _check_options(options, dof)
+    _check_name(name, dof)
+    _check_use(options, name, dof)
+    centre = np.zeros(2)
+    centre[: len(options.centre_m)] = options.centre_m
+    direction = np.array([np.cos(options.angle_rad), np.sin(options.angle_rad)])
+    rows = max(2, round(options.seconds * options.turns / period_s)) + 1
+    fraction = np.linspace(0.0, 1.0, rows)
+    drawn: tuple[tuple[int, int], ...] = ((0, rows),)
+    moves: tuple[tuple[int, int], ...] = ()
+    if name.startswith("text:"):
+        tip, drawn = _along(text_strokes(name[5:]), fraction, joined=False)
+    elif name in _CORNERS:
+        tip, drawn = _along([_polygon(name)] * options.turns, fraction, joined=True)
+    elif name == "hold":
+        tip = np.tile(direction, (rows, 1))
+    elif name == "point_to_point":
+        tip = _there_and_back(fraction, options)[:, None] * direction
+        ends = np.linspace(0, rows - 1, 2 * options.turns + 1).round().astype(int).tolist()
+        moves = tuple(pairwise(ends))
+    else:
+        turn = options.turns * _eased(fraction, EASE_FRACTION / options.turns)
+        tip = _CURVES[name](2.0 * np.pi * turn, direction)
+    tip = options.size_m * tip + centre
+    return DesiredPath(name, np.asarray(tip[:, :dof]), drawn, moves)
+
+
+def _check_options(options: PathOptions, dof: int) -> None:
+    for name, value, low, high in (
+        ("--size", options.size_m, 1e-3, 2.0),
+        ("--seconds", options.seconds, 0.5, 600.0),
+        ("--turns", options.turns, 1, 100),
+        *(("--centre", value, -2.0, 2.0) for value in options.centre_m),
+        ("--angle-deg", math.degrees(options.angle_rad), -360.0, 360.0),
+        ("--move", options.move_s, 0.0, 0.45 * options.seconds),
+    ):
+        if not low <= value <= high:
+            raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
+    if len(options.centre_m) > dof:
+        raise InputError("--centre", f"has {len(options.centre_m)} coordinates", f"give {dof}")
+
+
+def _check_name(name: str, dof: int) -> None:
+    if name not in SHAPES and not name.startswith("text:"):
+        file = Path(name)
+        if file.is_file():
+            raise InputError(
+                name, f"ends in {file.suffix!r}", "name a CSV file, which ends in .csv"
+            )
+        remedy = f"choose {', '.join(SHAPES)}, text:… or a CSV file"
+        raise InputError(f"path {name}", "is no built-in path and no file", remedy)
+    if dof == 1 and name not in FOR_ONE_JOINT:
+        remedy = f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints"
+        raise InputError(f"path {name}", "lies in the plane, the arm has one joint", remedy)
+
+
+def _check_use(options: PathOptions, name: str, dof: int) -> None:
+    """Refuse options that would have no effect."""
+    turned = f"is for {', '.join(FOR_ONE_JOINT)} of an arm with two joints"
+    for option, is_set, has_effect, what in (
+        ("--turns", options.turns != 1, not name.startswith("text:"), "a text is written once"),
+        ("--move", options.move_s != 0.0, name == "point_to_point", "is for point_to_point"),
+        ("--angle-deg", options.angle_rad != 0.0, name in FOR_ONE_JOINT and dof == 2, turned),
+    ):
+        if is_set and not has_effect:
+            raise InputError(option, what, "leave it out")
 
 
 def quintic(x: Array) -> Array:
@@ -151,116 +133,40 @@ def quintic(x: Array) -> Array:
     return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
 
 
-def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) -> DesiredPath:
-    _check_options(options, dof)
-    file = Path(name)
-    if name not in SHAPES and file.is_file():
-        raise InputError(name, f"ends in {file.suffix!r}", "name a CSV file, which ends in .csv")
-    if name not in SHAPES and not name.startswith("text:"):
-        raise InputError(
-            f"path {name}", "is no built-in path and no file",
-            f"choose {', '.join(SHAPES)}, text:… or a CSV file",
-        )  # fmt: skip
-    if dof == 1 and name not in FOR_ONE_JOINT:
-        raise InputError(
-            f"path {name}", "lies in the plane, the arm has one joint",
-            f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints",
-        )  # fmt: skip
-    _check_use(options, name, dof)
-    centre = np.zeros(2)
-    centre[: len(options.centre_m)] = options.centre_m
-    way = np.array([np.cos(options.angle_rad), np.sin(options.angle_rad)])
-    rows = max(2, round(options.seconds * options.turns / period_s)) + 1
-    fraction = np.linspace(0.0, 1.0, rows)
-    drawn: tuple[tuple[int, int], ...] = ((0, rows),)
-    moves: tuple[tuple[int, int], ...] = ()
-    if name in _CURVES:
-        turn = options.turns * _eased(fraction, EASE_FRACTION / options.turns)
-        tip = options.size_m * _CURVES[name](2.0 * np.pi * turn, way)
-    elif name in ("hold", "point_to_point"):
-        part = options.move_s / options.seconds or 0.25
-        tip = options.size_m * _points(name, fraction, options.turns, part)[:, None] * way
-        if name == "point_to_point":
-            ends = np.linspace(0, rows - 1, 2 * options.turns + 1).round().astype(int).tolist()
-            moves = tuple(pairwise(ends))
-    else:
-        strokes = text_strokes(name[5:]) if name.startswith("text:") else [_polygon(name)]
-        turns = 1 if name.startswith("text:") else options.turns
-        tip, drawn = _along(strokes * turns, fraction, joined=not name.startswith("text:"))
-        tip = options.size_m * tip
-    return DesiredPath(name, np.asarray((tip + centre)[:, :dof]), drawn, moves)
-
-
-def _check_options(options: PathOptions, dof: int) -> None:
-    centre = options.centre_m
-    for name, value, low, high in (
-        ("--size", options.size_m, 1e-3, 2.0),
-        ("--seconds", options.seconds, 0.5, 600.0),
-        ("--turns", options.turns, 1, 100),
-        *(("--centre", value, -2.0, 2.0) for value in centre),
-        ("--angle-deg", math.degrees(options.angle_rad), -360.0, 360.0),
-        ("--move", options.move_s, 0.0, 0.45 * options.seconds),
-    ):
-        if not low <= value <= high:
-            raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
-    if len(centre) > dof:
-        raise InputError("--centre", f"has {len(centre)} coordinates", f"give {dof}")
-
-
-def _check_use(options: PathOptions, name: str, dof: int) -> None:
-    """Refuse options that would have no effect."""
-    text = name.startswith("text:")
-    for option, given, used, what in (
-        ("--turns", options.turns != 1, not text, "a text is written once"),
-        ("--move", options.move_s != 0.0, name == "point_to_point", "is for point_to_point"),
-        ("--angle-deg", options.angle_rad != 0.0, name in FOR_ONE_JOINT and dof == 2,
-         f"is for {', '.join(FOR_ONE_JOINT)} of an arm with two joints"),
-    ):  # fmt: skip
-        if given and not used:
-            raise InputError(option, what, "leave it out")
-
-
 def _eased(fraction: Array, ease: float) -> Array:
-    """Distance over time, from 0 to 1, with a rise and a fall of the speed that take a part `ease`
-    each.
-    """
+    """Distance over time, from 0 to 1; the speed rises and falls in a part `ease` each."""
     ease = min(ease, 0.5)
     fine = np.linspace(0.0, 1.0, 4001)
     speed = quintic(np.minimum(fine, 1.0 - fine) / ease)
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    return np.asarray(np.interp(fraction, fine, way / way[-1]))
-
-
-def _circle(phase: Array, way: Array) -> Array:
-    return np.column_stack([np.cos(phase), np.sin(phase)])
-
-
-def _figure_eight(phase: Array, way: Array) -> Array:
-    return np.column_stack([np.sin(phase), np.sin(phase) * np.cos(phase)])
-
-
-def _line(phase: Array, way: Array) -> Array:
-    return np.sin(phase)[:, None] * way
+    distance = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
+    return np.asarray(np.interp(fraction, fine, distance / distance[-1]))
 
 
 _CURVES: Final[dict[str, Callable[[Array, Array], Array]]] = {
-    "circle": _circle, "figure_eight": _figure_eight, "line": _line,
-}  # fmt: skip
+    "circle": lambda phase, _: np.column_stack([np.cos(phase), np.sin(phase)]),
+    "figure_eight": lambda phase, _: np.column_stack(
+        [np.sin(phase), np.sin(phase) * np.cos(phase)]
+    ),
+    "line": lambda phase, direction: np.sin(phase)[:, None] * direction,
+}
 """Shapes of size 1 over the phase; the line is a sinusoid of the time."""
 
 
-def _points(name: str, fraction: Array, turns: int, part: float) -> Array:
-    """Position over time: held, or moved to the other side and back, each in a part of a turn."""
-    if name == "hold":
-        return np.ones_like(fraction)
-    at = fraction * turns % 1.0
+def _there_and_back(fraction: Array, options: PathOptions) -> Array:
+    """Position from −1 to 1 and back, once a turn."""
+    part = options.move_s / options.seconds or 0.25
+    at = fraction * options.turns % 1.0
     there = quintic(at / part) - quintic((at - 0.5) / part)
     return np.asarray(2.0 * np.where(fraction < 1.0, there, 0.0) - 1.0)
 
 
+_CORNERS: Final = {"square": (4, 1, 0.25 * np.pi), "star": (5, 2, 0.5 * np.pi)}
+"""Number of corners, corners from one to the next, and direction of the first."""
+
+
 def _polygon(name: str) -> Array:
     """Corners of size 1, the first repeated at the end."""
-    count, skip, first = {"square": (4, 1, 0.25 * np.pi), "star": (5, 2, 0.5 * np.pi)}[name]
+    count, skip, first = _CORNERS[name]
     turn = first + 2.0 * np.pi * skip / count * np.arange(count + 1)
     corners = np.column_stack([np.cos(turn), np.sin(turn)])
     return np.asarray(corners / np.max(np.abs(corners)))
@@ -269,45 +175,119 @@ def _polygon(name: str) -> Array:
 def _along(
     strokes: Sequence[Array], fraction: Array, *, joined: bool
 ) -> tuple[Array, tuple[tuple[int, int], ...]]:
-    """Points along strokes and the connections between them, and the rows of each stroke."""
+    """Points along strokes and the connections between them, and the rows of each stroke.
+
+    `joined`: whether the strokes are drawn as one.
+    """
     pieces: list[tuple[Array, int]] = []  # points, number of the stroke or -1
     for number, stroke in enumerate(strokes):
         if number and not np.allclose(strokes[number - 1][-1], stroke[0]):
             pieces.append((np.array([strokes[number - 1][-1], stroke[0]]), -1))
         pieces += [(piece, number) for piece in _split(stroke)]
-    steps = [np.append(0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))) for p, _ in pieces]
-    share = np.array([s[-1] ** TIME_EXPONENT for s in steps])
+    lengths = [np.append(0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))) for p, _ in pieces]
+    share = np.array([length[-1] ** TIME_EXPONENT for length in lengths])
     limits = np.concatenate([[0.0], np.cumsum(share / share.sum())])
     tip = np.empty((len(fraction), 2))
     rows: dict[int, list[int]] = {}
-    for k, ((points, number), step) in enumerate(zip(pieces, steps, strict=True)):
+    for k, ((points, number), length) in enumerate(zip(pieces, lengths, strict=True)):
         inside = np.flatnonzero((fraction >= limits[k]) & (fraction <= limits[k + 1] + 1e-12))
-        at = quintic((fraction[inside] - limits[k]) / (limits[k + 1] - limits[k])) * step[-1]
-        tip[inside] = np.column_stack([np.interp(at, step, points[:, i]) for i in (0, 1)])
+        at = quintic((fraction[inside] - limits[k]) / (limits[k + 1] - limits[k])) * length[-1]
+        tip[inside] = np.column_stack([np.interp(at, length, points[:, i]) for i in (0, 1)])
         if number >= 0 and len(inside):
             rows.setdefault(0 if joined else number, []).extend(inside.tolist())
-    return tip, tuple((min(own), max(own) + 1) for own in rows.values())
+    return tip, tuple((min(drawn), max(drawn) + 1) for drawn in rows.values())
 
 
 def _split(stroke: Array) -> list[Array]:
     """Pieces of a stroke between its corners."""
-    way = np.diff(stroke, axis=0)
-    heading = np.arctan2(way[:, 1], way[:, 0])
+    step = np.diff(stroke, axis=0)
+    heading = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
     corners = [0, *(np.flatnonzero(turn > CORNER_RAD) + 1).tolist(), len(stroke) - 1]
     return [stroke[a : b + 1] for a, b in pairwise(corners)]
 
 
+WIDTH: Final = 4.0
+HEIGHT: Final = 6.0
+GAP: Final = 1.6
+"""Grid of a letter, and the space between two letters, in units of the grid."""
+ROUNDS: Final = 4
+"""Times that the corners of a round stroke are cut."""
+GLYPHS: Final[dict[str, str]] = {
+    " ": "",
+    "A": "002640|1232", "B": "0006|~0646464303|~0343434000", "C": "~444626060000204042",
+    "D": "0006|~06464640400000", "E": "46060040|0333", "F": "460600|0333",
+    "G": "~44462606000020404043|4323", "H": "0006|4046|0343", "I": "2026", "J": "~464640200002",
+    "K": "0006|460340", "L": "060040", "M": "0006234640", "N": "00064046",
+    "O": "~232606000020404046262606", "P": "0006|~0646464303", "Q": "~26060000404046462606|2240",
+    "R": "0006|~0646464303|2340", "S": "~45462606040343424020000001", "T": "0646|2620",
+    "U": "~06060000404046", "V": "062046", "W": "0610233046", "X": "0046|0640",
+    "Y": "062346|2320", "Z": "06460040",
+    "0": "~26060000404046462606", "1": "052620", "2": "~0506264644230000|0040",
+    "3": "~0506464643232343434000000001", "4": "30360242", "5": "46060333|~2343434000000001",
+    "6": "~4526060000404043432303", "7": "064610", "8": "~2306064646230000404023",
+    "9": "~4323030606464640200001", "-": "1333", ".": "2021", "+": "2125|0343", "/": "0046",
+}  # fmt: skip
+"""Single-stroke font, made for this project: the strokes of each character, separated by `|`. A
+stroke is a row of points on the grid, two digits each: column, row from below. The corners of one
+that begins with `~` are cut repeatedly (Chaikin 1974)."""
+ROUND_LETTERS: Final = {"O": (2.0, 3.0), "0": (2.0, 3.0), "Q": (2.0, 3.0)}
+"""Characters whose first stroke is an ellipse: its half axes."""
+
+
+def text_strokes(text: str) -> list[Array]:
+    """Strokes of a text in the order of writing, centred, with a largest extent of 2.
+
+    Shapes: each (points, 2).
+    """
+    unknown = sorted({c for c in text.upper() if c not in GLYPHS})
+    if unknown or not text.strip():
+        wrong = f"has {' '.join(unknown)!r}, which the font lacks" if unknown else "is empty"
+        raise InputError(f"text {text!r}", wrong, "use " + "".join(sorted(GLYPHS)).strip())
+    strokes = []
+    for place, letter in enumerate(text.upper()):
+        origin = np.array([place * (WIDTH + GAP), 0.0])
+        strokes += [origin + stroke for stroke in _strokes_of(letter)]
+    points = np.concatenate(strokes)
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale = 2.0 / max(*(high - low), 1e-9)
+    return [scale * (stroke - 0.5 * (low + high)) for stroke in strokes]
+
+
+def _strokes_of(letter: str) -> list[Array]:
+    result = []
+    for number, text in enumerate(filter(None, GLYPHS[letter].split("|"))):
+        if letter in ROUND_LETTERS and number == 0:
+            turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
+            half = np.array(ROUND_LETTERS[letter])
+            middle = 0.5 * np.array([WIDTH, HEIGHT])
+            result.append(middle + half * np.column_stack([np.cos(turn), np.sin(turn)]))
+            continue
+        points = np.array([float(c) for c in text.lstrip("~")]).reshape(-1, 2)
+        result.append(_rounded(points) if text.startswith("~") else points)
+    return result
+
+
+def _rounded(points: Array) -> Array:
+    """Polyline whose corners are cut repeatedly; its ends stay."""
+    points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
+    for _ in range(ROUNDS):
+        a, b = points[:-1], points[1:]
+        cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
+        points = np.concatenate([points[:1], cut, points[-1:]])
+    return points
+
+
 FARTHEST_M: Final = 2.0
-"""Largest coordinate, the same as for built-in paths."""
+"""Largest coordinate of a file, the same as for built-in paths."""
 LONGEST_S: Final = 600.0
 """Longest path [assumed]."""
 MOST_PATH_BYTES: Final = 10_000_000
-"""Size of the largest file of a path: 600 s at 1 kHz with 16 characters a row [assumed]."""
+"""Largest file of a path: 600 s at 1 kHz with 16 characters a row [assumed]."""
 
 
 def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
-    """Read a path: a line of names (time_s, x_m, and y_m with two joints), then rising times.
+    """Read a path from CSV: a line of names (time_s, x_m, and y_m with two joints), rising times.
 
     The path is interpolated to the control period. If it ends between two periods, the nearer one
     counts; past the end the tip continues at its last speed.
@@ -315,8 +295,7 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     names = ["time_s", "x_m", "y_m"][: dof + 1]
     remedy = f"give the columns {','.join(names)} in s and m"
     lines = read_text(path, remedy, MOST_PATH_BYTES).split("\n")
-    head = [name.strip() for name in lines[0].split(",")]
-    if head != names:
+    if [name.strip() for name in lines[0].split(",")] != names:
         raise InputError(path, f"has the columns {lines[0].strip()[:80]!r}", remedy)
     rows: list[list[float]] = []
     for number, line in enumerate(lines[1:], start=2):
@@ -327,34 +306,29 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
         except ValueError:
             row = []
         if len(row) != len(names) or not np.isfinite(row).all():
-            raise InputError(
-                path, f"row {number} is {line.strip()[:80]!r}", f"write {len(names)} numbers"
-            )
+            wrong = f"row {number} is {line.strip()[:80]!r}"
+            raise InputError(path, wrong, f"write {len(names)} numbers")
         if rows and row[0] <= rows[-1][0]:
             raise InputError(path, f"row {number}: time_s does not rise", "sort the rows by time")
-        if max(map(abs, row[1:])) > FARTHEST_M:
-            raise InputError(
-                path, f"row {number} leads {max(map(abs, row[1:])):g} m away",
-                f"give places in m, {FARTHEST_M:g} at most",
-            )  # fmt: skip
+        if (away_m := max(map(abs, row[1:]))) > FARTHEST_M:
+            wrong = f"row {number} leads {away_m:g} m away"
+            raise InputError(path, wrong, f"give places in m, {FARTHEST_M:g} at most")
         rows.append(row)
     if len(rows) < 2:
         raise InputError(path, f"has {len(rows)} rows", "give 2 or more")
-    if not 2 * period_s <= (lasts_s := rows[-1][0] - rows[0][0]) <= LONGEST_S:
+    time_s, place_m = np.array(rows)[:, 0], np.array(rows)[:, 1:]
+    if not 2 * period_s <= (lasts_s := time_s[-1] - time_s[0]) <= LONGEST_S:
         raise InputError(path, f"lasts {lasts_s:g} s", f"give {2 * period_s:g} to {LONGEST_S:g} s")
-    table = np.array(rows)
-    at_s = np.arange(table[0, 0], table[-1, 0] + 0.5 * period_s, period_s)
-    tip = _at(table, at_s)
+
+    def at(times_s: Array) -> Array:
+        return np.column_stack([np.interp(times_s, time_s, column) for column in place_m.T])
+
+    at_s = np.arange(time_s[0], time_s[-1] + 0.5 * period_s, period_s)
+    tip = at(at_s)
     # The way back starts at the speed of the end: a last row at rest would halve it.
-    end_s = table[-1, 0]
-    end, before = _at(table, np.array([end_s, end_s - period_s]))
-    tip[-1] += max(0.0, at_s[-1] - end_s) * (end - before) / period_s
+    end, before = at(np.array([time_s[-1], time_s[-1] - period_s]))
+    tip[-1] += max(0.0, at_s[-1] - time_s[-1]) * (end - before) / period_s
     return DesiredPath(path.stem, tip, ((0, len(at_s)),))
-
-
-def _at(table: Array, at_s: Array) -> Array:
-    """Positions of a table of time and position at given times, shape (n, dof)."""
-    return np.column_stack([np.interp(at_s, table[:, 0], column) for column in table.T[1:]])
 
 
 REST_S: Final = 1.0
@@ -388,19 +362,16 @@ def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
     `rest_tip_m`, shape (dof,): tip at rest with all goals zero, since a link is not quite straight.
     """
     rest, lead, settle = (round(s / period_s) for s in (REST_S, LEAD_S, SETTLE_S))
-    there = _way(rest_tip_m, path.tip_m[0], _speed(path.tip_m[:2], period_s), period_s)
-    back = _way(rest_tip_m, path.tip_m[-1], -_speed(path.tip_m[-2:], period_s), period_s)[::-1]
+    first_m_s = (path.tip_m[1] - path.tip_m[0]) / period_s
+    last_m_s = (path.tip_m[-1] - path.tip_m[-2]) / period_s
+    there = _way(rest_tip_m, path.tip_m[0], first_m_s, period_s)
+    back = _way(rest_tip_m, path.tip_m[-1], -last_m_s, period_s)[::-1]
     still = np.tile(rest_tip_m, (rest + lead + settle, 1))
     start = rest + lead + len(there)
     end = start + len(path.tip_m)
-    before, after = still[: rest + lead], still[:settle]
-    desired = np.concatenate([before, there, path.tip_m, back, after])
+    desired = np.concatenate([still[: rest + lead], there, path.tip_m, back, still[:settle]])
     drawn, moves = (tuple((start + a, start + b) for a, b in p) for p in (path.drawn, path.moves))
     return Timeline(desired, rest, start, end, drawn, moves)
-
-
-def _speed(pair: Array, period_s: float) -> Array:
-    return np.asarray((pair[1] - pair[0]) / period_s)
 
 
 def _way(start: Array, end: Array, speed: Array, period_s: float) -> Array:

@@ -23,8 +23,8 @@ from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
-from models.plan.tip_twin import TipTwin
-from models.plant.linear_twin import STIFFNESS, LinearTwins, modes
+from models.plan.tip_twin import MOVING_RAD_S, TipTwin
+from models.plant.linear_twin import STIFFNESS, linearise, link_modes
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
@@ -50,15 +50,17 @@ TONES: Final = (
 have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
 stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
 motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
+LIGHT: Final = 0.3
+"""Damping ratio below which the tones excite the mode [assumed]."""
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
 payload: 3 s and 2 s for the link of the study and 2 kg."""
-STIFFER: Final = 0.3
-STIFFNESS_STEP: Final = 0.05
+STIFFNESS_GRID: Final = 0.05 * np.arange(-6, 7)
 PAYLOAD_STEP_KG: Final = 0.125
-"""Range and steps of the grid [assumed]; its payloads are those of the plan and a step more. The
-step is that of the study's link, scaled to the largest payload of another link."""
+"""Relative changes of stiffness, and step of the payloads, on the grid [assumed]; its payloads are
+those of the plan and a step more. The step is that of the study's link, scaled to the largest
+payload of another link."""
 FEATURES: Final = 14
 """Number of features: further ones add at most 0.3 standard deviations on the grid."""
 NOISE_A: Final = 0.055
@@ -66,9 +68,7 @@ CORRELATION: Final = 0.9
 """Deviation of a current's sample from the twin, and its correlation from sample to sample, as
 measured on the rig (`firmware_py.goals.stiffness_estimate`)."""
 RESTING_A: Final = 0.3
-"""Deviation at the joint rate `MOVING_RAD_S`, more below it, where dry friction can take any value
-[assumed]."""
-MOVING_RAD_S: Final = 0.1
+"""Deviation at the joint rate `MOVING_RAD_S`, more below it [assumed]."""
 UNKNOWN: Final = {
     "coulomb_friction_": 0.3, "viscous_friction_": 0.3, "load_dependent_friction_": 0.3,
     "rotor_inertia_": 0.02, "position_gain_": 0.02, "root_damping": 0.3, "span_damping": 0.3,
@@ -103,36 +103,33 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
 def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
-    linear = LinearTwins(plant, twin.dof, twin.period_s).at(payloads_kg[-1])
-    light = [m.frequency_rad_s for m in modes(linear) if m.damping < 0.3]
-    if not light or light[0] * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
+    linear = linearise(plant, payloads_kg[-1], dof=twin.dof, period_s=twin.period_s)
+    light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < LIGHT]
+    mode_rad_s = min(light, default=np.inf)
+    if mode_rad_s * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
         raise InputError("--probe", "finds no slow mode of the link", "leave it out")
-    goals = probe_goals(light[0], twin.dof, twin.period_s)
+    goals = probe_goals(mode_rad_s, twin.dof, twin.period_s)
     over_study = (plant.link or STUDY_LINK).payload_kg / STUDY_LINK.payload_kg
     step_kg = PAYLOAD_STEP_KG * (over_study or 1.0)
     low = max(0.0, payloads_kg[0] - step_kg)
     masses = low + step_kg * np.arange(np.ceil((payloads_kg[-1] - low) / step_kg - 1e-9) + 2)
-    changes = STIFFNESS_STEP * np.arange(-6, 7)
-    values = {n: p.value for n, p in plant.parameters.items()}
-    stiff = [n for n in values if n.startswith(STIFFNESS)]
     currents = []
-    for change in changes:
-        other = twin.changed({n: (1.0 + change) * values[n] for n in stiff})
+    for change in STIFFNESS_GRID:
+        other = twin.scaled({STIFFNESS: 1.0 + change})
         for mass in masses:
             y = other.run(goals, mass)
             _check(other, goals, y, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
             currents.append(other.current_a(y).T.ravel())
-    factor = np.linalg.cholesky(_noise(twin, values, goals, payloads_kg))
-    seen = np.linalg.solve(factor, np.transpose(currents)).T
-    mean = seen.mean(axis=0)
-    _, _, directions = np.linalg.svd(seen - mean, full_matrices=False)
-    kept = directions[:FEATURES]
-    weights = np.linalg.solve(factor.T, kept.T).T.reshape(len(kept), twin.dof, len(goals))
-    expected = (seen @ kept.T).reshape(len(changes), len(masses), -1)
+    factor = np.linalg.cholesky(_noise(twin, goals, payloads_kg))
+    white = np.linalg.solve(factor, np.transpose(currents)).T
+    _, _, directions = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
+    used = directions[:FEATURES]
+    weights = np.linalg.solve(factor.T, used.T).T.reshape(len(used), twin.dof, len(goals))
+    expected = (white @ used.T).reshape(len(STIFFNESS_GRID), len(masses), -1)
     return ProbeDesign(
         goals_rad=as_columns(goals, 7),
         weights=tuple(as_columns(w.T, 5) for w in weights),
-        stiffness=tuple(np.round(changes, 6).tolist()),
+        stiffness=tuple(np.round(STIFFNESS_GRID, 6).tolist()),
         payloads_kg=tuple(np.round(masses, 6).tolist()),
         expected=tuple(tuple(tuple(f) for f in own) for own in np.round(expected, 4).tolist()),
     )
@@ -148,13 +145,11 @@ def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = F
     j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)
     by_k = (p[i + 1, j] - p[i - 1, j]) / (probe.stiffness[i + 1] - probe.stiffness[i - 1])
     by_m = (p[i, j + 1] - p[i, j - 1]) / (masses[j + 1] - masses[j - 1])
-    told = by_k @ by_k - (0.0 if known else (by_k @ by_m) ** 2 / (by_m @ by_m))
-    return float(1.0 / np.sqrt(max(told, 1e-12)))
+    information = by_k @ by_k - (0.0 if known else (by_k @ by_m) ** 2 / (by_m @ by_m))
+    return float(1.0 / np.sqrt(max(information, 1e-12)))
 
 
-def _noise(
-    twin: TipTwin, values: dict[str, float], goals: Array, payloads_kg: Sequence[float]
-) -> Array:
+def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
     """Covariance of the currents about the twin, joint after joint, uncertain parameters included.
 
     Slopes by the parameters differ with the payload: those of the lightest, middle and heaviest
@@ -169,15 +164,12 @@ def _noise(
         y = twin.run(goals, mass)
         current = twin.current_a(y)
         slowest = np.minimum(slowest, np.abs(np.gradient(twin.angle_rad(y), twin.period_s, axis=0)))
-        for beginning, deviation in UNKNOWN.items():
-            own = [n for n in values if n.startswith(beginning)]
-            groups = [[n] for n in own] if beginning.endswith("_") else [own] if own else []
+        for begins, deviation in UNKNOWN.items():
             step = min(0.05, 0.1 * deviation)
-            for group in groups:
-                other = twin.changed({n: (1.0 + step) * values[n] for n in group})
-                slopes.append(
-                    deviation / step * (other.current_a(other.run(goals, mass)) - current)
-                )
+            for own in twin.parameters(begins) if begins.endswith("_") else (begins,):
+                other = twin.scaled({own: 1.0 + step})
+                change = other.current_a(other.run(goals, mass)) - current
+                slopes.append(deviation / step * change)
         late = UNKNOWN_DELAY_S * np.gradient(current, twin.period_s, axis=0)
         slopes += [late * unit for unit in np.eye(dof)]
     resting = RESTING_A**2 * MOVING_RAD_S**2 / np.maximum(slowest**2, 1e-4)

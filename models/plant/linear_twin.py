@@ -6,14 +6,19 @@ depend on the speed. Both are linearised: `sliding` leaves dry friction out.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
 import casadi as ca
 import control
 import numpy as np
-from numpy.typing import NDArray
+import scipy.linalg
+from numpy.typing import ArrayLike, NDArray
 
+from firmware_py.errors import InputError
+from firmware_py.signals import PERIOD_S
+from models.plant.parameter import check_payload
 from models.plant.plant import Plant
 from models.plant.step_model import names
 
@@ -24,19 +29,66 @@ DRY_FRICTION: Final = (
 """Prefixes of the parameters that are 0 while the joints slide."""
 STIFFNESS: Final = ("root_stiffness_", "span_stiffness_")
 """Prefixes of the parameters that scale with the stiffness of the link."""
-_SETTLE_STEPS: Final = 200
+SETTLE_STEPS: Final = 200
+SLOWEST_RAD_S: Final = 0.05
+"""Least rate of a mode: slower poles are states that do not move."""
+ALIKE: Final = 0.1
+"""Relative difference in frequency below which two modes count as one: the planes of a link of two
+joints have the same modes, and any combination of two such vectors is an eigenvector."""
 
 
-@dataclass(frozen=True)
-class LinearMode:
-    """Mode of a linearised twin."""
+def linearise(
+    plant: Plant,
+    payload_kg: float = 0.0,
+    *,
+    dof: int = 1,
+    period_s: float = PERIOD_S,
+    angles_rad: ArrayLike | None = None,
+    sliding: bool = True,
+) -> control.StateSpace:
+    """Linearise the twin of a plant about rest, over one control period.
 
-    frequency_rad_s: float  # Magnitude of its pole
-    damping: float  # Damping ratio; 1 for a real pole
+    Parameters
+    ----------
+    plant : Plant
+        Plant of the link.
+    payload_kg : float
+        Mass at the tip.
+    dof : int
+        Number of joints, 1 or 2.
+    period_s : float
+        Control period.
+    angles_rad : array_like, shape (dof,), optional
+        Goals at which the arm rests; zero by default.
+    sliding : bool
+        Whether dry friction is left out, as while the joints move.
+
+    Returns
+    -------
+    control.StateSpace
+        Sampled system from the goals to the outputs of the twin. The names of states, inputs and
+        outputs carry their units.
+
+    Raises
+    ------
+    InputError
+        If the plant is not the link, or cannot carry the payload.
+
+    Examples
+    --------
+    >>> from models.plant.plant import read_plant
+    >>> linearise(read_plant(), payload_kg=1.0).input_labels
+    ['goal_1_rad']
+    """
+    if plant.load != "link":
+        raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
+    check_payload(payload_kg, link=plant.link)
+    angles = None if angles_rad is None else np.asarray(angles_rad, dtype=np.float64)
+    return LinearTwins(plant, dof, period_s).at(payload_kg, angles, sliding=sliding)
 
 
 class LinearTwins:
-    """Linearisations of a plant's twin over one control period."""
+    """Linearisations of one plant's twin at several payloads; see `linearise`."""
 
     def __init__(self, plant: Plant, dof: int, period_s: float) -> None:
         model = plant.step_model(dof)
@@ -49,25 +101,23 @@ class LinearTwins:
         state = (model.smooth_finish or model.finish)(state, u, p, period_s)
         y = model.output(x, u, p)
         self._step = ca.Function("step", [x, u, p], [state]).expand()
-        self._slopes = ca.Function(
-            "slopes", [x, u, p],
-            [ca.jacobian(f, v) for f in (state, y) for v in (x, u)],
-        )  # fmt: skip
+        slopes = [ca.jacobian(f, v) for f in (state, y) for v in (x, u)]
+        self._slopes = ca.Function("slopes", [x, u, p], slopes)
 
     def at(
-        self, payload_kg: float, angles_rad: Array | None = None, *, sliding: bool = True,
+        self,
+        payload_kg: float,
+        angles_rad: Array | None = None,
+        *,
+        sliding: bool = True,
         stiffness: float = 1.0,
-    ) -> control.StateSpace:  # fmt: skip
-        """Twin linearised about rest, with goals as inputs; names carry units.
-
-        `sliding`: whether dry friction is left out, as while the joints move. Shapes: `angles_rad`
-        (dof,).
-        """
+    ) -> control.StateSpace:
+        """Twin linearised about rest; `stiffness` is a factor on that of the link."""
         model, dof = self._model, self.dof
         p = model.parameter_values(self._changes(sliding, stiffness))
         u = np.append(np.zeros(dof) if angles_rad is None else angles_rad, payload_kg)
         x = np.asarray(model.initial(u, p)).ravel()
-        for _ in range(_SETTLE_STEPS):
+        for _ in range(SETTLE_STEPS):
             settled = np.asarray(self._step(x, u, p)).ravel()
             if np.max(np.abs(settled - x)) < 1e-9:
                 break
@@ -79,43 +129,103 @@ class LinearTwins:
         )  # fmt: skip
 
     def _changes(self, sliding: bool, stiffness: float) -> dict[str, float]:
-        changes: dict[str, float] = {}
-        for v in self._model.parameters:
-            if sliding and v.name.startswith(DRY_FRICTION):
-                changes[v.name] = 0.0
-            if v.name.startswith(STIFFNESS):
-                changes[v.name] = stiffness * v.start
+        changes = {
+            v.name: stiffness * v.start
+            for v in self._model.parameters
+            if v.name.startswith(STIFFNESS)
+        }
+        if sliding:
+            names_ = names(self._model.parameters)
+            changes |= {name: 0.0 for name in names_ if name.startswith(DRY_FRICTION)}
         return changes
 
 
-def tip_part(system: control.StateSpace, dof: int) -> control.StateSpace:
+def tip_part(system: control.StateSpace) -> control.StateSpace:
     """Part of a linearised twin from the goals to the planned coordinates of the tip."""
-    rows = [system.output_labels.index(n) for n in ("tip_x_m", "tip_y_m")[:dof]]
+    rows = _tip_rows(system)
     return control.ss(system.A, system.B, system.C[rows], system.D[rows], system.dt)
 
 
-def frequency_response(system: control.StateSpace, rates_rad_s: Array) -> NDArray[np.complex128]:
-    """Frequency response of a sampled system, shape (n, outputs, inputs).
-
-    Shapes: `rates_rad_s` (n,).
-    """
-    z = np.exp(1j * rates_rad_s * system.dt)
-    eye = np.eye(len(system.A))
-    inner = np.linalg.solve(z[:, None, None] * eye - system.A, system.B.astype(complex)[None])
-    return np.asarray(system.C @ inner + system.D)
+def _tip_rows(system: control.StateSpace) -> list[int]:
+    """Outputs that are planned: tip x, and y with two joints."""
+    return [system.output_labels.index(f"tip_{axis}_m") for axis in "xy"[: system.ninputs]]
 
 
-SLOWEST_RAD_S: Final = 0.05
-"""Least rate of a mode: slower poles are states that do not move."""
+@dataclass(frozen=True)
+class LinearMode:
+    """Mode of a linearised twin."""
+
+    frequency_rad_s: float  # Magnitude of its pole
+    damping: float  # Damping ratio; 1 for a real pole
+    # Part of the link's free bend that swings in this mode, along x, and y with two joints
+    shares: tuple[float, ...] = ()
+
+    @property
+    def half_period_s(self) -> float:
+        """Half of the period of the damped vibration."""
+        return math.pi / (self.frequency_rad_s * math.sqrt(1.0 - self.damping**2))
+
+    @property
+    def decay(self) -> float:
+        """Amplitude after half a period over that before."""
+        return math.exp(-self.damping * self.frequency_rad_s * self.half_period_s)
 
 
 def modes(system: control.StateSpace) -> list[LinearMode]:
-    """Modes of a sampled system below its Nyquist frequency, slowest first."""
-    poles = np.linalg.eigvals(system.A)
-    rates = np.log(poles[np.abs(poles) > 1e-6].astype(complex)) / system.dt
+    """Modes of a linearised twin below its Nyquist frequency, slowest first.
+
+    The share of a mode is its part in the free motion of a link that is released from a bend. With
+    left and right eigenvectors w and v, and the deflection c of the tip by the bends alone::
+
+        share = 2 |c v| |w' c'| / (|w' v| c c')
+
+    without the 2 for a real mode, which has no conjugate. That is the modal participation of
+    Pérez-Arriaga, Verghese and Schweppe (*IEEE Trans. Power Apparatus and Systems* 101, 1982) of
+    the deflection. The loop of the servo hardly bends the link, so its poles have little share,
+    however slow and however lightly damped they are.
+    """
+    values, left, right = scipy.linalg.eig(system.A, left=True, right=True)
+    bends = [n.startswith(("root_bend_", "span_bend_")) and n.endswith("_rad")
+             for n in system.state_labels]  # fmt: skip
+    deflection = np.where(bends, system.C[_tip_rows(system)], 0.0)
+    overlap = np.abs(np.einsum("ik,ik->k", left.conj(), right))
+    part = np.abs((deflection @ right) * (deflection @ left.conj()))
+    size = np.sum(deflection**2, axis=1, keepdims=True)
+    conjugates = np.where(np.abs(values.imag) > 0.0, 2.0, 1.0)
+    shares = conjugates * part / np.maximum(overlap * size, 1e-12)
+    alive = np.abs(values) > 1e-6
+    rates = np.log(values[alive]) / system.dt
     found = [
-        LinearMode(float(abs(s)), float(-s.real / abs(s)))
-        for s in rates
-        if s.imag >= 0 and SLOWEST_RAD_S <= abs(s) < np.pi / system.dt
+        LinearMode(float(abs(rate)), float(-rate.real / abs(rate)), tuple(own.tolist()))
+        for rate, own in zip(rates, shares.T[alive], strict=True)
+        if rate.imag >= 0 and SLOWEST_RAD_S <= abs(rate) < np.pi / system.dt
     ]
     return sorted(found, key=lambda mode: mode.frequency_rad_s)
+
+
+def link_modes(system: control.StateSpace) -> list[LinearMode]:
+    """First mode of the link along each planned axis: the vibration with the largest share.
+
+    Its only share is that along the axis. The list is empty where nothing vibrates.
+    """
+    swings = [m for m in modes(system) if m.damping < 1.0]
+    found = []
+    for axis in range(system.ninputs if swings else 0):
+        best = max(swings, key=lambda m: m.shares[axis])
+        w = best.frequency_rad_s
+        alike = (m.shares[axis] for m in swings if abs(m.frequency_rad_s - w) < ALIKE * w)
+        found.append(LinearMode(w, best.damping, (min(1.0, sum(alike)),)))
+    return found
+
+
+def resting_modes(
+    twins: LinearTwins, payload_kg: float, angles_rad: Array | None = None
+) -> list[LinearMode]:
+    """First mode of the link along each axis while the joints stand, which they must have."""
+    found = link_modes(twins.at(payload_kg, angles_rad, sliding=False))
+    if not found:
+        raise InputError(
+            "the plant", f"has no vibration with {payload_kg:g} kg", "name a plant that was "
+            "identified on a link that swings",
+        )  # fmt: skip
+    return found

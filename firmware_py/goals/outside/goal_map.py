@@ -1,7 +1,7 @@
 """Map from tip positions to the goals at which the tip rests there, and the first mode, by payload.
 
 `dropstitch goalmap` writes it, the robot reads it. The goals come from the inverted twin, for
-approaches from upright with a ramp of 4 s and a hold of 10 s (`models.plan.moves`). The
+approaches from upright with a ramp of 4 s and a hold of 10 s (`models.plan.rest_map`). The
 mode tunes the zero-vibration shaper.
 """
 

@@ -11,7 +11,7 @@ from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkServo
 from models.commands import linearise
 from models.commands.simulate import _cases, _complete_from_link
-from models.plan.planning import PlanRequest, check_request
+from models.plan.planning import PAYLOADS_KG, check_grid
 from models.plant.identification.doubts import check_weight
 from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
@@ -66,10 +66,10 @@ def test_payloads_beyond_the_link_are_refused_and_those_within_are_not(plant_of)
         check_payload(7.6, link=HEAVY)
     with pytest.raises(InputError, match="give 0 to 3 kg"):
         check_payload(3.1)
-    check_request(PlanRequest(heavy, 1, STEP_S, None, (0.0, 5.0)))
+    check_grid(heavy, (0.0, 5.0))
     with pytest.raises(InputError, match=r"--payloads: is 2 kg; give 0 to 0.15 kg"):
-        check_request(PlanRequest(small, 1, STEP_S, None))
-    check_request(PlanRequest(small, 1, STEP_S, None, SMALL.payloads_kg))
+        check_grid(small, PAYLOADS_KG)
+    check_grid(small, SMALL.payloads_kg)
 
 
 def test_the_rig_of_a_link_simulates_what_its_plant_takes(tmp_path):

@@ -1,7 +1,6 @@
 """Doubts about an identification, each in one sentence; trials of another link are refused."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -17,7 +16,7 @@ from models.plant.identification.doubts import (
 )
 from models.plant.identification.identify import Identification
 from models.plant.plant import read_plant
-from models.study.findings import doubts_of_di
+from models.predictor.fallback import doubts_of_di
 from models.trials.checks.trials import check_trials
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
@@ -186,7 +185,6 @@ def test_a_length_by_the_tape_is_that_of_the_plant(trials):
     "command",
     [
         ["train", "--dof", "1", "--out", "bundle"],
-        ["train", "--dof", "1", "--out", "bundle", "--study-only"],
         ["identify", "--out", "plant.json"],
         ["evaluate"],
         ["gap", "--out", "gap"],
@@ -208,12 +206,8 @@ def test_every_command_that_compares_trials_with_a_plant_refuses(
 
 
 def test_an_estimate_of_the_di_that_is_worse_than_its_mean_is_told():
-    def study(**r2):
-        scores = {name: {"observer": SimpleNamespace(r2_di=value)} for name, value in r2.items()}
-        return SimpleNamespace(estimators=scores)
-
-    assert doubts_of_di(study(trial_2=0.9, unseen=0.0)) == []
-    assert doubts_of_di(study()) == []
-    (said,) = doubts_of_di(study(trial_2=-0.1, unseen=-1.035))
+    assert doubts_of_di({"trial_2": 0.9, "unseen": 0.0}) == []
+    assert doubts_of_di({}) == []
+    (said,) = doubts_of_di({"trial_2": -0.1, "unseen": -1.035})
     assert said.startswith("R² of the estimated DI is -1.035 on unseen")
     assert "dropstitch validate" in said

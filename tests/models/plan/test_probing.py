@@ -27,21 +27,16 @@ def probe(plant, twin):
     return design_probe(plant, twin, PAYLOADS_KG, Limits())
 
 
-def currents(plant, twin, probe, changes, payload_kg, seed=1):
+def currents(twin, probe, changes, payload_kg, seed=1):
     """Currents of a twin with other parameters, and the noise that the design assumes."""
-    values = {n: f * plant.parameters[n].value for n, f in changes.items()}
     goals = np.transpose(probe.goals_rad)
-    clean = twin.current_a(twin.changed(values).run(goals, payload_kg))
+    clean = twin.current_a(twin.scaled(changes).run(goals, payload_kg))
     white = np.random.default_rng(seed).standard_normal(len(goals))
     noise, own = np.zeros(len(goals)), 0.0
     for k, w in enumerate(white):
         own = CORRELATION * own + np.sqrt(1 - CORRELATION**2) * w
         noise[k] = NOISE_A * own
     return clean + noise[:, None]
-
-
-def stiffer(plant, factor):
-    return {n: factor for n in plant.parameters if n.startswith(STIFFNESS)}
 
 
 def found(probe, table, known_kg=None):
@@ -61,8 +56,8 @@ def sag(finding):
 
 @pytest.mark.parametrize("factor", [0.85, 1.0, 1.1, 1.25])
 @pytest.mark.parametrize("payload_kg", [0.4, 1.3])
-def test_stiffness_and_payload_are_found_together(plant, twin, probe, factor, payload_kg):
-    table = currents(plant, twin, probe, stiffer(plant, factor), payload_kg)
+def test_stiffness_and_payload_are_found_together(twin, probe, factor, payload_kg):
+    table = currents(twin, probe, {STIFFNESS: factor}, payload_kg)
     unknown, known = found(probe, table), found(probe, table, payload_kg)
     assert unknown.certain and known.certain
     assert 1.0 + known.stiffness == pytest.approx(factor, abs=0.05)
@@ -73,18 +68,17 @@ def test_stiffness_and_payload_are_found_together(plant, twin, probe, factor, pa
 @pytest.mark.parametrize(
     "names", [("coulomb_friction_", "viscous_friction_"), ("root_damping", "span_damping")]
 )
-def test_friction_and_damping_are_not_taken_for_stiffness(plant, twin, probe, names):
-    changes = {n: 1.3 for n in plant.parameters if n.startswith(names)}
-    table = currents(plant, twin, probe, changes, 1.3)
+def test_friction_and_damping_are_not_taken_for_stiffness(twin, probe, names):
+    table = currents(twin, probe, {names: 1.3}, 1.3)
     unknown, known = found(probe, table), found(probe, table, 1.3)
     assert abs(known.stiffness) < 0.04
     assert abs(unknown.stiffness) < 2.5 * unknown.deviation
     assert sag(unknown) == pytest.approx(sag((0.0, 1.3)), rel=0.04)
 
 
-def test_the_expected_deviation_is_that_of_the_estimate(plant, twin, probe):
+def test_the_expected_deviation_is_that_of_the_estimate(twin, probe):
     """Forty draws of the noise alone: it is smaller, because no parameter is wrong in them."""
-    tables = [currents(plant, twin, probe, {}, 1.0, seed) for seed in range(40)]
+    tables = [currents(twin, probe, {}, 1.0, seed) for seed in range(40)]
     for known in (False, True):
         own = expected_deviation(probe, 1.0, known=known)
         drawn = np.std([found(probe, t, 1.0 if known else None).stiffness for t in tables])

@@ -1,4 +1,4 @@
-"""Moves from rest to rest: limits, shaping, modes against a free decay, the shortest move."""
+"""Moves from rest to rest: limits, shaping, a free decay; the map of places at rest."""
 
 import math
 
@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
+from firmware_py.goals.outside.goal_map import RestGoals
 from firmware_py.safety.limits import Limits
 from firmware_py.signals import PERIOD_S
 from models.plan import planning
-from models.plan.moves import VibrationMode, first_modes, rate_limited, shaped, zvd_impulses
+from models.plan.moves import rate_limited, shaped, zvd_impulses
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path, shortest_move_s
+from models.plan.rest_map import map_rest
+from models.plant.linear_twin import LinearMode, LinearTwins, resting_modes
 
 LIMITS = Limits(rate_rad_s=1.0, acceleration_rad_s2=20.0)
 
@@ -33,11 +36,11 @@ def test_a_rate_limited_move_uses_the_limits_and_keeps_them(distance):
 
 def test_a_shaped_step_leaves_an_oscillator_at_rest():
     """The exact response of a damped oscillator to the impulses, after the last of them."""
-    mode = VibrationMode(2.0 * math.pi * 1.3, 0.08)
+    mode = LinearMode(2.0 * math.pi * 1.3, 0.08)
     impulses = zvd_impulses(mode)
     assert sum(weight for _, weight in impulses) == pytest.approx(1.0)
-    damped = mode.rate_rad_s * math.sqrt(1 - mode.damping_ratio**2)
-    pole = complex(-mode.damping_ratio * mode.rate_rad_s, damped)
+    damped = mode.frequency_rad_s * math.sqrt(1 - mode.damping**2)
+    pole = complex(-mode.damping * mode.frequency_rad_s, damped)
     left = sum(weight * np.exp(-pole * delay) for delay, weight in impulses)
     assert abs(left) < 1e-12
     slope = sum(-delay * weight * np.exp(-pole * delay) for delay, weight in impulses)
@@ -49,17 +52,18 @@ def test_a_shaped_step_leaves_an_oscillator_at_rest():
     assert own[-1] == pytest.approx(1.0)
 
 
-def test_the_first_mode_is_that_of_a_free_decay(twin):
-    (mode,) = first_modes(twin, np.zeros(1), 1.0)
+def test_the_first_mode_is_that_of_a_free_decay(plant, twin):
+    linear = LinearTwins(plant, 1, PERIOD_S)
+    (mode,) = resting_modes(linear, 1.0)
     goals = np.zeros((400, 1))
     goals[1:] = 1e-2
     tip = twin.tip_m(twin.run(goals, 1.0))[60:, 0]
     tip = tip - np.mean(tip[-100:])
     crossings = np.flatnonzero(np.diff(np.sign(tip[:150]))) * PERIOD_S
     assert np.mean(np.diff(crossings)) == pytest.approx(mode.half_period_s, rel=0.1)
-    (heavy,) = first_modes(twin, np.zeros(1), 2.0)
-    assert heavy.rate_rad_s < mode.rate_rad_s
-    assert 0.02 < heavy.damping_ratio < 0.2
+    (heavy,) = resting_modes(linear, 2.0)
+    assert heavy.frequency_rad_s < mode.frequency_rad_s
+    assert 0.02 < heavy.damping < 0.2
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +108,22 @@ def test_the_shortest_move_is_the_shortest_that_keeps_the_limits(plant, monkeypa
     assert 0.83 <= shortest_move_s(lambda s: s, request) <= 0.83 * (1 + planning.MOVE_STEP)
     with pytest.raises(InputError, match="moves too fast"):
         shortest_move_s(lambda s: 0.0, request)
+
+
+def approached(twin, goals, payload_kg):
+    """Tip of the twin after a ramp of 4 s from upright and a hold of 10 s."""
+    ramp = np.minimum(np.arange(round(14.0 / PERIOD_S) + 1) * PERIOD_S / 4.0, 1.0)
+    return twin.tip_m(twin.run(np.outer(ramp, goals), payload_kg))[-1]
+
+
+def test_the_tip_of_the_twin_comes_to_rest_where_the_map_says(plant, twin):
+    found, modes = map_rest(plant, 1, PERIOD_S, (0.0, 2.0), 0.6)
+    rest = RestGoals(found)
+    for payload_kg in (0.0, 2.0):
+        for place in (-0.55, 0.0, 0.123, 0.5):
+            goals = rest.goals_rad((place,), payload_kg)
+            assert approached(twin, goals, payload_kg) == pytest.approx(place, abs=1e-3)
+    assert rest.goals_rad((0.61,), 1.0) is None
+    light, heavy = (rest.mode(kg)[0][0] for kg in (0.0, 2.0))
+    assert 0.1 < light < heavy < 0.5
+    assert [own[0].half_period_s for own in modes] == pytest.approx([light, heavy], abs=1e-5)

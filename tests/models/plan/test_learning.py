@@ -127,6 +127,11 @@ def test_joints_that_follow_late_get_their_goals_earlier_with_every_payload(plan
     assert rms_m(tip - planned.desired_tip_m()) < 2e-3
 
 
+def test_joints_that_follow_far_too_late_are_refused(plant, planned, twin):
+    with pytest.raises(InputError, match="follow 3 periods or more later than the twin's"):
+        improve_plan(planned, recorded(twin, planned, 1, late=5), plant, LIMITS)
+
+
 def test_the_payload_of_a_run_is_found_from_its_goals(planned):
     for payload_kg in (0.0, 0.3, 1.0):
         found, difference = fitting_payload(planned, interpolated(planned, payload_kg))
@@ -161,6 +166,9 @@ def test_a_trial_is_read_from_its_last_whole_run(planned, twin, tmp_path):
     run = read_plan_run(path, planned)
     assert run.tip_m == pytest.approx(1.02 * twin.tip_m(twin.run(goals, 0.5)), abs=1e-5)
     assert (run.source, run.goals_rad.shape) == ("mocap", goals.shape)
+    capital = path.rename(path.with_suffix(".CSV"))
+    assert read_plan_run(capital, planned).sha256 == run.sha256
+    path = capital.rename(path)
 
     other = msgspec.structs.replace(planned, dof=2)
     with pytest.raises(InputError, match="is of 1 joints, the plan of 2"):
