@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from models.rig.trial_case import TrialCase
 
 from firmware_py.motion import Motion
 from models.rig.drawn import rig_named
-from models.rig.protocol import run_case
+from models.rig.protocol import TrialCase, run_case
 from models.trials.clock import synchronise
 from models.trials.recordings.series import Series, marker_columns
 

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models.rig.trial_case import TrialCase
 
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from models.rig.parameters import read_parameters
-from models.rig.protocol import run_case
+from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.pipeline import Source, inspect_import
 from models.trials.recordings.mapping import read_mapping
