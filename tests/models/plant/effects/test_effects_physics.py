@@ -155,7 +155,7 @@ def test_a_pull_on_the_joint_presses_the_gear(bench, offset_nm):
         change[pull] = 6.83 * (rough["current_1_a"] - smooth["current_1_a"])[-1]
     load_nm = change[0.0] / share  # rising: friction is positive, and the link falls forwards
     assert load_nm > 3.0
-    assert change[offset_nm] == pytest.approx(share * abs(load_nm + offset_nm), rel=0.05)
+    assert change[offset_nm] == pytest.approx(share * abs(load_nm + offset_nm), rel=0.1)
 
 
 def test_drag_takes_energy_and_grows_with_the_square(bench):
@@ -208,7 +208,8 @@ def test_stiffness_depends_on_side_size_and_time(bench):
 
 
 def test_creep_relaxes_and_hysteresis_remembers(bench):
-    creep = {"creep_share_1": 0.3, "creep_time_s": 2.0}
+    # Far from its limit moment, at which the jump of the goal would fold the link.
+    creep = {"creep_share_1": 0.3, "creep_time_s": 2.0, "root_limit_moment_nm": 80.0}
     up = np.r_[np.zeros(40), np.full(660, 0.4)]
     soon, late = (sag_m(bench, ["creep"], creep, up, at=k) for k in (240, 690))
     assert late > soon + 1e-3
