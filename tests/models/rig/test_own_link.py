@@ -57,7 +57,7 @@ def test_a_trial_of_the_link_has_its_markers_and_its_weight(trial):
 
 def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
     error = evaluate_plant(read_plant(link_file), TrialSet((trial,)))
-    assert error.tip_rms_m < 0.8 * error.rigid_tip_rms_m
+    assert error.tip_rms_m < 0.9 * error.rigid_tip_rms_m  # a stiff link: 5 mm off a rigid one
 
 
 def test_a_plant_that_stands_otherwise_is_refused(trial):

@@ -64,11 +64,11 @@ def test_angle_and_current_come_in_whole_counts(written):
 
 
 def test_markers_follow_the_link_of_the_contract(written, rigid_markers):
-    """The whole link at rest, and its first quarter (that bends by little) in motion."""
+    """The whole link at rest, and its first quarter in motion, near the first mode."""
     for trial in read_trials(written):
         error = trial.markers_m - rigid_markers(trial.angle_rad)
         assert np.max(np.abs(error[:60])) < 0.01
-        assert np.sqrt(np.mean(error[:, :4] ** 2)) < 0.015
+        assert np.sqrt(np.mean(error[:, :4] ** 2)) < 0.025
         assert np.ptp(trial.tip_m[:, 0]) > 0.1  # it did move
 
 
