@@ -135,9 +135,9 @@ UNITS: Final = (
     ("in kg that were divided by 2.2 as if they were pounds", 2.2046),
 )  # fmt: skip
 """Units that payloads may be in, and the kg in one of them."""
-UNIT_ERROR: Final = 0.15
+UNIT_ERROR: Final = 0.2
 """Relative error of a factor at which it still fits a unit, beside two standard errors [assumed:
-friction and bend shift it by up to 10 %]."""
+friction and bend shift it by up to 10 %, a single step of a fit by 16 %]."""
 NOT_ONE: Final = 0.3
 """Least relative difference of a factor from one, beside three standard errors."""
 

@@ -109,6 +109,15 @@ def test_a_wrong_constant_is_told(payload_trials):
     assert "not 6.83" in said
 
 
+def test_payloads_in_pounds_are_named_as_a_cause(payload_trials):
+    pounds = [
+        replace(t, meta=msgspec.structs.replace(t.meta, payload_kg=2.2046 * t.meta.payload_kg))
+        for t in payload_trials(6.83, (0.0, 1.5))
+    ]
+    (said,) = torque_constant_doubts(read_plant(), pounds)
+    assert "or the payloads are in pounds" in said
+
+
 def test_a_current_that_falls_with_the_payload_is_no_constant(payload_trials):
     """Recordings in which the load's part of the current was turned."""
     light, heavy = payload_trials(6.83, (0.0, 1.5))

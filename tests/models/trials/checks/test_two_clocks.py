@@ -5,7 +5,7 @@ import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
 from models.trials.checks.clocks import judge_clock
-from models.trials.checks.signals import judge_shared_signals, judge_steps
+from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import ClockDrift, Synchronisation, synchronise
 from models.trials.pipeline import Source, inspect_import
@@ -52,6 +52,15 @@ def test_a_step_that_jitters_is_not_taken_for_another(tmp_path):
     log = servo_log(tmp_path)
     time_s = log.time_s + rng.uniform(-0.002, 0.002, len(log.time_s))
     assert judge_steps([Series(time_s, log.columns, tmp_path)], RecordingMap()) == []
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [(np.arange(50.0), "count frames"), (17.0 * np.arange(50), "unit"), (np.arange(50) / 60, "")],
+)
+def test_times_that_are_no_seconds_are_told(times, words, tmp_path):
+    found = judge_times([Series(times, {}, tmp_path / "take.csv")])
+    assert [words in f.text for f in found] == [True] * bool(words)
 
 
 @pytest.mark.parametrize(("factor", "count"), [(1.0, 0), (0.9, 1)])
