@@ -28,8 +28,6 @@ class GapSettings(FloorSettings, frozen=True, kw_only=True, forbid_unknown_field
     (0.01, 8.0)
     """
 
-    # Residuals
-
     # Prior distributions
     nuisance_prior_fraction: dict[str, float] = msgspec.field(
         default_factory=lambda: {

@@ -31,7 +31,7 @@ STUDY_REST_S: Final = 60 * PERIOD_S
 (`models.rig.protocol`)."""
 
 _LENGTH: Final = re.compile(r" (?P<rows>\d+)x(?P<step>[\d.e+-]+)s(?=( \S+=\S+)*$)")
-"""Length and step in `models.gap.residuals.residuals.trial_group_key`."""
+"""Length and step in `models.plant.identification.noise_floor.trial_group_key`."""
 
 GOAL_TOLERANCE: Final = 0.02
 """Fraction of the largest goal by which the goals of two periods may differ [assumed]."""

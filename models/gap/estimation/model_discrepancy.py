@@ -31,7 +31,7 @@ PATH: Final = Path(__file__).with_name("model_discrepancy.npz")
 class ModelDiscrepancy:
     """Patterns of the plant's error over links of one make."""
 
-    key: str  # Motion of the trials, as `models.gap.residuals.residuals.TrialGroup.key`
+    key: str  # Motion of the trials, as `models.plant.identification.noise_floor.TrialGroup.key`
     payload_kg: Array  # (P,)
     signals: tuple[str, ...]
     # (M, P, signals, K), spectra of the patterns, scaled to their standard deviation, relative to

@@ -17,7 +17,7 @@ _KEY: Final = re.compile(
     r"(?P<dof>\d+)dof (?P<motion>.+?) (?P<amplitude>[-+.\de]+)rad (?P<period>[-+.\de]+)s "
     r"(?P<phase>[-+.\de]+)rad( (?P<rows>\d+)x(?P<step>[-+.\de]+)s)?(?P<conditions>( \S+=\S+)*)"
 )
-"""Form of `models.gap.residuals.residuals.trial_group_key`, with or without length and step."""
+"""Form of `models.plant.identification.noise_floor.trial_group_key`; length and step may lack."""
 _COUNTS: Final = {1: "one joint", 2: "two joints"}
 
 

@@ -400,10 +400,13 @@ class _VariedTwin:
 
     def _run(self, k: int, values: Array) -> tuple[Array, Array]:
         own, model = self._variation[k], self._model.model
-        shape = (-1, len(own))
-        by_parameter = [[v.parameters.get(n, 0.0) for v in own] for n in self._moved]
-        by_output = [[v.outputs.get(n, 0.0) for v in own] for n in self.units]
-        parameters, outputs = (np.reshape(rows, shape) for rows in (by_parameter, by_output))
+        parameters = np.zeros((len(self._moved), len(own)))
+        outputs = np.zeros((len(self.units), len(own)))
+        for column, variation in enumerate(own):
+            for name, change in variation.parameters.items():
+                parameters[self._moved.index(name), column] = change
+            for name, change in variation.outputs.items():
+                outputs[list(self.units).index(name), column] = change
         p = trial_parameters(model, self.trials[k])
         p[self._columns] += parameters @ values
         p = np.clip(p, [v.minimum for v in model.parameters], [v.maximum for v in model.parameters])
