@@ -84,7 +84,7 @@ class Link(PlantLoad):
                       source='docs/sources.md, "The link": assumed', prior_deviation=0.05),
             Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=12.0, high=80.0,
                       role="nuisance", description="limit moment of the root patch",
-                      source='docs/sources.md, "The link": 14 to 28 N·m'),
+                      source='docs/sources.md, "The link"'),
             Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
                       description="bend at which a folded hinge takes the limit moment",
                       source="assumed, far outside the study"),
