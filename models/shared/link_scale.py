@@ -135,27 +135,7 @@ class LinkScale:
         shape = self._by_section(1 / 2, math.pi / 8)
         return shape * self.link.pressure_pa * self.link.width_m**3
 
-    def deflection_m(self, z_m: float, tip_n: float, *, shear: bool = True) -> float:
-        """Displacement at height z above the base plate under a force F across the tip.
-
-        A Timoshenko beam on the root patch of stiffness k:
-
-            w(z) = F (L / k + 1 / κGA) z + F (L z² / 2 - z³ / 6) / EI
-        """
-        length_m = self.link.length_m
-        slope = length_m / self.root_nm_rad + (1 / self.shear_n if shear else 0.0)
-        return tip_n * (slope * z_m + (length_m * z_m**2 / 2 - z_m**3 / 6) / self.bending_n_m2)
-
-    @property
-    def tip_stiffness_n_m(self) -> float:
-        """Force per displacement of the tip: root patch, bending and shear in series."""
-        length = self.link.length_m
-        return 1.0 / (
-            length**2 / self.root_nm_rad + length**3 / (3 * self.bending_n_m2)
-            + length / self.shear_n
-        )  # fmt: skip
-
-    def deflection(self, z_m: Array, tip_n: float, own_n_m: float) -> tuple[Array, Array]:
+    def deflection(self, z_m: Array, tip_n: float, own_n_m: float = 0.0) -> tuple[Array, Array]:
         """Displacement across the link in m and turn of the section in rad at heights z.
 
         Timoshenko's beam on a root patch of stiffness k, with a force F at its tip and q per length
@@ -174,6 +154,11 @@ class LinkScale:
         turn = tip_n * (length * z - z**2 / 2)
         turn = turn + own_n_m * (length**2 * z / 2 - length * z**2 / 2 + z**3 / 6)
         return root * z + shear + bent / self.bending_n_m2, root + turn / self.bending_n_m2
+
+    @property
+    def tip_stiffness_n_m(self) -> float:
+        """Force per displacement of the tip: root patch, bending and shear in series."""
+        return 1.0 / float(self.deflection(np.array(self.link.length_m), 1.0)[0])
 
     @property
     def first_mode_rad_s(self) -> float:

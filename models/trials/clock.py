@@ -288,12 +288,15 @@ def nominal_bend_ratio(meta: TrialMeta) -> BendRatio:
     scale = LinkScale(msgspec.structs.replace(STUDY_LINK, pressure_pa=meta.pressure_pa, **size))
     first_m, second_m = meta.layout.rows_m[:2]
 
-    def ratio(shear: bool) -> float:
-        first, second = (scale.deflection_m(z_m, 1.0, shear=shear) for z_m in (first_m, second_m))
-        below = first / (meta.base_offset_m + first_m)
-        return below / ((second - first) / (second_m - first_m) - below)
+    rows_m = np.array([first_m, second_m])
+    whole_m, _ = scale.deflection(rows_m, 1.0)
 
-    return BendRatio(ratio(shear=True), ratio(shear=False))
+    def ratio(deflection_m: Array) -> float:
+        first, second = deflection_m
+        below = first / (meta.base_offset_m + first_m)
+        return float(below / ((second - first) / (second_m - first_m) - below))
+
+    return BendRatio(ratio(whole_m), ratio(whole_m - rows_m / scale.shear_n))
 
 
 # --- search over all offsets, signs and orders ---------------------------------------------------
