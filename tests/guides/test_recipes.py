@@ -14,6 +14,9 @@ from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
+from models.plant import components
+from models.plant.plant import read_plant
+from models.plant.simulation.runner import CompiledModel, simulate_plant
 from models.trials import recordings
 from models.trials.files import read_trial
 
@@ -35,6 +38,26 @@ def test_the_servo_turns_angles_into_pulses_and_back():
     assert model.position_raw(0.0) == 2048 and model.position_raw(np.pi / 2) == 3072
     assert model.angle_rad(3072) == pytest.approx(np.pi / 2)
     assert Register.BUS_WATCHDOG in model.table
+
+
+def test_the_drive_follows_its_rate_and_has_exact_derivatives(monkeypatch, tmp_path):
+    monkeypatch.setitem(components.DRIVES, "speed", code("Add a drive")["SpeedLoop"])
+    path = tmp_path / "speed.toml"
+    path.write_text(re.search(r"```toml\n(.*?)```", SECTIONS["Add a drive"], re.DOTALL)[1])
+    plant = read_plant(path).with_values({"gravity_m_s2": 0.0})
+    goal_rad_s = 0.5 * np.ones(300)
+    rate_rad_s = np.diff(simulate_plant(plant, {"goal_1_rad_s": goal_rad_s})["angle_1_rad"]) / 0.017
+    # a first-order lag without steady error: nothing but inertia loads it
+    assert rate_rad_s[-1] == pytest.approx(0.5, abs=1e-6)
+    gain = "speed_gain_1_a_s_rad"
+    model = CompiledModel(plant.step_model(1, "twin"), [gain])
+    u = goal_rad_s[:40, None]
+    _, slopes = model.derivatives(u, 0.017)
+    low, high = (
+        model.simulate(u, 0.017, model.model.parameter_values({gain: value}))
+        for value in (10.0 - 1e-4, 10.0 + 1e-4)
+    )
+    assert slopes[:, :, 0] == pytest.approx((high - low) / 2e-4, rel=1e-4, abs=1e-9)
 
 
 @pytest.fixture
