@@ -122,6 +122,8 @@ def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
     }
     if q.name in own:
         return msgspec.structs.replace(q, value=own[q.name], source="link.toml")
+    if q.name == "span_position":  # between the same bounds
+        return msgspec.structs.replace(q, value=q.value * scale.over_study(q.name))
     if q.name == _KNOWN_PAYLOAD:
         return msgspec.structs.replace(q, high=link.most_payload_kg)
     ratio = _ratio(_JOINT.sub("", q.name), scale)
