@@ -110,7 +110,7 @@ class TipTwin:
         result = np.zeros((len(goals_rad), self.dof, self.dof * count))
         for k, goal in enumerate(goals_rad[:-1]):
             p = np.concatenate([self._p, x, goal])
-            y, by = stepper.simulate(payload, self.period_s, p)
+            y, by = stepper.derivatives(payload, self.period_s, p)
             x, by_x, by_u = y[1, :sizes], by[1, :, :sizes], by[1, :, sizes:]
             moved = by_x @ slope
             for j in range(self.dof):
