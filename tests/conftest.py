@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from firmware_py.inference.manifest import Manifest, write_manifest
-from models.plant.step_model import StepModel, Variable
+from models.plant.step_model import StepModel, Variable, runge_kutta
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from tests.compiler_options import pytest_runtest_protocol  # noqa: F401 (hook of pytest)
@@ -114,7 +114,8 @@ def _toy_observer(dof):
     torque = TORQUE_CONSTANT_NM_A * (current - FRICTION_A * ca.tanh(rate / CREEP_SPEED_RAD_S))
     lever = GRAVITY_M_S2 * LENGTH_M * ca.sin(angle)
     begin = ca.vertcat(bend, last, (angle - last) / h, x[3 * dof :])
-    flow = ca.vertcat(bend + h * (torque / STIFFNESS_NM_RAD - bend) / LAG_S, x[dof:])
+    bending = ca.vertcat((torque / STIFFNESS_NM_RAD - bend) / LAG_S, ca.MX.zeros(2 * dof + 2))
+    bending = ca.Function("rate", [x, u, p], [bending])
     finish = ca.vertcat(
         bend, angle, rate, x[-2] + ca.dot(torque, lever), x[-1] + ca.dot(lever, lever)
     )
@@ -141,7 +142,8 @@ def _toy_observer(dof):
         initial=ca.Function("initial", [u, p],
                             [ca.vertcat(ca.MX.zeros(dof), angle, ca.MX.zeros(dof + 2))]),
         begin=ca.Function("begin", [x, u, p, h], [begin]),
-        flow=ca.Function("flow", [x, u, p, h], [flow]),
+        flow=runge_kutta("flow", bending),
+        rate=bending,
         finish=ca.Function("finish", [x, u, p, h], [finish]),
         output=ca.Function("output", [x, u, p], [outputs]),
         max_substep_s=5e-3,
