@@ -214,7 +214,7 @@ class Objective:
         self.high = np.array([q.high for q in chosen])
         self.prior_deviation = np.array([prior_deviation_of(q) for q in chosen])
         self._centre = np.array([(prior or plant).parameters[n].value for n in self.free])
-        self._simulated: tuple[bytes, list[SignalFit]] = (b"", [])
+        self._simulated: tuple[bytes | None, list[SignalFit]] = (None, [])
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their Jacobian (n, len(free)); those of the priors come last."""

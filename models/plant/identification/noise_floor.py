@@ -378,7 +378,7 @@ class _VariedTwin:
         self.size = len(every)
         self._model = CompiledModel(model, self._moved)
         self._measured = [measured_signals(t) for t in self.trials]
-        self._last: tuple[bytes, list[tuple[Array, Array]]] = (b"", [])
+        self._last: tuple[bytes | None, list[tuple[Array, Array]]] = (None, [])
         self._follows = [np.ones(len(t)) for t in self.trials]
         if is_link:
             angles = [
