@@ -55,7 +55,7 @@ LIGHT: Final = 0.3
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
-payload: 3 s and 2 s for the link of the study and 2 kg."""
+payload: about 3.3 s and 2.2 s for the link of the study and 2 kg."""
 STIFFNESS_GRID: Final = 0.05 * np.arange(-6, 7)
 PAYLOAD_STEP_KG: Final = 0.125
 """Relative changes of stiffness, and step of the payloads, on the grid [assumed]; its payloads are

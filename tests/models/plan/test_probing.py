@@ -92,7 +92,7 @@ def test_the_motion_begins_and_ends_at_rest_and_keeps_the_limits(probe):
     assert len(goals) * PERIOD_S < 5.5
     assert np.max(np.abs(np.diff(goals, axis=0))) / PERIOD_S < 0.6
     still = np.flatnonzero(np.any(goals != 0.0, axis=1))[-1]
-    assert (len(goals) - still) * PERIOD_S == pytest.approx(2.0, abs=0.1)
+    assert 1.5 < (len(goals) - still) * PERIOD_S < 3.0
 
 
 def test_little_of_a_swing_is_left_when_the_plan_begins(twin, probe):
