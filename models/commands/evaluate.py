@@ -10,6 +10,7 @@ import argparse
 import math
 import sys
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -22,6 +23,9 @@ from models.plant.plant import read_plant
 from models.trials.checks.trials import read_usable_trials
 
 EXAMPLE = "dropstitch evaluate build/unseen_20deg --plant build/plant.json"
+
+COMMON_MS: Final = 0.5
+"""Mean of the trials' clocks that is stated: that of a good plant is smaller [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -73,6 +77,9 @@ def clock_sentence(result: Evaluation) -> str:
         f"({min(clocks_ms):.1f} to {max(clocks_ms):.1f} ms from trial to trial); with each trial's "
         f"clock refitted {LENGTH.text(plant_m)}"
     )
+    common_ms = sum(clocks_ms) / len(clocks_ms)
+    if abs(common_ms) > COMMON_MS:
+        text += f"; all trials share {common_ms:.1f} ms, which may be a delay that the plant lacks"
     limit_s = (1 - 1e-3) * CLOCK_LIMIT_S
     at_limit = [name for name, clock_s in result.clocks_s.items() if abs(clock_s) > limit_s]
     if at_limit:

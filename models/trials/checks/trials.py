@@ -120,7 +120,7 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
 LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
 """Conditions that all trials of one link share."""
 ONE_PRESSURE_FRACTION: Final = 0.05
-"""Largest difference of pressures that count as equal: the link is 5 % stiffer [assumed]."""
+"""Largest difference of pressures that count as equal: of 5 % in the limit moment [assumed]."""
 COLLINEAR: Final = 0.98
 """Correlation of two angles above which their effects cannot be separated."""
 

@@ -29,7 +29,7 @@ def test_the_mode_is_that_of_the_link_beside_a_slow_servo(words, tmp_path, capsy
     (payload,) = json.loads((tmp_path / "map.json").read_text())["payloads"]
     twin = linearise(read_plant(), 0.0)  # with the stiff servo the link's mode is the slowest
     poles = np.log(np.linalg.eigvals(twin.A)) / PERIOD_S
-    slowest = min((p.imag for p in poles if p.imag > 0 and -p.real < 0.5 * abs(p)))
+    slowest = min(p.imag for p in poles if p.imag > 0 and -p.real < 0.5 * abs(p))
     assert payload["half_period_s"] == [pytest.approx(np.pi / slowest, rel=0.05)]
     shown = capsys.readouterr()
     assert f"half period {payload['half_period_s'][0]:.3f} s" in shown.out
