@@ -38,6 +38,9 @@ PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
 """Length of link that bends like the root patch, relative to the width: 350 N·m/rad at 135 N·m²."""
 HELD_RAD: Final = math.radians(30.0)
 """Largest angle of the study's motions."""
+LEAST_SPAN_POSITION: Final = 0.15
+"""Nearest place of the span's hinge to the root: the piece of link between two hinges that are
+nearer swings too fast for the steps of a simulation."""
 MODAL_MASS_FRACTION: Final = 0.236
 """Fraction of a cantilever's mass that moves with its tip: 33/140 (Rayleigh, static deflection)."""
 
@@ -112,11 +115,11 @@ class LinkScale:
 
         A force P at the tip of a cantilever that bends and shears turns it by P L²/(2 EI) and moves
         it by P L³/(3 EI) + P L/κGA (Timoshenko). One hinge has both at σ = 1/3 - 2 EI/(κGA L²),
-        with the stiffness (1 - σ) 2 EI/L. In a short link shear prevails and no hinge of the span
-        has both; σ is 0 there.
+        with the stiffness (1 - σ) 2 EI/L. In a short link shear prevails: the hinge then keeps the
+        tip's deflection at `LEAST_SPAN_POSITION`.
         """
         shear = 2 * self.bending_n_m2 / (self.shear_n * self.link.length_m**2)
-        return max(1 / 3 - shear, 0.0)
+        return max(1 / 3 - shear, LEAST_SPAN_POSITION)
 
     @property
     def span_nm_rad(self) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_py.link.link_description import STUDY_LINK
-from models.shared.link_scale import LinkScale
+from models.shared.link_scale import LEAST_SPAN_POSITION, LinkScale
 
 ROUND = msgspec.structs.replace(STUDY_LINK, section="round")
 PARTS = 40_000
@@ -91,7 +91,7 @@ def test_the_hinge_of_the_span_moves_and_turns_the_tip_as_the_span_does(length_m
     across = turn * (1 - scale.span_position) * length_m
     exact = length_m**3 / (3 * scale.bending_n_m2) + length_m / scale.shear_n
     assert across == pytest.approx(exact)
-    if scale.span_position > 0:
+    if scale.span_position > LEAST_SPAN_POSITION:
         assert turn == pytest.approx(length_m**2 / (2 * scale.bending_n_m2))
     if length_m == 0.95:
         assert (scale.span_position, scale.span_nm_rad) == pytest.approx((0.184, 232.0), rel=2e-3)
