@@ -155,7 +155,7 @@ def loop(out: Path) -> list[Figure]:
     p50_us, p99_us = (timing["own_cost"][f"p{q}_ns"] / 1e3 for q in (50, 99))
     bound = 100 * timing["own_miss_rate_upper_bound_95"]
     by_host = timing["misses"] - timing["own_misses"]
-    early = "" if timing["ended"] == "finished" else f"; it ended early: {timing['reason']}"
+    early = "" if timing["run"]["ended"] == "finished" else f"; it ended early: {timing['reason']}"
     command = "make figures ONLY=loop"
     return [
         Figure("loop-own", "computing time of a 17 ms tick in real time, p99, 2DOF", p99_us,
