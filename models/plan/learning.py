@@ -530,12 +530,12 @@ def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> 
     if run.source == "mocap":
         measured_kg.append(run.payload_kg)
     at = np.asarray(payloads_kg, dtype=np.float64)
-    left = np.ones(len(at))
+    variance = np.ones(len(at))
     if measured_kg:
         own = payload_correlation(measured_kg, measured_kg) + REMAINS * np.eye(len(measured_kg))
         across = payload_correlation(at, measured_kg)
-        left -= np.sum(across * np.linalg.solve(own, across.T).T, axis=1)
-    return np.hypot(plant_m * np.sqrt(np.maximum(left, 0.0)), scatter_m)
+        variance -= np.sum(across * np.linalg.solve(own, across.T).T, axis=1)
+    return np.hypot(plant_m * np.sqrt(np.maximum(variance, 0.0)), scatter_m)
 
 
 def _rms(error: Array) -> float:

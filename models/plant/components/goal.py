@@ -39,9 +39,9 @@ LEAST_SQUARED_SPEED: Final = 1e-12
 
 
 def profiled_change(
-    left: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
+    distance: Expr, rate: Expr, speed: Expr, acceleration: Expr, step_s: Expr
 ) -> tuple[Expr, Expr]:
-    """Change of the set-point in one step, and its final rate; `left` is the distance to go.
+    """Change of the set-point in one step, and its final rate; `distance` is what is to go.
 
     A profiling servo accelerates its set-point to the speed limit, holds that speed, and
     decelerates so that it comes to rest at the goal (docs/sources.md, "Control tables"). It plans
@@ -49,8 +49,8 @@ def profiled_change(
     acceleration a, the set-point accelerates up to the speed √(v²/2 + a e), or to the limit. A goal
     that moves at the speed v is followed v / 2a late.
     """
-    towards = ca.if_else(left >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
-    way, begun = towards * left, towards * rate
+    towards = ca.if_else(distance >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
+    way, begun = towards * distance, towards * rate
     squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED
     top = ca.fmin(ca.sqrt(squared), speed)
     rise_s, fall_s = (top - begun) / acceleration, top / acceleration
@@ -190,8 +190,8 @@ def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
 
     `decay_s` is the time constant of the velocity loop.
     """
-    left = ca.exp(-step_s / decay_s)
-    return ca.exp(-phase * step_s / decay_s) / (1 - left) - decay_s / step_s
+    decay = ca.exp(-step_s / decay_s)
+    return ca.exp(-phase * step_s / decay_s) / (1 - decay) - decay_s / step_s
 
 
 def _without_staircase(scope: Scope, joint: int) -> Expr:

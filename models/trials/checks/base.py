@@ -49,7 +49,7 @@ def judge_fixed_base(series: Sequence[Series], meta: TrialMeta) -> list[ImportFi
         due_m = turn_rad * meta.link_width_m / 2
         most_m = float(np.percentile(moved_m, 95, axis=0).max())
         if turn_rad > LEAST_TURN_RAD and most_m < STILL * due_m:
-            return causes.FIXED_BASE.found(moved_m=most_m, due_m=due_m)
+            return causes.FIXED_BASE.raised(moved_m=most_m, due_m=due_m)
     return []
 
 
@@ -58,7 +58,7 @@ SURE_ERRORS: Final = 3.0
 FEWEST_ROWS: Final = 20
 MOST_ROWS: Final = 400
 """Most rows in a fit; of more rows every nth is used."""
-LARGEST_LEFT_M: Final = 0.002
+LARGEST_RESIDUAL_M: Final = 0.002
 """Largest residual of a path that the fit explains; on the rigs it is below 0.4 mm."""
 
 
@@ -112,22 +112,22 @@ def judge_root_path(trial: Trial) -> list[ImportFinding]:
     above = pointing_angles_rad(second_m - first_m)[:, : meta.dof] - angle
     base, height_m = base_rotation(angle)[:, :, 2], meta.layout.rows_m[0]
 
-    def left(p: Array) -> Array:
+    def residual_m(p: Array) -> Array:
         h, a, b, tilt, crossing_m = p[0], p[1], p[2], np.array([*p[3:5], 0.0]), p[5:]
         below = base_rotation(angle + a * above + b * np.sin(angle))[:, :, 2]
         place_m = h * base + height_m * below
         return np.asarray((crossing_m + place_m + np.cross(tilt, place_m) - first_m).ravel())
 
     start = np.array([meta.base_offset_m, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    fit = least_squares(left, start, x_scale=[0.01, 0.1, 0.1, 0.01, 0.01, 0.01, 0.01, 0.01])
-    if np.sqrt(np.mean(fit.fun**2)) > LARGEST_LEFT_M:
+    fit = least_squares(residual_m, start, x_scale=[0.01, 0.1, 0.1, 0.01, 0.01, 0.01, 0.01, 0.01])
+    if np.sqrt(np.mean(fit.fun**2)) > LARGEST_RESIDUAL_M:
         return []
     return _compared(fit.x[0], _error(fit.jac, fit.fun, 0), meta, causes.ROOT_PATH)
 
 
-def _error(design: Array, left: Array, k: int) -> float:
+def _error(design: Array, residual: Array, k: int) -> float:
     """Standard error of a fitted term; neighbouring samples share errors, so one in ten counts."""
-    return float(np.sqrt(10 * left.var() * np.linalg.pinv(design.T @ design)[k, k]))
+    return float(np.sqrt(10 * residual.var() * np.linalg.pinv(design.T @ design)[k, k]))
 
 
 def _compared(

@@ -64,7 +64,7 @@ class Cause:
         text, remedy = (_SENTENCES.vformat(s, (), measured) for s in (self.text, self.remedy))
         return ImportFinding(level, self.name, text, remedy)
 
-    def found(self, **measured: Any) -> list[ImportFinding]:
+    def raised(self, **measured: Any) -> list[ImportFinding]:
         """The finding, of a cause that is not a matter of size."""
         return self.beyond(0.0, **measured)
 

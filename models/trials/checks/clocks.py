@@ -28,7 +28,7 @@ def judge_clock(clock: Synchronisation) -> list[ImportFinding]:
         least_s = max(causes.CLOCK_DRIFT_S, causes.DRIFT_DEVIATIONS * drift.deviation_s)
         if abs(drift.change_s) > least_s:
             change_s = abs(drift.change_s)
-            return found + causes.CLOCK_DRIFT.found(change_s=change_s, over_s=drift.over_s)
+            return found + causes.CLOCK_DRIFT.raised(change_s=change_s, over_s=drift.over_s)
     return found
 
 
@@ -44,7 +44,7 @@ def judge_given_offset(
     differs_s = abs(given_s - found.offset_s)
     if differs_s <= 3 * found.error_s + causes.GIVEN_CLOCK_S:
         return []
-    return causes.GIVEN_CLOCK.found(
+    return causes.GIVEN_CLOCK.raised(
         given_s=given_s + apart_s, differs_s=differs_s, found_s=found.offset_s + apart_s,
         error_s=found.error_s, by="sync signal" if found.by == "sync" else "motion",
     )  # fmt: skip
@@ -88,4 +88,4 @@ def judge_frame_rate(
     if correlation < FITS or abs(factor - 1) < RATE_STEP - 1:
         return []
     file = mocap[0].path.name
-    return causes.FRAME_RATE.found(file=file, factor=factor, correlation=correlation)
+    return causes.FRAME_RATE.raised(file=file, factor=factor, correlation=correlation)

@@ -45,12 +45,12 @@ def judge_standing_goals(trial: Trial) -> list[ImportFinding]:
         still = np.std(goal) < LEAST_MOTION_RAD and np.isfinite(angle).all()
         if still and np.ptp(angle) - np.ptp(goal) > STILL_RAD:
             only = f"moves by {ANGLE.text(np.ptp(goal))}" if np.ptp(goal) > 0 else "stands still"
-            return causes.STILL_GOAL.found(joint=j, moved_rad=np.ptp(angle), only=only)
+            return causes.STILL_GOAL.raised(joint=j, moved_rad=np.ptp(angle), only=only)
     moved = np.ptp(trial.goal_rad, axis=0)
     if not moved.any():
-        return causes.STILL_GOALS.found(stated=ANGLE.significant(declared))
+        return causes.STILL_GOALS.raised(stated=ANGLE.significant(declared))
     still = [j for j, way in enumerate(moved, start=1) if not way]
-    return causes.IDLE_JOINT.found(joint=still[0]) if still else []
+    return causes.IDLE_JOINT.raised(joint=still[0]) if still else []
 
 
 def _missing_rows(trial: Trial) -> list[ImportFinding]:
@@ -62,7 +62,7 @@ def _missing_rows(trial: Trial) -> list[ImportFinding]:
         at = np.flatnonzero(goal * angle > 0)
         if len(at):
             row = int(at[np.argmax(np.abs(angle[at]))])
-            return causes.MISSING_ROWS.found(
+            return causes.MISSING_ROWS.raised(
                 joint=j + 1, jump=angle[row], row=row + 3, at_s=trial.time_s[row + 1]
             )
     return []
@@ -109,12 +109,12 @@ class SineFit(NamedTuple):
     period_s: float
     sine: float  # Coefficients of sine and cosine, in the unit of the samples
     cosine: float
-    left: float  # Root mean square residual, in that unit
+    residual: float  # Root mean square, in that unit
 
     @property
     def clean(self) -> bool:
         """Whether the samples are this sinusoid up to the resolution of a servo."""
-        return self.left <= max(CLEAN * float(np.hypot(self.sine, self.cosine)), CLEAN_RAD)
+        return self.residual <= max(CLEAN * float(np.hypot(self.sine, self.cosine)), CLEAN_RAD)
 
 
 def fit_sine(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
@@ -134,9 +134,9 @@ def fit_period(time_s: Array, goal_rad: Array, period_s: float) -> SineFit:
     cycles = (time_s[-1] - time_s[0]) / period_s
     count = int(np.ceil(20 * PERIOD_FRACTION * max(cycles, 1.0))) + 1
     tried = period_s * np.linspace(1 - PERIOD_FRACTION, 1 + PERIOD_FRACTION, count)
-    best = int(np.argmin([fit_sine(time_s, goal_rad, own_s).left for own_s in tried]))
+    best = int(np.argmin([fit_sine(time_s, goal_rad, own_s).residual for own_s in tried]))
     found = minimize_scalar(
-        lambda own_s: fit_sine(time_s, goal_rad, own_s).left, method="bounded",
+        lambda own_s: fit_sine(time_s, goal_rad, own_s).residual, method="bounded",
         bounds=(tried[max(best - 1, 0)], tried[min(best + 1, count - 1)]),
         options={"xatol": 1e-6 * period_s},
     )  # fmt: skip
@@ -154,11 +154,11 @@ def _sinusoid(trial: Trial) -> list[ImportFinding]:
     ends_s = [whole_s, whole_s - GLIDE_S, *((2 * period_s,) if 2 * period_s < whole_s else ())]
     windows = [time_s <= time_s[0] + end_s for end_s in ends_s if end_s >= 0.95 * period_s]
     windows = [w for w in windows if goal[w].std() > 0]
-    lefts = [fit_sine(time_s[w], goal[w], period_s).left / goal[w].std() for w in windows]
+    residuals = [fit_sine(time_s[w], goal[w], period_s).residual / goal[w].std() for w in windows]
     sampled = period_s > LEAST_STEPS * trial.step_s
     is_sinusoid = meta.motion == "sinusoid"
-    if is_sinusoid and not (sampled and 1 - min(lefts, default=0.0) ** 2 >= REPEATING):
-        return causes.NO_SINUSOID.found(period_s=period_s)
+    if is_sinusoid and not (sampled and 1 - min(residuals, default=0.0) ** 2 >= REPEATING):
+        return causes.NO_SINUSOID.raised(period_s=period_s)
     if not sampled:
         return []
     fits = [(fit_period(time_s[w], goal[w], period_s), w) for w in windows]
@@ -169,13 +169,13 @@ def _sinusoid(trial: Trial) -> list[ImportFinding]:
     time_s, goal = time_s[window], goal[window]
     if not is_sinusoid:  # below one and a half periods it may be another motion
         is_long = time_s[-1] - time_s[0] >= 1.5 * fit.period_s
-        return causes.MOTION.found(period_s=fit.period_s, motion=meta.motion) if is_long else []
+        return causes.MOTION.raised(period_s=fit.period_s, motion=meta.motion) if is_long else []
     off = fit.period_s / period_s - 1
     first = time_s <= time_s[0] + MOST_CYCLES * period_s
     stated = fit_sine(time_s[first], goal[first], period_s)
-    if abs(off) <= PERIOD or stated.left < UNLIKE * fit.left:
+    if abs(off) <= PERIOD or stated.residual < UNLIKE * fit.residual:
         return []
-    return causes.PERIOD.found(period_s=fit.period_s, stated_s=period_s, off=abs(off))
+    return causes.PERIOD.raised(period_s=fit.period_s, stated_s=period_s, off=abs(off))
 
 
 SINUSOIDAL: Final = 0.9
@@ -195,7 +195,7 @@ def _phase(trial: Trial) -> list[ImportFinding]:
     phases = []
     for goal in trial.goal_rad[cycle].T:
         fit = fit_sine(trial.time_s[cycle], goal, meta.period_s)
-        if np.std(goal) < LEAST_MOTION_RAD or fit.left**2 > (1 - SINUSOIDAL) * np.var(goal):
+        if np.std(goal) < LEAST_MOTION_RAD or fit.residual**2 > (1 - SINUSOIDAL) * np.var(goal):
             return []
         phases.append(np.arctan2(fit.cosine, fit.sine))
     lead = float(phases[1] - phases[0])

@@ -38,10 +38,10 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
     found: list[ImportFinding] = []
     for name, source in mapping.markers.items():
         if f"{name}_x_m" not in columns:
-            found += causes.ABSENT_MARKER.found(name=name, source=source)
+            found += causes.ABSENT_MARKER.raised(name=name, source=source)
     missing = [n for n in markers if n not in given and n not in mapping.markers]
     if missing and given != ["tip"]:
-        found += causes.NOT_MAPPED.found(names=", ".join(missing))
+        found += causes.NOT_MAPPED.raised(names=", ".join(missing))
     for name in given:
         unseen = float(np.mean(~np.isfinite(columns[f"{name}_x_m"])))
         found += causes.OCCLUDED.beyond(unseen, name=name)
@@ -98,7 +98,7 @@ def without_zeros(
     if not counts:
         return series, []
     seen_s = np.concatenate(times_s)
-    return result, causes.ZEROS.found(
+    return result, causes.ZEROS.raised(
         first_s=seen_s.min(), last_s=seen_s.max(), remedy=remedy,
         listed=", ".join(f"{name} in {n}" for name, n in counts.items()),
     )  # fmt: skip
@@ -139,7 +139,7 @@ def judge_marker_run(trial: Trial) -> list[ImportFinding]:
         listed = of_cause[:MOST_NAMED]
         if len(of_cause) > MOST_NAMED:
             listed[-1] += f"; and {len(of_cause) - MOST_NAMED} times more in this trial"
-        found += [finding for text in listed for finding in cause.found(text=text)]
+        found += [finding for text in listed for finding in cause.raised(text=text)]
     return found
 
 

@@ -95,12 +95,12 @@ def _reading(pointing: Array, angle: Array) -> list[ImportFinding]:
         finding
         for j in joints
         if fit[j][j] < -ALIKE
-        for finding in causes.SIGN.found(joint=j + 1, correlation=fit[j][j])
+        for finding in causes.SIGN.raised(joint=j + 1, correlation=fit[j][j])
     ]
     if found or len(joints) == 1:
         return found
     own, other = min(fit[0][0], fit[1][1]), min(abs(fit[0][1]), abs(fit[1][0]))
-    return causes.JOINTS_SWAPPED.found() if other > ALIKE and own < other - 0.1 else []
+    return causes.JOINTS_SWAPPED.raised() if other > ALIKE and own < other - 0.1 else []
 
 
 def correlation(a: Array, b: Array) -> float:
@@ -124,9 +124,9 @@ def _against_goals(trial: Trial) -> list[ImportFinding]:
         gain, against = float(q.std() / g.std()), runs_against(g, q)
         if against or not FOLLOWS[0] < gain < FOLLOWS[1]:
             what = "run against each other" if against else f"differ by a factor of {gain:.3g}"
-            found += causes.GOAL_AGAINST.found(joint=j, what=what)
+            found += causes.GOAL_AGAINST.raised(joint=j, what=what)
         elif (lead_s := _lead_s(g, q, trial.step_s)) > 0.75 * trial.step_s:
-            found += causes.GOAL_BEHIND.found(joint=j, lead_s=lead_s)
+            found += causes.GOAL_BEHIND.raised(joint=j, lead_s=lead_s)
     # A motion may begin away from zero, and a servo's zero may be elsewhere.
     reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
     reach = min(reaches, key=lambda own: abs(own - declared))
@@ -157,7 +157,7 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
     Friction needs a current along the motion, the weight of an upright link one against its lean.
     Both must have the wrong sign before the current's sign counts as wrong.
     """
-    found = causes.CURRENTS_SWAPPED.found() if _exchanged_currents(trial) else []
+    found = causes.CURRENTS_SWAPPED.raised() if _exchanged_currents(trial) else []
     for j, (current, q) in enumerate(zip(trial.current_a.T, trial.angle_rad.T, strict=True), 1):
         rate = np.gradient(q, trial.step_s)
         if not np.isfinite(current + q).all() or np.std(rate) < MOVING_RAD_S:
@@ -168,9 +168,9 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
         x, y, _ = trial.meta.gravity
         both_ways = min(q.max(), -q.min()) > LEAST_MOTION_RAD and not (x or y)
         if both_ways and current.min() >= 0.0 < current.std():
-            found += causes.CURRENT_SIZE.found(joint=j)
+            found += causes.CURRENT_SIZE.raised(joint=j)
         elif friction < -noise and weight > noise:
-            found += causes.CURRENT_SIGN.found(joint=j)
+            found += causes.CURRENT_SIGN.raised(joint=j)
     return found
 
 

@@ -47,9 +47,9 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
             for load in ((_current_load, "current"), (_bend_load, "bend"))
         )
         if by_current and by_bend == "":
-            found += causes.SERVO_LOG.found(text=by_current)
+            found += causes.SERVO_LOG.raised(text=by_current)
         elif text := by_current or (by_bend if by_current is None else ""):
-            found += causes.PAYLOAD.found(text=text)
+            found += causes.PAYLOAD.raised(text=text)
     return found
 
 
@@ -229,9 +229,9 @@ def judge_payload_unit(trials: Sequence[Trial], value: Mapping[str, float]) -> l
         by_current, by_own = math.log(found.by_current), math.log(found.by_own_weight)
         if abs(by_own) < abs(by_own - by_current):  # the link's own weight is off as well
             if abs(by_current) > NOT_ONE:
-                return causes.TORQUE_CONSTANT.found(factor=found.by_current)
+                return causes.TORQUE_CONSTANT.raised(factor=found.by_current)
         elif unit := payload_unit_cause(found.by_current, found.error):
-            return causes.PAYLOAD_UNIT.found(factor=found.by_current, error=found.error, unit=unit)
+            return causes.PAYLOAD_UNIT.raised(factor=found.by_current, error=found.error, unit=unit)
     return []
 
 
@@ -258,7 +258,7 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
         return []
     found = judge_undeclared(trial)
     if 0 < meta.pressure_pa < PRESSURE_PA:
-        found += causes.PRESSURE_UNIT.found(pressure_pa=meta.pressure_pa)
+        found += causes.PRESSURE_UNIT.raised(pressure_pa=meta.pressure_pa)
     gravity = [] if is_described else _gravity_size(trial)
     return [*found, *(gravity or _gravity_direction(trial)), *_payload_size(trial)]
 
@@ -270,7 +270,7 @@ def judge_undeclared(trial: Trial) -> list[ImportFinding]:
         return []
     own = [name for name in names if hasattr(trial.meta, name)]
     instead = f", and give {', '.join(own)} above it" if own else ""
-    return causes.CONDITIONS.found(names=", ".join(names), instead=instead)
+    return causes.CONDITIONS.raised(names=", ".join(names), instead=instead)
 
 
 def _payload_size(trial: Trial) -> list[ImportFinding]:
@@ -296,8 +296,8 @@ def _gravity_size(trial: Trial) -> list[ImportFinding]:
         return []
     if size > high or math.isclose(size, 1.0, rel_tol=1e-6):
         unit = "" if size > high else ": that is in g"
-        return causes.GRAVITY_SIZE.found(stated=stated, size_m_s2=size, unit=unit)
-    return causes.GRAVITY_LOW.found(stated=stated, size_m_s2=size)
+        return causes.GRAVITY_SIZE.raised(stated=stated, size_m_s2=size, unit=unit)
+    return causes.GRAVITY_LOW.raised(stated=stated, size_m_s2=size)
 
 
 def _gravity_direction(trial: Trial) -> list[ImportFinding]:
@@ -331,7 +331,7 @@ def _gravity_direction(trial: Trial) -> list[ImportFinding]:
         if np.linalg.norm(due) < CLEAR * np.linalg.norm(stated) or sizes == 0.0:
             continue
         if shown @ due < ALONG * sizes:
-            return causes.GRAVITY_DIRECTION.found(
+            return causes.GRAVITY_DIRECTION.raised(
                 joint=j + 1, shown=_listed(shown / np.linalg.norm(shown)),
                 stated=_listed(trial.meta.gravity),
             )  # fmt: skip

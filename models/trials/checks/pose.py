@@ -356,7 +356,7 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
         return size  # the shape in another unit fits no order of the names
     found = [*(_names(pose, mapping, default_up) or size)]
     if mapping.frame.align == "rest" and pose.sag_m > ORIGIN_M:
-        found += causes.SAG.found(sag_m=pose.sag_m)
+        found += causes.SAG.raised(sag_m=pose.sag_m)
     if zero := _encoder_zero(pose):
         return found + zero
     if mapping.frame.align == "none" and not any(f.level == "refused" for f in size):
@@ -392,18 +392,18 @@ def _encoder_zero(pose: RestPose) -> list[ImportFinding]:
     upright = pose.tilt_upright_rad < min(SMALL_TILT_RAD, pose.tilt_rad / 3)
     if not upright or abs(rest_rad) < ZERO_RAD:
         return []
-    return causes.ZERO.found(joint=joint + 1, rest_rad=rest_rad, offset_rad=-rest_rad)
+    return causes.ZERO.raised(joint=joint + 1, rest_rad=rest_rad, offset_rad=-rest_rad)
 
 
 def _names(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
     if not pose.order:
         return []
     if pose.mirrored is None:
-        return causes.ORDER.found(order=pose.order)
+        return causes.ORDER.raised(order=pose.order)
     if mapping.frame.mirror:
-        return causes.MIRROR_OR_ORDER.found(order=pose.order, mirror=mapping.frame.mirror)
+        return causes.MIRROR_OR_ORDER.raised(order=pose.order, mirror=mapping.frame.mirror)
     in_file = np.abs(world_rotation(mapping.frame, default_up).T @ pose.mirrored)
-    return causes.LEFT_HANDED.found(order=pose.order, axis="xyz"[int(np.argmax(in_file))])
+    return causes.LEFT_HANDED.raised(order=pose.order, axis="xyz"[int(np.argmax(in_file))])
 
 
 def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[ImportFinding]:
@@ -412,12 +412,12 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
         in_file = world_rotation(mapping.frame, default_up).T @ pose.axis
         k = int(np.argmax(np.abs(in_file)))
         up = f"{'-' if in_file[k] < 0 else ''}{'xyz'[k]}"
-        return causes.UP_AXIS.found(up=up, now=mapping.frame.up or default_up)
+        return causes.UP_AXIS.raised(up=up, now=mapping.frame.up or default_up)
     yaw_deg = (mapping.frame.yaw_deg - np.degrees(pose.yaw_rad) + 180.0) % 360.0 - 180.0
     found = causes.CORNERS_TURNED.beyond(pose.yaw_rad, yaw_deg=yaw_deg)
     level = causes.TILT.level(pose.tilt_rad)
     if level and pose.tilt_turned_rad < pose.tilt_rad / 3:
-        found += causes.LEANS_AGAINST.found(tilt_rad=pose.tilt_rad)
+        found += causes.LEANS_AGAINST.raised(tilt_rad=pose.tilt_rad)
     elif level or _is_tilt(pose):
         found.append(
             causes.TILT.at(level or "warning", tilt_rad=pose.tilt_rad, aside_m=pose.tip_aside_m)
@@ -467,4 +467,4 @@ def judge_base(pose: RestPose) -> list[ImportFinding]:
         wrong.append(f"is turned by {ANGLE.text(pose.yaw_rad)}")
     if (distance_m := np.linalg.norm(pose.offset_m)) > causes.ORIGIN.limits[1]:
         wrong.append(f"is {distance_m:.3f} m off")
-    return causes.BASE_ORDER.found(wrong=" and ".join(wrong)) if wrong else []
+    return causes.BASE_ORDER.raised(wrong=" and ".join(wrong)) if wrong else []

@@ -70,10 +70,10 @@ def judge_times(series: Sequence[Series]) -> list[ImportFinding]:
         steps = np.diff(s.time_s)
         step_s = float(np.median(steps))
         if np.all(s.time_s == np.round(s.time_s)) and np.median(np.abs(steps)) == 1.0:
-            return causes.FRAME_NUMBERS.found(file=s.path.name)
+            return causes.FRAME_NUMBERS.raised(file=s.path.name)
         if not STEP_RANGE_S[0] <= step_s <= STEP_RANGE_S[1]:
             unit = "ms" if step_s > 1 else "s"
-            return causes.TIME_UNIT.found(file=s.path.name, step_s=step_s, unit=unit)
+            return causes.TIME_UNIT.raised(file=s.path.name, step_s=step_s, unit=unit)
     return []
 
 
@@ -88,7 +88,7 @@ def judge_steps(series: Sequence[Series], mapping: RecordingMap) -> list[ImportF
         even = np.percentile(np.abs(steps / usual_s - 1), 90) <= EVEN_STEP
         other = abs(own_s - mapping.step_s) > STEP_TOLERANCE * mapping.step_s
         if even and other and own_s > FINE_STEP * mapping.step_s:
-            return causes.STEP.found(file=s.path.name, own_s=own_s, step_s=mapping.step_s)
+            return causes.STEP.raised(file=s.path.name, own_s=own_s, step_s=mapping.step_s)
     return []
 
 
@@ -108,7 +108,7 @@ def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> li
         return []
     name, (own, other, most) = next(iter(differing.items()))
     more = f", and so do {len(differing) - 1} others" if len(differing) > 1 else ""
-    return causes.SHARED_SIGNAL.found(
+    return causes.SHARED_SIGNAL.raised(
         name=name, own=own.path.name, other=other.path.name, most=most, more=more
     )
 
@@ -121,7 +121,7 @@ def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
         for j in (1, 2):
             goal, angle = (columns.get(f"{kind}_{j}_rad") for kind in ("goal", "angle"))
             if goal and angle and goal.source == angle.source:
-                return causes.GOAL_FROM_ANGLE.found(joint=j, source=goal.source)
+                return causes.GOAL_FROM_ANGLE.raised(joint=j, source=goal.source)
     return []
 
 
@@ -158,7 +158,7 @@ def _doubled(series: Series, dof: int) -> list[ImportFinding]:
         finding
         for (one, x), (other, y) in combinations(moving.items(), 2)
         if np.array_equal(x, y, equal_nan=True)
-        for finding in causes.DOUBLED_SIGNAL.found(one=one, other=other)
+        for finding in causes.DOUBLED_SIGNAL.raised(one=one, other=other)
     ]
 
 
@@ -183,18 +183,18 @@ def _units(series: Series, dof: int) -> list[ImportFinding]:
                 unit = "counts of the encoder"
                 remedy = "scale = 0.0015339 (4096 counts per turn) and offset"
             if reached > LARGEST_RAD:
-                found += causes.UNIT.found(name=name, reached=reached, unit=unit, remedy=remedy)
+                found += causes.UNIT.raised(name=name, reached=reached, unit=unit, remedy=remedy)
         if current is None:
             continue
         reached = _largest(current)
         if reached > LARGEST_A:
-            found += causes.UNIT.found(
+            found += causes.UNIT.raised(
                 name=f"current_{j}_a", reached=reached, unit="mA, or in counts of the servo",
                 remedy='unit = "mA", or the servo\'s A per count as scale,',
             )  # fmt: skip
         moves = angle is not None and np.nanstd(angle) > LEAST_MOTION_RAD
         if moves and 0 < reached < LEAST_A:
-            found += causes.SMALL_CURRENT.found(
+            found += causes.SMALL_CURRENT.raised(
                 joint=j, reached=SMALL_CURRENT.significant(reached, 2)
             )
     return found
@@ -239,7 +239,7 @@ def _wraps(series: Series, name: str) -> list[ImportFinding]:
     if not len(at):
         return []
     k = int(at[0])
-    return causes.WRAP.found(
+    return causes.WRAP.raised(
         name=name, jump=jumps[k], sample=k + 1, next=k + 2, at_s=series.time_s[k],
         times=f", and {len(at) - 1} times more" if len(at) > 1 else "",
     )  # fmt: skip
@@ -267,7 +267,7 @@ def _angle_spikes(series: Series, name: str) -> list[ImportFinding]:
     at = np.flatnonzero((size > SPIKE_RAD) & (turn > limit) & alike) + 1
     if not len(at):
         return []
-    return causes.ANGLE_SPIKE.found(
+    return causes.ANGLE_SPIKE.raised(
         name=name, jump=size[at - 1].max(), where=_listed(at, time_s)
     )  # fmt: skip
 
@@ -304,7 +304,7 @@ def _current_spikes(series: Series, name: str, steps_s: Array) -> list[ImportFin
     if not len(at):
         return []
     k = int(at[np.argmax(size[at - 1])])
-    return causes.CURRENT_SPIKE.found(
+    return causes.CURRENT_SPIKE.raised(
         name=name, jump=current[k], where=_listed(at, time_s), low=others.min(), high=others.max()
     )
 

@@ -67,7 +67,7 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     rows, apart_m = _from_last_row(trial)
     if not REACH[0] <= size_m / reach_m <= REACH[1] and not _marker_at(trial, rows):
         unit = unit_of_length(size_m / reach_m)
-        return causes.TIP_REACH.found(size_m=size_m, reach_m=reach_m, unit=unit)
+        return causes.TIP_REACH.raised(size_m=size_m, reach_m=reach_m, unit=unit)
     off_m = np.linalg.norm(apart_m, axis=1)
     found = _beside_row(trial, rows, apart_m) if len(rows) else []
     if any(f.level == "refused" for f in found):
@@ -77,11 +77,11 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     if len(wrong):
         off = LENGTH.text(off_m.max(), 0)
         what = f"up to {off} from the centre of {_last_row(trial)}"
-        found += causes.TIP_ROWS.found(what=what, where=_where(trial, wrong), row=_last_row(trial))
+        found += causes.TIP_ROWS.raised(what=what, where=_where(trial, wrong), row=_last_row(trial))
     others = np.setdiff1d(_jumps(trial, seen, reach_m), rows)
     if len(others):
         where = _where(trial, others)
-        found += causes.TIP_ROWS.found(what="off its course", where=where, row=_last_row(trial))
+        found += causes.TIP_ROWS.raised(what="off its course", where=where, row=_last_row(trial))
     return found
 
 

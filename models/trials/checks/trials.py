@@ -130,10 +130,10 @@ def check_trials(trials: TrialSet) -> list[ImportFinding]:
     found = [*_judge_links(trials), *judge_pressures(trials), *judge_doubled(trials)]
     found += [*judge_payloads(list(trials)), *judge_not_fitted(trials)]
     if not len(trials.split()[1]):
-        found += causes.NO_TEST.found()
+        found += causes.NO_TEST.raised()
     two = [t for t in trials if t.meta.dof == 2 and np.ptp(t.angle_rad, axis=0).all()]
     if two and all(_collinear(t) for t in two):
-        found += causes.TOGETHER.found()
+        found += causes.TOGETHER.raised()
     return found
 
 
@@ -151,7 +151,7 @@ def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
     for key in LINK_FACTS:
         values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
         if len(values) > 1:
-            found += causes.LINK_SIZE.found(key=key, listed="; ".join(_worded(v) for v in values))
+            found += causes.LINK_SIZE.raised(key=key, listed="; ".join(_worded(v) for v in values))
     return found
 
 
@@ -166,7 +166,7 @@ def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
     known = sorted({t.meta.pressure_pa for t in trials if t.meta.pressure_pa > 0})
     if not known or known[-1] <= (1 + ONE_PRESSURE_FRACTION) * known[0]:
         return []
-    return causes.PRESSURES.found(low=known[0], high=known[-1])
+    return causes.PRESSURES.raised(low=known[0], high=known[-1])
 
 
 def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
@@ -185,7 +185,7 @@ def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
             first, second = other.name, trial.name
             if first == second:
                 first, second = str(other.path), str(trial.path)
-            found += causes.COPY.found(first=first, second=second, what=what)
+            found += causes.COPY.raised(first=first, second=second, what=what)
     return found
 
 
@@ -195,7 +195,7 @@ def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
     missing = sorted(held_out - fitted)
     if not missing:
         return []
-    return causes.NOT_FITTED.found(listed=", ".join(f"{kg:g} kg" for kg in missing))
+    return causes.NOT_FITTED.raised(listed=", ".join(f"{kg:g} kg" for kg in missing))
 
 
 def _collinear(trial: Trial) -> bool:

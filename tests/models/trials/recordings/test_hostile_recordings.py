@@ -18,7 +18,7 @@ from firmware_py.errors import InputError
 from firmware_py.files import guarded_call
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
-from models.trials.recordings import table as matlab_file
+from models.trials.recordings import table
 from models.trials.recordings.table import matlab_variables
 from tests.fuzz import valid_files
 
@@ -179,7 +179,7 @@ def test_a_damaged_header_of_a_c3d_takes_no_memory(sentence):
 
 
 def test_a_matlab_file_that_unpacks_to_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(matlab_file, "MOST_UNPACKED_BYTES", 1_000_000)
+    monkeypatch.setattr(table, "MOST_UNPACKED_BYTES", 1_000_000)
     path = tmp_path / "a.mat"
     scipy.io.savemat(path, {"a": np.zeros(200_000)}, do_compression=True)
     assert path.stat().st_size < 5000
