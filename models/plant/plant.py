@@ -130,7 +130,8 @@ class Plant:
         known, columns = without_values(self.parameters), tuple(self.signals)
         model = _compose(self.load, self.drive, effects, known, dof, kind, columns, self.link)
         values = tuple(variable_of(self.parameters[v.name]) for v in model.parameters)
-        return replace(model, parameters=values)
+        model = replace(model, parameters=values)
+        return model.with_substeps(model.max_substep_s) if kind == "observer" else model
 
     def _effects(self) -> list[Effect]:
         return [EFFECTS[name]() for name in in_order(self.effects)]

@@ -51,6 +51,11 @@ ARGUMENTS: Final = {
 """Arguments of each function of a model: state x, inputs u, parameters p, step h."""
 
 
+STABLE_POLE_STEP: Final = 2.0
+"""Largest |λ| h of a sub-step that `StepModel.with_substeps` allows; the rest up to the limit of
+stability is for poles that grow away from rest [assumed]."""
+
+
 @dataclass(frozen=True)
 class StepModel:
     """Sampled model; the module's docstring defines a step."""
@@ -111,6 +116,22 @@ class StepModel:
         }
         return replace(self, name=name, inputs=inputs, parameters=parameters, **changed)
 
+    def with_substeps(self, longest_s: float) -> StepModel:
+        """Model with sub-steps of at most `longest_s`, shorter where its fastest pole requires it.
+
+        The classical Runge–Kutta step h is stable for real poles up to |λ| h = 2.79 (Hairer and
+        Wanner, *Solving Ordinary Differential Equations II*, 1996, section IV.2). The poles are
+        those at the start, with all inputs zero.
+        """
+        if self.rate is None:
+            raise ValueError(f"{self.name} has no rate, so its poles are unknown")
+        p, u = self.parameter_values(), np.zeros(len(self.inputs))
+        # Sensitivities have no slope along bends of zero; it stands beside the diagonal blocks, so
+        # the poles do not depend on it.
+        slope = np.nan_to_num(np.asarray(_slope(self.rate)(self.initial(u, p), u, p)))
+        fastest_per_s = np.abs(np.linalg.eigvals(slope)).max()
+        return replace(self, max_substep_s=min(longest_s, STABLE_POLE_STEP / fastest_per_s))
+
     def substeps(self, step_s: float) -> int:
         """Number of sub-steps in one step of `step_s`."""
         return max(1, math.ceil(step_s / self.max_substep_s - 1e-9))
@@ -134,6 +155,13 @@ class StepModel:
             x = self.advance(x, row, p, step_s)
             rows.append(np.asarray(self.output(x, row, p)).ravel())
         return np.array(rows)
+
+
+@lru_cache(maxsize=8)
+def _slope(rate: ca.Function) -> ca.Function:
+    """Jacobian of the rate along the states."""
+    x, u, p = (ca.SX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
+    return ca.Function("slope", [x, u, p], [ca.jacobian(rate(x, u, p), x)])
 
 
 @lru_cache(maxsize=8)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +48,7 @@ class Residuals:
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
         if is_link:
-            model = replace(model, max_substep_s=settings.longest_substep_s)
+            model = model.with_substeps(settings.longest_substep_s)
         self.plant, self.model = plant, model
         self.trials = shortened(trials, model)
         self.fit_parameters, self.settings = tuple(fit_parameters), settings

@@ -202,7 +202,7 @@ class Objective:
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
             if kind == "driven":
-                model = replace(model, max_substep_s=DRIVEN_SUBSTEP_S)
+                model = model.with_substeps(DRIVEN_SUBSTEP_S)
             used += shortened([t for t in trials if t.meta.dof == dof], model)
             own = [name for name in self.free if name in names(model.parameters)]
             self._models[dof] = CompiledModel(model, own)

@@ -363,7 +363,7 @@ class _VariedTwin:
         varied = plant.with_effects(*VARIED_EFFECTS) if is_link else plant
         model = varied.step_model(trials[0].meta.dof, "twin")
         if is_link:
-            model = replace(model, max_substep_s=settings.longest_substep_s)
+            model = model.with_substeps(settings.longest_substep_s)
         self.plant, self.settings = plant, settings
         self.trials = shortened(trials, model)
         self.units = {v.name: v.unit for v in model.outputs}

@@ -71,6 +71,18 @@ def test_its_long_internal_steps_cost_no_accuracy(units, dof):
     assert np.abs(found["di"] - exact["di"]).max() < 5e-6
 
 
+def test_its_steps_are_short_enough_for_the_fastest_pole(units):
+    """A root hinge that is damped strongly has little mass above it in a short link."""
+    measured, _ = twin_run(units, 1, 1.0, count=REST + 150)
+    damped = read_plant().with_values({"root_damping_1_nm_s_rad": 5.0, "span_position": 0.13})
+    model = damped.step_model(1, "observer")
+    exact, found = (
+        observe({(1, "observer"): CompiledModel(replace(model, max_substep_s=step_s))}, 1, measured)
+        for step_s in (2.5e-4, model.max_substep_s)
+    )
+    assert np.abs(found["tip_x_m"] - exact["tip_x_m"]).max() < 5e-5
+
+
 def test_friction_that_differs_from_the_plants_is_not_taken_for_payload(units):
     more = {"coulomb_friction_1_nm": 1.2 * 4.5}
     measured, _ = twin_run(units, 1, 1.0, changes=more)
