@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus import bus_plan
+from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
-from firmware_py.bus.servo_setup import ServoSetup, check_assumed
+from firmware_py.bus.servo_setup import ServoSetup, check_assumed, check_ids
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.display_units import symbol_of
 from firmware_py.errors import InputError
@@ -38,7 +39,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
-_MAX_ID: Final = 252
 UNWATCHED_RATE_RAD_S: Final = 1.0
 """Rate limit for servos without a bus watchdog; the study's motion needs 0.76 rad/s."""
 _MAX_DOF: Final = 2
@@ -186,13 +186,13 @@ def check_config(config: RobotConfig, path: Path | str) -> None:
     for key, name in names.items():
         if not name.isprintable():
             raise InputError(path, f"{key} is {name!r}", "give a name without control characters")
-    ids = [servo.id for servo in config.servos]
-    if len(set(ids)) < len(ids) or not all(0 <= id_ <= _MAX_ID for id_ in ids):
-        raise InputError(path, f"servos have the ids {ids}", f"give different ones, 0–{_MAX_ID}")
+    check_ids([servo.id for servo in config.servos], path)
     for key in config.trust.keys:
         key_bytes(key, path)
     for setup in config.setups():
         check_assumed(setup, path)
+        if Register.BUS_WATCHDOG in setup.model.table:
+            watchdog_steps(config.period_s, path)
 
 
 def _check_ranges(config: RobotConfig, path: Path | str) -> None:

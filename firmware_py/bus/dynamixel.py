@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ from firmware_py.bus.goal_writer import GoalWriter
 from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.register_access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
 from firmware_py.bus.registers import (
+    MOST_WATCHDOG_STEPS,
     WATCHDOG_STEP_S,
     Register,
     RegisterField,
@@ -70,7 +72,7 @@ class DynamixelBus:
         self.current_a = np.zeros(self.dof)
         self.alert = 0
         self.firmware_versions: tuple[int, ...] = ()
-        self._servos, self._clock, self._period_s = tuple(servos), clock, period_s
+        self._servos, self._clock = tuple(servos), clock
         self._port = DeadlinePort(transport, clock, name, baud)
         self._packets = PacketHandler()
         self._registers = RegisterAccess(self._port, self._packets, clock)
@@ -78,6 +80,9 @@ class DynamixelBus:
         self._table = servos[0].model.table
         self._preparation = ServoPreparation(self._registers, name, return_delay_s)
         self._goals = GoalWriter(self._port, self._packets, self._models)
+        self._watchdog = 0
+        if Register.BUS_WATCHDOG in self._table:
+            self._watchdog = watchdog_steps(period_s)
         self._driven = False  # torque may be on
         self._driving = False  # every servo has confirmed torque on
         self._reply_timeout_s, self._opener = reply_timeout_s, opener
@@ -202,7 +207,6 @@ class DynamixelBus:
         Every servo is switched, even if another one fails. A servo counts as off once it has
         confirmed the instruction and then reports torque off. The result is OK or TIMEOUT.
         """
-        watchdog = watchdog_steps(self._period_s) if on else 0
         good = True
         self._driven, self._driving = self._driven or on, False
         self._registers.alert = False
@@ -210,7 +214,8 @@ class DynamixelBus:
             good &= self._switch(servo.id, on)
         if Register.BUS_WATCHDOG in self._table:
             for servo in self._servos:
-                good &= self._registers.put(servo.id, self._table[Register.BUS_WATCHDOG], watchdog)
+                cell = self._table[Register.BUS_WATCHDOG]
+                good &= self._registers.put(servo.id, cell, self._watchdog if on else 0)
         if good:
             self._driven = self._driving = on
         if self._registers.alert and self.alert == 0:
@@ -248,6 +253,16 @@ class DynamixelBus:
             self._port.closePort()
 
 
-def watchdog_steps(period_s: float) -> int:
-    """Return the value of the watchdog register for a control period, in steps of 20 ms."""
-    return math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)
+def watchdog_steps(period_s: float, where: Path | str = "robot") -> int:
+    """Return the value of the watchdog register for a control period, in steps of 20 ms.
+
+    `where`: source of the period, named where the register cannot hold three periods.
+    """
+    steps = math.ceil(_WATCHDOG_PERIODS * period_s / WATCHDOG_STEP_S)
+    if steps > MOST_WATCHDOG_STEPS:
+        most_s = MOST_WATCHDOG_STEPS * WATCHDOG_STEP_S / _WATCHDOG_PERIODS
+        raise InputError(
+            where, f"period_s is {period_s:g} s, too long for the bus watchdog of these servos",
+            f"give at most {math.floor(1e3 * most_s) / 1e3:g} s",
+        )  # fmt: skip
+    return steps

@@ -266,6 +266,8 @@ WATCHDOG_STEP_S: Final = 0.020
 RETURN_DELAY_STEP_S: Final = 2e-6
 """Steps of the two registers (docs/sources.md, "Control tables")."""
 
+MOST_WATCHDOG_STEPS: Final = 127
+"""Largest value of the bus watchdog register (docs/sources.md, "Control tables")."""
 WATCHDOG_TRIPPED: Final = -1
 """Value of the bus watchdog register after it has tripped."""
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import (
@@ -19,7 +20,10 @@ from firmware_py.bus.servo_models import MODELS, Model, round_half_away
 from firmware_py.bus.servo_settings import DRIVE_REVERSE, GAINS, AssumedSettings
 from firmware_py.errors import InputError
 
-__all__ = ["ServoPreparation", "ServoSetup", "check_assumed"]
+__all__ = ["ServoPreparation", "ServoSetup", "check_assumed", "check_ids"]
+
+MOST_ID: Final = 252
+"""Largest id of a servo; the protocol needs the others."""
 
 
 class ServoSetup(NamedTuple):
@@ -31,6 +35,12 @@ class ServoSetup(NamedTuple):
     # moves no faster after the loop has died; infinity writes nothing.
     max_rate_rad_s: float = math.inf
     settings: AssumedSettings = AssumedSettings()
+
+
+def check_ids(ids: Sequence[int], where: Path | str) -> None:
+    """Refuse ids that no servo has, or that two servos share."""
+    if len(set(ids)) < len(ids) or not all(0 <= id_ <= MOST_ID for id_ in ids):
+        raise InputError(where, f"servos have the ids {ids}", f"give different ones, 0–{MOST_ID}")
 
 
 def check_assumed(servo: ServoSetup, where: Path | str) -> None:

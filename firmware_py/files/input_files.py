@@ -14,7 +14,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Final, TypeVar
 
@@ -126,18 +126,26 @@ def read_lines(path: Path | str, remedy: str) -> Iterator[str]:
 
 
 def read_toml(
-    path: Path | str, missing: str = "name an existing file", damaged: str = ""
+    path: Path | str,
+    missing: str = "name an existing file",
+    damaged: str = "",
+    tables: Collection[str] | None = None,
 ) -> dict[str, Any]:
-    """Return the tables of a TOML file.
+    """Return the tables of a TOML file; an integer beyond 64 bits is refused, as TOML demands.
 
     `missing`, `damaged`: remedies in the message if the file is missing or is not TOML.
+    `tables`: keys at the top to return; the values of others are not checked. None returns all.
     """
     data = read_bytes(path, missing, MOST_TOML_BYTES)
     damaged = damaged or "correct the line it names"
     if max(map(_dots, _TOML_SEPARATOR.split(data))) > _MOST_KEY_DOTS:
         raise InputError(path, f"has a name of more than {_MOST_KEY_DOTS} parts", damaged)
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))  # Notepad of Windows writes a BOM
+        document = tomllib.loads(data.decode("utf-8-sig"))  # Notepad of Windows writes a BOM
+        if tables is not None:
+            document = {key: value for key, value in document.items() if key in tables}
+        _check_integers(document)
+        return document
     except RecursionError:
         raise InputError(path, "is not TOML (it is too deeply nested)", damaged) from None
     except UnicodeDecodeError as error:
@@ -151,6 +159,18 @@ def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> Input
     is_utf_16 = data.startswith(_UTF_16_MARKS)
     what = "is UTF-16 text" if is_utf_16 else f"is not UTF-8 text ({error})"
     return InputError(path, what, "save it as UTF-8")
+
+
+def _check_integers(value: Any, name: str = "") -> None:
+    """Raise ValueError for an integer that a signed 64-bit number cannot hold."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _check_integers(inner, f"{name}.{key}" if name else key)
+    elif isinstance(value, list):
+        for inner in value:
+            _check_integers(inner, name)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError(f"{name[:80]} is an integer beyond 64 bits")
 
 
 def _dots(piece: bytes) -> int:

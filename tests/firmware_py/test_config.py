@@ -53,6 +53,14 @@ def test_the_example_is_right_and_its_values_are_the_defaults(tmp_path):
     assert minimal.bus == msgspec.structs.replace(example.bus, port="/dev/ttyUSB0")
 
 
+@pytest.mark.parametrize(("model", "most_s"), [("H54-200-S500-R", 1.0), ("XM430-W350", 0.846)])
+def test_the_period_is_at_most_what_the_watchdog_of_the_servos_can_wait(tmp_path, model, most_s):
+    text = MINIMAL.replace("H54-200-S500-R", model) + "[motion]\namplitude_rad = 0.01\n"
+    assert config_of(f"period_s = {most_s}\n" + text, tmp_path).period_s == most_s
+    with pytest.raises(InputError, match="period_s"):
+        config_of(f"period_s = {most_s + 0.001}\n" + text, tmp_path)
+
+
 def test_the_example_shows_every_key():
     def keys(struct, prefix=""):
         for field in msgspec.structs.fields(struct):

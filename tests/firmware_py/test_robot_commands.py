@@ -395,6 +395,15 @@ def test_a_servo_that_somebody_left_driven_is_released(servos, config, capsys):
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
 
 
+def test_a_mistake_elsewhere_in_the_file_does_not_keep_the_torque_on(servos, config, capsys):
+    servos.put(1, Register.TORQUE_ENABLE, 1)
+    wrong = config.read_text() + f"rate_rad_s = 1{'0' * 400}\n[limits.unknown]\n"
+    config.write_text(wrong.replace("hold_s = 0.05", "hold_s = 'long'"))
+    assert call(capsys, "run", "--config", config)[0] == 2
+    assert call(capsys, "release", "--config", config)[0] == 0
+    assert servos.get(1, Register.TORQUE_ENABLE) == 0
+
+
 def test_a_servo_that_does_not_confirm_its_release_is_told(servos, config, capsys):
     config.write_text(config.read_text().replace("id = 1", "id = 2"))
     code, output = call(capsys, "release", "--config", config)

@@ -69,6 +69,14 @@ def test_toml_of_a_windows_editor_is_read_or_told_its_encoding(tmp_path, name):
     assert sentence(READERS[name], path).endswith("; save it as UTF-8.")
 
 
+@pytest.mark.parametrize("digits", ["1" + "0" * 400, "-1" + "0" * 25, "0x" + "f" * 4000])
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith(".toml")])
+def test_an_integer_of_toml_has_at_most_64_bits(tmp_path, name, digits):
+    path = tmp_path / name
+    path.write_text(f"schema = 1\n[deep]\nvalues = [{{ a = {digits} }}]\n", encoding="utf-8")
+    assert "deep.values.a is an integer beyond 64 bits" in sentence(READERS[name], path)
+
+
 def test_a_byte_order_mark_is_no_content(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text('[trial]\nmotion = "é"\n', encoding="utf-8-sig")
