@@ -210,6 +210,7 @@ def _check_ranges(config: RobotConfig, path: Path | str) -> None:
         ("limits.following_error_rad", limits.following_error_rad, 1e-3, 3.2),
         ("limits.jump_rad", limits.jump_rad, 1e-3, 3.2),
         ("limits.persistence_ticks", limits.persistence_ticks, 1, 100),
+        ("limits.frozen_ticks", limits.frozen_ticks, 1, 1000),
         ("limits.stale_ticks", limits.stale_ticks, 1, 100),
         ("limits.missed_slots", limits.missed_slots, 1, 1000),
         ("limits.blend_s", limits.blend_s, 0.0, 60.0),

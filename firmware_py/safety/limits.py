@@ -36,6 +36,9 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     tip_min_m: tuple[float, float, float] = (-1.2, -1.2, 0.0)
     tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)  # Upper corner of that box
     persistence_ticks: int = 3  # Consecutive samples beyond a limit that stop the robot
+    # Consecutive samples that repeat angle and current of a joint, although its goal moves, that
+    # stop the robot (`firmware_py.safety.frozen_feedback`)
+    frozen_ticks: int = 10
     # Consecutive ticks without fresh data, or consecutive missed slots, that stop the robot
     stale_ticks: int = 3
     # Largest count of missed slots, reduced by one with each punctual tick. A larger count means

@@ -21,6 +21,7 @@ class Fault(Enum):
     SLOTS = auto()
     CLOCK = auto()
     MEASUREMENT = auto()
+    FROZEN = auto()
     GOAL = auto()
     TORQUE = auto()
     ESTIMATE = auto()

@@ -18,6 +18,7 @@ from firmware_py.bus.registers import describe_alert
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.errors import InputError
 from firmware_py.safety.blend import Blend
+from firmware_py.safety.frozen_feedback import FrozenFeedback
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import ALLOWED, SafetyState
 from firmware_py.safety.stop_reason import UNRELEASED, Fault, StopReason
@@ -40,6 +41,7 @@ class SafetySupervisor:
         self._velocity = [0.0] * dof
         self._angle = [0.0] * dof
         self._blend = Blend(limits, dof, period_s)
+        self._frozen = FrozenFeedback(dof, limits.frozen_ticks)
         self._violations = self._missed_slots = 0
         self._hold_ticks = 0
         self._reason = StopReason()
@@ -94,6 +96,7 @@ class SafetySupervisor:
         self._enter(SafetyState.STARTING)
         self._reason.restart("the port was back")
         self.stale_ticks = self._violations = self._missed_slots = 0
+        self._frozen.reset()
         self._velocity[:] = [0.0] * self._dof  # the arm is at rest
 
     def request_stop(self, reason: str) -> None:
@@ -176,6 +179,12 @@ class SafetySupervisor:
         self._violations = self._violations + 1 if violation else 0
         if violation and self._violations >= self._limits.persistence_ticks:
             self._stop(Fault.MEASUREMENT, violation, ends_hold=True)
+        if (joint := self._frozen.joint(angle, current, self._goal)) is not None:
+            frozen = (
+                f"joint {joint + 1} repeats angle and current for {self._limits.frozen_ticks} "
+                "samples although its goal moves (limits.frozen_ticks)"
+            )
+            self._stop(Fault.FROZEN, frozen, ends_hold=True)
 
     def approach(self, start_rad: Array) -> int:
         """Start the approach to the first goal of the motion; return its duration in ticks.

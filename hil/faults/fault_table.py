@@ -49,6 +49,9 @@ WATCHED: Final = (54025,)
 UNNOTICED_TICKS: Final = 90
 """Ticks within which the loop detects that a servo without indirect addresses is off. Only the
 following error shows it, which is small near a turning point of the motion."""
+FROZEN_TICKS: Final = 60
+"""Ticks within which frozen feedback is detected: `limits.frozen_ticks`, and those in which the
+goal moves little near a turning point."""
 _STALE: Final = "no fresh data for 3 ticks"
 _STALLED: Final = "slots missed in a row|its watchdog stopped it"
 
@@ -219,6 +222,12 @@ SERVO: Final = (
         setup=Setup(setting=(Register.PROFILE_ACCELERATION, 10))),
     *_persistent("encoder jump of 0.3 rad", "encoder", 0.3, "away from its goal"),
     *_persistent("current spike of 12 A", "current", 12.0, "draws"),
+    FaultRow("frozen feedback", "for five samples", HARMLESS, (Injection("frozen", 5),)),
+    FaultRow("frozen feedback", "for good", _tripped("repeats angle and current", FROZEN_TICKS),
+        (Injection("frozen", FOREVER),)),
+    FaultRow("frozen feedback", "for good, of one servo",
+        _tripped("joint 2 repeats angle and current", FROZEN_TICKS),
+        (Injection("frozen", FOREVER, joint=1),), joints=2),
 )  # fmt: skip
 
 HOST: Final = (

@@ -104,6 +104,7 @@ FAULT_KINDS: Final[dict[str, FaultKind]] = {
     "torque": OnServo(lambda servo, value, on: servo.lose_torque() if on else None),
     "watchdog": OnServo(lambda servo, value, on: servo.trip_watchdog() if on else None),
     "encoder": OnServo(lambda servo, value, on: setattr(servo, "angle_error_rad", value * on)),
+    "frozen": OnServo(lambda servo, value, on: setattr(servo, "frozen", on)),
     "current": OnServo(lambda servo, value, on: setattr(servo, "current_error_a", value * on)),
     "predictor": OnHost("the predictor returns the value"),
     "estimator": OnHost("the estimator returns the value"),

@@ -278,6 +278,14 @@ REQUIREMENTS: Final = (
         ),
         ("program that sends the goals",),
     ),
+    SafetyRequirement(
+        "SR-30", "A servo that repeats its measurement although its goal moves stops the robot.",
+        (
+            f"{_T}/safety/test_frozen_feedback.py::test_a_repeated_sample_stops_a_moving_robot",
+            f"{_T}/safety/test_frozen_feedback.py::test_a_live_servo_is_never_taken_for_frozen",
+        ),
+        ("frozen feedback",),
+    ),
 )  # fmt: skip
 """All requirements, in the order of the page."""
 

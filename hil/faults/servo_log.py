@@ -35,6 +35,7 @@ class LoggedServo(EmulatedServo):
 
     angle_error_rad = 0.0
     current_error_a = 0.0
+    frozen = False  # Whether the present registers keep their values
     refuses_indirect = False
     unheard_ns = 0
     _hushed = False
@@ -76,6 +77,9 @@ class LoggedServo(EmulatedServo):
 
     def observe(self, angle_rad: float, velocity_rad_s: float, current_a: float) -> None:
         """Observe the plant's state with sensor errors; the true angle is kept for a hold."""
+        if self.frozen:
+            self._angle_rad = angle_rad
+            return
         super().observe(angle_rad, velocity_rad_s, current_a)
         if self.angle_error_rad or self.current_error_a:
             hold = self._angle_rad
