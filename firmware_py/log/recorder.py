@@ -40,6 +40,7 @@ _READY: Final = b"ready"
 _ANSWER_BYTES: Final = 4096
 _START_TIMEOUT_S: Final = 20.0
 _STOP_TIMEOUT_S: Final = 10.0
+_EXIT_TIMEOUT_S: Final = 2.0
 _NICENESS: Final = 5
 
 
@@ -90,11 +91,11 @@ def recording(
         telemetry = SocketTelemetry(ours)
         yield telemetry
     finally:
+        process.send_signal(signal.SIGCONT)  # a recorder that somebody stopped ends its file, too
         if telemetry is not None:
             telemetry.logged = _await_end(ours)
         ours.close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(_STOP_TIMEOUT_S)
+        _end(process)
 
 
 def _spawned(end: socket.socket) -> subprocess.Popen[bytes]:
@@ -105,6 +106,16 @@ def _spawned(end: socket.socket) -> subprocess.Popen[bytes]:
         pass_fds=(end.fileno(),),
         start_new_session=True,  # a Ctrl-C in the terminal must reach the loop only
     )
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """Wait for the end of a recorder; kill one that hangs, so that none stays behind."""
+    try:
+        process.wait(_EXIT_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        with contextlib.suppress(subprocess.TimeoutExpired):  # it waits for a dead disk
+            process.wait(_EXIT_TIMEOUT_S)
 
 
 def _hand_over(task: RecorderTask, process: subprocess.Popen[bytes]) -> None:

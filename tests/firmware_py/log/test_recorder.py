@@ -295,18 +295,43 @@ def test_a_disk_that_fills_during_the_run_leaves_a_count_of_what_the_log_holds(t
     assert "File too large" in ended.stderr and ended.stderr.count("\n") == 1
 
 
-def test_a_recorder_that_was_killed_says_no_number(tmp_path, monkeypatch):
-    spawned, start = [], subprocess.Popen
+@pytest.fixture
+def spawned(monkeypatch):
+    """Recorder processes that the test starts."""
+    processes, start = [], subprocess.Popen
 
     def spawn(*arguments, **options):
-        spawned.append(start(*arguments, **options))
-        return spawned[0]
+        processes.append(start(*arguments, **options))
+        return processes[-1]
 
     monkeypatch.setattr(subprocess, "Popen", spawn)
+    return processes
+
+
+def test_a_recorder_that_was_killed_says_no_number(tmp_path, spawned):
     with recording(tmp_path / "run.mcap", 2, 10**18, {}) as telemetry:
         spawned[0].kill()
         spawned[0].wait()
     assert telemetry.logged is None
+
+
+def test_a_stopped_recorder_ends_its_file_with_the_run(tmp_path, spawned):
+    path = tmp_path / "run.mcap"
+    with recording(path, 2, 10**18, {}) as telemetry:
+        put_all(telemetry, ticks(5))
+        spawned[0].send_signal(signal.SIGSTOP)
+    assert spawned[0].returncode == 0
+    assert telemetry.logged == len(read_recording(path).columns["tick"]) == 5
+
+
+def test_a_recorder_that_hangs_is_killed_at_the_end_of_the_run(tmp_path, spawned, monkeypatch):
+    monkeypatch.setattr("firmware_py.log.recorder._STOP_TIMEOUT_S", 0.1)
+    monkeypatch.setattr("firmware_py.log.recorder._EXIT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(signal, "SIGCONT", signal.SIGSTOP)  # nothing resumes it
+    with recording(tmp_path / "run.mcap", 2, 10**18, {}) as telemetry:
+        pass
+    spawned[0].wait()
+    assert (spawned[0].returncode, telemetry.logged) == (-signal.SIGKILL, None)
 
 
 @pytest.mark.parametrize("package", ["mcap", "lz4"])
