@@ -41,6 +41,7 @@ from firmware_py.errors import InputError
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.bundle_signature import refuse_older
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
 from firmware_py.link.bundle_shape import shape_of_bundle
@@ -89,6 +90,8 @@ def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:
             path, f"period_s is {config.period_s}, the lagged estimator was trained at "
             f"{manifest.period_s}", "use its period, or a bundle with the observer",
         )  # fmt: skip
+    if bundle.signature:
+        refuse_older(bundle.signature, bundle.directory, path.parent / config.trust.memory)
     bundle.assume_payload(config.payload_kg)
     return bundle
 

@@ -215,8 +215,8 @@ def _overridden(config: RobotConfig, args: argparse.Namespace) -> RobotConfig:
 
 def _origin(bundle: ModelBundle) -> str:
     """Return a sentence about the origin of the bundle, which contains code."""
-    if bundle.signed_by:
-        return f"the bundle {bundle.directory} is signed by {bundle.signed_by}"
+    if bundle.signature:
+        return f"the bundle {bundle.directory} is signed by {bundle.signature.key}"
     signed = (bundle.directory / SIGNATURE).exists()
     found = "has a signature that is not checked" if signed else "is not signed"
     return (

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 
 from firmware_py.errors import InputError
 from firmware_py.inference.batch_prediction import Predictions, predict_rows, predict_run
+from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.inference.compiled_observer import CompiledObserver, Runtime
 from firmware_py.inference.estimator import (
     DeformationEstimator,
@@ -92,8 +93,8 @@ class ModelBundle:
         the inputs of the former. With the runtime "compiled", the estimator itself.
     manifest_sha256 : str
         Hash of the loaded `manifest.json`.
-    signed_by : str
-        Trusted key of the signature; empty if no signature was required.
+    signature : BundleSignature or None
+        Signature by a trusted key; None if none was required.
     memoryless : FileContent or None
         Graph that predicts from angle, current and DI alone; None if the bundle has none.
     ranges : tuple of InputRange
@@ -105,7 +106,7 @@ class ModelBundle:
     estimator: DeformationEstimator
     predictor: OnnxPredictor | CompiledObserver
     manifest_sha256: str = ""
-    signed_by: str = ""
+    signature: BundleSignature | None = None
     memoryless: FileContent | None = None
     ranges: tuple[InputRange, ...] = ()
 
@@ -229,7 +230,7 @@ class ModelBundle:
             compiled = _compiled(files, golden, (estimator, predictor), required=bool(runtime))
         return cls(
             files.directory, manifest, compiled or estimator, compiled or predictor,
-            files.manifest_sha256, files.signed_by,
+            files.manifest_sha256, files.signature,
             files.contents.get(POLYNOMIAL) or (None if predictor.wanted else files.file(PREDICTOR)),
             predictor.ranges,
         )  # fmt: skip

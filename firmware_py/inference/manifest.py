@@ -16,7 +16,7 @@ from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.documents import check_version
 from firmware_py.errors import InputError
 from firmware_py.files.output_files import replacing
-from firmware_py.inference.bundle_signature import SIGNATURE, check_signature
+from firmware_py.inference.bundle_signature import SIGNATURE, BundleSignature, check_signature
 from firmware_py.inference.file_content import FileContent, content_of
 
 __all__ = ["BundleFiles", "Manifest", "Quantity", "read_bundle_files", "write_manifest"]
@@ -89,7 +89,7 @@ class BundleFiles:
     directory: Path  # Origin
     manifest: Manifest
     manifest_sha256: str  # Hash of `manifest.json`
-    signed_by: str  # Trusted key of the signature; empty if no signature was required
+    signature: BundleSignature | None  # By a trusted key; None if no signature was required
     contents: Mapping[str, FileContent]  # Every file that the manifest names
 
     def file(self, name: str) -> FileContent:
@@ -110,7 +110,7 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
     raw = content_of(
         path, "copy the whole bundle here; 'dropstitch train' makes one, in a checkout"
     )
-    signed_by = check_signature(raw, directory / SIGNATURE, trusted) if trusted else ""
+    signature = check_signature(raw, directory / SIGNATURE, trusted) if trusted else None
     manifest = _decoded(raw.data, path)
     for wrong in _out_of_bounds(manifest):
         raise InputError(path, wrong, "copy or train the bundle again")
@@ -122,7 +122,7 @@ def read_bundle_files(directory: Path | str, trusted: Sequence[str] = ()) -> Bun
                 content.path, "does not match the hash in manifest.json",
                 "copy or train the bundle again",
             )  # fmt: skip
-    return BundleFiles(directory, manifest, raw.sha256, signed_by, contents)
+    return BundleFiles(directory, manifest, raw.sha256, signature, contents)
 
 
 def _decoded(data: bytes, path: Path) -> Manifest:

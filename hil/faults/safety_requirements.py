@@ -245,6 +245,7 @@ REQUIREMENTS: Final = (
     SafetyRequirement(
         "SR-26", "A bundle runs only where its files, its golden ticks and its signature agree.",
         (
+            f"{_T}/inference/test_bundle_trust.py::test_an_older_bundle_of_the_same_key_is_refused",
             f"{_T}/inference/test_bundle_trust.py::test_a_manifest_that_names_another_file_is_refused",
             f"{_T}/inference/test_bundle_trust.py::test_a_signed_bundle_is_trusted_by_its_key_alone",
             f"{_T}/inference/test_bundle.py::test_golden_ticks_that_prove_nothing_are_refused",

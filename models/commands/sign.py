@@ -12,6 +12,7 @@ import argparse
 import base64
 import getpass
 import os
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,11 +57,13 @@ def run(args: argparse.Namespace) -> int:
 
 def sign_bundle(directory: Path, key: Ed25519PrivateKey) -> str:
     """Sign the manifest of a bundle; return the public key."""
-    manifest = content_of(directory / MANIFEST)
+    manifest, now = content_of(directory / MANIFEST), datetime.now(UTC)
     public = key_text(key.public_key().public_bytes_raw())
-    signature = base64.b64encode(key.sign(signed_message(manifest))).decode()
+    signature = base64.b64encode(key.sign(signed_message(manifest, now))).decode()
     path = directory / SIGNATURE
-    document = BundleSignature(schema=BundleSignature.VERSION, key=public, signature=signature)
+    document = BundleSignature(
+        schema=BundleSignature.VERSION, signed_utc=now, key=public, signature=signature
+    )
     write_document(path, document)
     check_signature(manifest, path, (public,))
     return public

@@ -13,14 +13,15 @@ from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.config import read_config
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
 from firmware_py.documents import read_document
 from firmware_py.errors import InputError
 from firmware_py.inference import file_content
 from firmware_py.inference.bundle import ModelBundle, read_manifest
-from firmware_py.inference.bundle_signature import key_text
+from firmware_py.inference.bundle_signature import TrustConfig, key_text
 from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import content_sha256, write_manifest
+from firmware_py.robot import load_bundle
 from models.plant.plant import read_plant
 from models.study.document import StudyDocument
 
@@ -141,8 +142,8 @@ def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
         ModelBundle.load(bundle, [public])
     assert dropstitch(["sign", str(bundle), "--key", str(key), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["key"] == public
-    assert ModelBundle.load(bundle, [key_text(bytes(32)), public]).signed_by == public
-    assert ModelBundle.load(bundle).signed_by == ""
+    assert ModelBundle.load(bundle, [key_text(bytes(32)), public]).signature.key == public
+    assert ModelBundle.load(bundle).signature is None
     with pytest.raises(InputError, match=r"which \[trust\] does not name"):
         ModelBundle.load(bundle, [key_text(bytes(32))])
 
@@ -164,14 +165,35 @@ def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
         ModelBundle.load(bundle, trusted)
 
 
+def test_an_older_bundle_of_the_same_key_is_refused(bundle, key, tmp_path):
+    robot = tmp_path / "robot.toml"
+    servo = ServoConfig(id=1, model="XM430-W350")
+    trust = TrustConfig(keys=(key_text(PUBLIC),))
+    config = RobotConfig(bundle=str(bundle), bus=BusConfig(port="p"), servos=(servo,), trust=trust)
+    signature = bundle / "manifest.sig"
+    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    older = signature.read_bytes()
+    load_bundle(config, robot)
+    load_bundle(config, robot)
+    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    load_bundle(config, robot)
+    signature.write_bytes(older)
+    with pytest.raises(InputError, match=r"older bundle.*newest-bundle\.json"):
+        load_bundle(config, robot)
+    (tmp_path / "newest-bundle.json").unlink()
+    load_bundle(config, robot)
+
+
 @pytest.mark.parametrize(
     "change",
     [
         lambda text: "",
         lambda text: "{}",
         lambda text: "[" * 100_000,
-        lambda text: text.replace('"schema": 1', '"schema": 2'),
+        lambda text: text.replace('"schema": 2', '"schema": 3'),
         lambda text: text.replace('"signature": "', '"signature": "!'),
+        lambda text: text.replace('"signed_utc": "20', '"signed_utc": "21'),
+        lambda text: text.replace('Z"', '"'),
         lambda text: text.replace('"signature": "', '"signature": "AAAA'),
     ],
 )
