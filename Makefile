@@ -154,10 +154,10 @@ build/sil_2dof_phase90/timing.json: build/twin_2dof.fmu
 	$(call judge,dropstitch sil --bundle build/bundle_2dof --fmu $< --phase-deg 90 --line virtual --seconds 60 --out $(@D))
 
 build/sil/timing.json: build/twin_1dof.fmu
-	$(call judge,dropstitch sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_1dof --fmu $< --line socket --seconds 10 --miss-rate 0.01 --out $(@D))
 
 build/sil_socket_2dof/timing.json: build/twin_2dof.fmu
-	$(call judge,dropstitch sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 10 --out $(@D))
+	$(call judge,dropstitch sil --bundle build/bundle_2dof --fmu $< --line socket --seconds 10 --miss-rate 0.01 --out $(@D))
 
 REPORT_PARTS := $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$(dof)dof/timing.json) \
   $(foreach phase,0 90,build/study_2dof_phase$(phase)/study.json) \
@@ -388,7 +388,7 @@ $(ONE)/twin_1dof.fmu: $(ONE)/bundle_1dof/observer.fmu
 	$(call run,dropstitch fmu build $(<D) --plant $(ONE)/plant.json --out $@)
 
 sil: $(if $(wildcard build/twin_1dof.fmu),build,$(ONE))/twin_1dof.fmu
-	$(call run,dropstitch sil --bundle $(<D)/bundle_1dof --fmu $< --line socket --seconds 10 --out build/sil)
+	$(call run,dropstitch sil --bundle $(<D)/bundle_1dof --fmu $< --line socket --seconds 10 --miss-rate 0.01 --out build/sil)
 
 # 100,000 ticks under load with lost and damaged replies: 28 minutes.
 soak: build/twin_2dof.fmu

@@ -22,7 +22,7 @@ import msgspec
 from firmware_py.documents import Document
 from firmware_py.goals.outside.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
-from firmware_py.inference.bundle_signature import BundleSignature
+from firmware_py.inference.bundle_signature import BundleSignature, NewestBundle
 from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.campaign.campaign_document import CampaignDocument
@@ -39,6 +39,7 @@ from models.study.document import StudyDocument
 DOCUMENTS: Final[dict[str, type[Document]]] = {
     "run": RunDocument,
     "signature": BundleSignature,
+    "newest_bundle": NewestBundle,
     "rig_conditions": ConditionsRecord,
     "campaign/campaign": CampaignDocument,
     "campaign/case": CaseRecord,

@@ -2,7 +2,7 @@
 
 ::
 
-    processor A   loop (FIFO 50) · probe, cyclictest (FIFO 80)
+    processor A   loop (FIFO 50) · probe (FIFO 80)
     processor B   emulator (FIFO 60) · recorder · probe (FIFO 80) · declared load
 """
 
@@ -22,7 +22,6 @@ from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_rec
 from hil.sil.sil_options import SilOptions, sil_config
 from hil.timing.probe import Probe
 from hil.timing.processors import assign_processors, cpu_load, pinned_to, scheduling_policy
-from hil.timing.reference_jitter import cyclictest
 
 _LOAD = "declared host load, normal priority, on the emulator's processor"
 
@@ -47,7 +46,6 @@ def run_in_real_time(
         neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
         loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
         line_probe = enter(contextlib.closing(Probe(line_cpu)))
-        reference = enter(cyclictest(loop_cpu, options.period_s, scratch))
         with (
             open_bus(config, clock) as bus,
             contextlib.closing(KernelCounters()) as counters,
@@ -76,6 +74,5 @@ def run_in_real_time(
             wall_s,
             environment,
             bus.plan,
-            reference.stop(),
             watch.reasons(),
         )

@@ -32,7 +32,6 @@ from hil.emulator.emulator import EmulatorOutcome
 from hil.sil.sil_options import SilOptions
 from hil.timing.cpu_accounts import ProbeRecord
 from hil.timing.processors import host_environment
-from hil.timing.reference_jitter import ReferenceJitter
 from hil.timing.timing_document import SilEnvironment
 
 LOG_NAME: Final = "ticks.mcap"
@@ -57,8 +56,6 @@ class SilResult(NamedTuple):
         Machine, scheduler, load and line.
     plan : Plan
         Bus plan by which the servos were read.
-    reference : ReferenceJitter or None
-        Wake-up jitter measured by cyclictest, if it is installed.
     out_of_range : RangeReasons
         Why ticks were out of the predictor's range.
     link : dict of str to Any, optional
@@ -73,7 +70,6 @@ class SilResult(NamedTuple):
     wall_s: float
     environment: SilEnvironment
     plan: Plan
-    reference: ReferenceJitter | None = None
     out_of_range: RangeReasons = RangeReasons()
     link: dict[str, Any] | None = None
 

@@ -22,6 +22,7 @@ from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
+from hil.timing.timing_verdict import MISS_RATE
 
 LineKind = Literal["pty", "socket", "virtual"]
 
@@ -51,6 +52,9 @@ class SilOptions:
         Kind of line: two in real time, one on a simulated clock (see `hil.emulator.line`).
     seconds : float
         Duration of the run; the motion repeats until then.
+    miss_rate : float
+        Miss rate that the run has to bound with 95 % confidence. Time on the virtual line is
+        simulated, so it bounds none.
     baud : int
         Baud rate of the bus in bits per second.
     latency_s : float
@@ -86,6 +90,7 @@ class SilOptions:
     link: LinkDescription = STUDY_LINK
     line: LineKind = "socket"
     seconds: float = 10.0
+    miss_rate: float = MISS_RATE
     baud: int = 1_000_000
     latency_s: float = 1e-3
     payload_kg: float = 1.0

@@ -1,8 +1,6 @@
-"""Results of a run in software: timing document, trial, picture, histograms and timeline."""
+"""Results of a run in software: timing document, trial and picture."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import msgspec
 
@@ -17,10 +15,8 @@ from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, programme_s
 from hil.sil.sil_picture import draw_summary
 from hil.sil.sil_trial import as_trial
-from hil.timing.hdr_histogram import write_hgrm
-from hil.timing.reference_jitter import probe_jitter
+from hil.timing.reference_jitter import ReferenceJitter
 from hil.timing.tick_budget import measure_budget, plan_times
-from hil.timing.timeline import write_timeline
 from hil.timing.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
 from hil.timing.timing_verdict import judge_timing, timing_junit
 from models.trials.files import write_trial
@@ -36,7 +32,6 @@ def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
     if result.link and timing.prediction_error.n:
         write_trial(as_trial(result, options), out / "trial")
     draw_summary(result, timing, out / "summary.svg")
-    _write_durations(result, timing.budget.period_ns, out)
     return timing
 
 
@@ -47,9 +42,9 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
     verdict = judge_timing(
         result.records, options.period_s, result.loop_cpu, result.line_cpu,
         result.outcome.releases, stopped, summary.faults, _interrupted(result, options),
+        1.0 if options.line == "virtual" else options.miss_rate,
     )  # fmt: skip
-    jitter, plan = probe_jitter(result.loop_cpu), plan_times(result.plan)
-    reference = result.reference or jitter
+    reference, plan = ReferenceJitter.of_probe(result.loop_cpu), plan_times(result.plan)
     return TimingDocument(
         **msgspec.structs.asdict(verdict),
         environment=result.environment,
@@ -67,7 +62,6 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
             out_of_range_reasons=result.out_of_range,
         ),
         reference_jitter=reference,
-        probe_jitter=jitter if result.reference else None,
         bus_plan=plan,
         account=measure_budget(result.records, options.period_s, plan, reference),
         prediction_error=prediction_error(result.records, result.outcome.truth, programme),
@@ -96,15 +90,3 @@ def _payload_note(result: SilResult, options: SilOptions) -> str:
 def _moves(result: SilResult, plan: TipPlan) -> tuple[MoveFigures, ...]:
     runs = tip_of_runs_m(result.records, result.outcome.truth, plan)
     return move_figures(runs[-1], plan) if len(runs) else ()
-
-
-def _write_durations(result: SilResult, period_ns: int, out: Path) -> None:
-    records = result.records
-    for name, durations_ns in {
-        "tick": records["lateness_ns"] + records["busy_ns"],
-        "own_cost": records["busy_ns"] - records["bus_wait_ns"],
-        "lateness": records["lateness_ns"],
-        "probe_lateness": result.loop_cpu.lateness_ns,
-    }.items():
-        write_hgrm(out / f"{name}.hgrm", durations_ns)
-    write_timeline(out / "timeline.json", records, result.loop_cpu, period_ns)

@@ -115,10 +115,7 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
 
     environment: SilEnvironment  # Machine, line and scheduler
     run: RunFacts  # Course of the run
-    # Wake-up jitter of the machine, measured by cyclictest if it is installed, else by the probe
-    reference_jitter: ReferenceJitter
-    # Wake-up jitter measured by the probe, if cyclictest measured the reference
-    probe_jitter: ReferenceJitter | None = None
+    reference_jitter: ReferenceJitter  # Wake-up jitter of the machine
     bus_plan: PlanTimes  # Times that follow from the bus plan
     account: TickBudget  # Breakdown of the ticks' time
     prediction_error: PredictionError  # Error of the robot's prediction

@@ -1,20 +1,24 @@
 """Timing verdict of a run: pass, fail or inconclusive, from its missed deadlines and their causes.
 
-`hil.timing.deadline_misses` attributes each miss to the host or to the loop. A tick counts as
-preempted by the host if its certain host time is `PREEMPTED_NS` or more. The verdicts with their
-exit codes:
+`hil.timing.deadline_misses` attributes each miss to the host or to the loop. The verdicts with
+their exit codes:
 
 ==================== ==== =======================================================================
-pass                 0    no miss is the loop's own; misses by the host are listed
+pass                 0    no miss is the loop's own, and all misses together bound the miss rate
+                          below the one asked for, with 95 % confidence
 fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
-inconclusive         3    the host spoiled every tick for which the supervisor stopped the robot;
-                          or, without a failure, a signal ended the run early or the host preempted
-                          more than 1 % of the ticks
+inconclusive         3    the host caused the misses, or spoiled every tick for which the supervisor
+                          stopped the robot; or a signal ended the run, or it was too short for the
+                          miss rate asked for
 ==================== ==== =======================================================================
+
+A host that preempts the loop without a miss does not spoil a pass: the loop met every deadline in
+spite of it. A tick counts as preempted if its certain host time is `PREEMPTED_NS` or more.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, ClassVar, Final
 
@@ -32,12 +36,12 @@ from hil.timing.cpu_accounts import ProbeRecord, Releases
 from hil.timing.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
 from hil.verdict import JUnitCase, Verdict, junit_xml
 
-__all__ = ["TimingVerdict", "judge_timing", "timing_junit"]
+__all__ = ["MISS_RATE", "TimingVerdict", "judge_timing", "slots_needed", "timing_junit"]
 
 PREEMPTED_NS: Final = 500_000
 """Certain host time at which a tick counts as preempted: half of the cost budget."""
-PREEMPTED_FRACTION: Final = 0.01
-"""Fraction of preempted ticks above which a run is inconclusive."""
+MISS_RATE: Final = 1e-3
+"""Miss rate that a run in real time bounds by default, with 95 % confidence."""
 
 
 class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -48,8 +52,8 @@ class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     own_cost_p50_ns: int = OWN_COST_P50_NS
     # Target for the 99th percentile of a tick without its wait for the bus; reported, not judged
     own_cost_p99_ns: int = OWN_COST_P99_NS
-    # Fraction of preempted ticks above which the run is inconclusive
-    preempted_fraction: float = PREEMPTED_FRACTION
+    # Miss rate that the run has to bound with 95 % confidence; 1 asks for none
+    miss_rate: float = 1.0
 
 
 class OwnCost(Percentiles, frozen=True, kw_only=True):
@@ -68,7 +72,7 @@ class HostTime(Percentiles, frozen=True, kw_only=True):
 class TimingVerdict(Document, frozen=True, kw_only=True):
     """Verdict on the timing of a run; the first part of `timing.json`."""
 
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
 
     verdict: Verdict
     reason: str  # One sentence that explains the verdict
@@ -103,13 +107,15 @@ def judge_timing(
     stopped: str = "",
     faults: Collection[Fault] = (),
     interrupted: str = "",
+    miss_rate: float = 1.0,
 ) -> TimingVerdict:
     """Judge the timing of a run from its `records`, shape (n,).
 
     `stopped` is the reason of the safety supervisor for a stop, `faults` what it detected;
-    `interrupted` names a signal that ended the run early. They are empty otherwise.
+    `interrupted` names a signal that ended the run early. They are empty otherwise. `miss_rate` is
+    the one that the run has to bound; 1 asks for none, as in simulated time.
     """
-    targets = TimingTargets(period_ns=round(period_s * 1e9))
+    targets = TimingTargets(period_ns=round(period_s * 1e9), miss_rate=miss_rate)
     certain_ns, possible_ns = host_time_ns(
         records, loop_cpu or ProbeRecord(), line_cpu or ProbeRecord(), releases or Releases()
     )
@@ -120,7 +126,7 @@ def judge_timing(
     host = _host_time(certain_ns)
     excused = bool(faults) and not own and stopped_by_host(records, possible_ns, faults)
     verdict, reason = _decide(
-        len(records), stopped, own, slots, host, excused=excused, interrupted=interrupted
+        stopped, own, lost, slots, targets, excused=excused, interrupted=interrupted
     )
     return TimingVerdict(
         schema=TimingVerdict.VERSION,
@@ -158,11 +164,11 @@ def _own_cost(cost_ns: Nanoseconds, targets: TimingTargets) -> OwnCost:
 
 
 def _decide(
-    ticks: int,
     stopped: str,
     own: int,
+    lost: int,
     slots: int,
-    host: HostTime,
+    targets: TimingTargets,
     *,
     excused: bool,
     interrupted: str,
@@ -178,11 +184,23 @@ def _decide(
         return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
     if interrupted:
         return Verdict.INCONCLUSIVE, f"{interrupted}: run it to its end"
-    if host.preempted_fraction > PREEMPTED_FRACTION:
-        return Verdict.INCONCLUSIVE, (
-            f"the host preempted {host.preempted_ticks} of {ticks} ticks: run it on a calmer one"
-        )
-    return Verdict.PASS, f"the loop missed none of {slots} slots by its own time"
+    bound, rate = miss_rate_bound(lost, slots), targets.miss_rate
+    missed = f"{lost} of {slots} deadlines missed" if lost else f"all {slots} deadlines met"
+    if bound <= rate and (lost == 0 or rate < 1.0):
+        sure = f"with 95 % confidence fewer than 1 in {1 / bound:.0f} is late"
+        return Verdict.PASS, f"{missed}; {sure}"
+    if lost:
+        return Verdict.INCONCLUSIVE, f"{missed}, all by the host: run it on a calmer one"
+    least_s = slots_needed(rate) * targets.period_ns * 1e-9
+    return Verdict.INCONCLUSIVE, (
+        f"{missed}, too few for a miss rate of {rate:g}: run {math.ceil(least_s)} s, or ask for "
+        f"--miss-rate {bound:.1g}"
+    )
+
+
+def slots_needed(miss_rate: float) -> int:
+    """Slots without a miss that bound a miss rate with 95 % confidence."""
+    return math.ceil(math.log(0.05) / math.log1p(-miss_rate)) if miss_rate < 1.0 else 1
 
 
 def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
@@ -203,9 +221,9 @@ def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) 
             "\n".join(map(str, own)),
         ),
         (
-            "the host leaves the loop alone",
+            "the run bounds the miss rate",
             Verdict.INCONCLUSIVE if inconclusive and not timing.interrupted else Verdict.PASS,
-            f"{timing.host.preempted_ticks} ticks preempted",
+            f"{timing.misses} misses by the host, {timing.host.preempted_ticks} ticks preempted",
         ),
     )
     properties = {

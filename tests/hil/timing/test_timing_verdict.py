@@ -94,7 +94,7 @@ def test_a_stall_that_the_probe_saw_too_is_the_hosts():
     slow_down(records, 500, 22 * MS)
     stall = (int(records["deadline_ns"][500]) + 30_000, 20 * MS)
     timing = judge(records, probe_over(records, stall), probe_over(records))
-    assert (timing.verdict, timing.misses, timing.own_misses) == ("pass", 1, 0)
+    assert (timing.verdict, timing.misses, timing.own_misses) == ("inconclusive", 1, 0)
     assert timing.causes[Cause.PREEMPTED] == 1
 
 
@@ -105,7 +105,7 @@ def test_two_stalls_in_one_tick_excuse_it_together():
     stalls = (begin_ns, 21 * MS), (begin_ns + 24 * MS, 44 * MS)
     one = judge(records, probe_over(records, stalls[1]), probe_over(records))
     both = judge(records, probe_over(records, *stalls), probe_over(records))
-    assert (one.verdict, both.verdict) == ("fail", "pass")
+    assert (one.verdict, both.verdict) == ("fail", "inconclusive")
     assert 65 * MS - 2 * PROBE_PERIOD_NS <= both.host.max_ns <= 65 * MS
 
 
@@ -151,7 +151,7 @@ def test_waiting_in_the_run_queue_behind_a_stranger_is_the_hosts():
     slow_down(records, 500, 1_500_000, lateness_ns=20 * MS)
     records["preempted_ns"][500] = 20 * MS
     timing = judge(records, probe_over(records), probe_over(records))
-    assert (timing.verdict, timing.causes[Cause.PREEMPTED]) == ("pass", 1)
+    assert (timing.verdict, timing.causes[Cause.PREEMPTED]) == ("inconclusive", 1)
 
 
 def test_waiting_in_the_run_queue_behind_ourselves_is_ours():
@@ -182,20 +182,36 @@ def test_a_reply_that_the_host_held_up_is_the_hosts_and_one_that_we_held_up_is_o
     written[500], queued[500] = start + 17 * MS, 16 * MS
     releases = Releases(due, written, queued)
     quiet = probe_over(records, own_ns=0)
-    assert judge(records, quiet, quiet, releases=releases).verdict == "pass"
+    assert judge(records, quiet, quiet, releases=releases).verdict == "inconclusive"
     queued[500] = 5000  # the emulator was running all the time: slow by itself
     assert judge(records, quiet, quiet, releases=releases).verdict == "fail"
 
 
-@pytest.mark.parametrize(
-    ("preempted", "verdict", "code"), [(10, "pass", 0), (11, "inconclusive", 3)]
-)
-def test_more_than_one_percent_of_preempted_ticks_proves_nothing(preempted, verdict, code):
+def test_deadlines_that_were_met_beside_a_busy_host_pass():
     records = run_of(1000)
-    records["preempted_ns"][100 : 100 + preempted] = 2 * MS
+    records["preempted_ns"][100:400] = 2 * MS
     timing = judge(records, probe_over(records), probe_over(records))
+    assert (timing.verdict, timing.host.preempted_ticks) == ("pass", 300)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "missed", "miss_rate", "verdict", "code"),
+    [
+        (2994, 0, 1e-3, "inconclusive", 3),  # 3/n is not below the rate
+        (2995, 0, 1e-3, "pass", 0),
+        (300, 0, 1e-2, "pass", 0),
+        (4000, 1, 1e-3, "inconclusive", 3),
+        (5000, 1, 1e-3, "pass", 0),
+    ],
+)
+def test_a_run_has_to_be_long_enough_for_its_miss_rate(ticks, missed, miss_rate, verdict, code):
+    records = run_of(ticks)
+    if missed:
+        slow_down(records, 100, 22 * MS)
+        records["steal_ns"][100] = 20 * MS
+    timing = judge(records, probe_over(records), miss_rate=miss_rate)
+    assert (timing.misses, timing.own_misses) == (missed, 0)
     assert (timing.verdict, timing.verdict.exit_code) == (verdict, code)
-    assert timing.host.preempted_ticks == preempted
 
 
 def test_a_miss_of_ours_is_not_excused_by_a_restless_host():
@@ -210,7 +226,8 @@ def test_a_processor_that_stood_still_while_the_tick_computed_is_the_hosts():
     slow_down(records, 500, 22 * MS)
     assert judge(records, probe_over(records)).verdict == "fail"
     records["steal_ns"][500] = 20 * MS
-    assert judge(records, probe_over(records)).verdict == "pass", "in stalls too short for a probe"
+    timing = judge(records, probe_over(records))
+    assert timing.verdict == "inconclusive", "in stalls too short for a probe"
 
 
 @given(st.lists(st.tuples(st.integers(0, 98), st.integers(MS, 60 * MS)), max_size=10))
