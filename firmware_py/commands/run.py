@@ -32,7 +32,7 @@ from firmware_py.commands.payload_check import contradicted_payload, unused_payl
 from firmware_py.commands.range_check import RangeWatch
 from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.display_units import CPU_TIME
+from firmware_py.display_units import CPU_TIME, DURATION
 from firmware_py.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
@@ -42,6 +42,8 @@ from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
+from firmware_py.link.link_facts import facts_of_bundle
+from firmware_py.link.servo_presets import PRESETS
 from firmware_py.log.logged_run import OUTSIDE, SLOTS_KEY
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
@@ -119,7 +121,8 @@ def run(args: argparse.Namespace) -> int:
         bus = stack.enter_context(open_bus(config, clock))
         settings = bus.found_settings()
         unused = unused_payload(bundle, config.payload_kg)
-        _say("dropstitch", _origin(bundle), *_uncompared(config, settings), unused, note)
+        unlike = [*_unlike(config, bundle), *_uncompared(config, settings)]
+        _say("dropstitch", _origin(bundle), *unlike, unused, note)
         # Goals of another program end when that program ends them.
         last = goals.slots if slots is None and args.goals is None else slots
         facts = {} if last is None else {SLOTS_KEY: str(last)}
@@ -240,6 +243,28 @@ def _free_log(directory: Path, name: str) -> Path:
         log for log in logs
         if not any(os.path.lexists(path) for path in (log, log.with_suffix(".timing.json")))
     )  # fmt: skip
+
+
+def _unlike(config: RobotConfig, bundle: ModelBundle) -> Iterator[str]:
+    """Yield a sentence for every servo, and the period, that are not those of the bundle."""
+    period_s, facts = bundle.manifest.period_s, facts_of_bundle(bundle.directory)
+    if not math.isclose(config.period_s, period_s):
+        yield (
+            f"the bundle was trained at {DURATION.text(period_s)}, this robot runs at "
+            f"{DURATION.text(config.period_s)}: its errors were measured at the former only"
+        )
+    trained = PRESETS.get(facts.servo) if facts else None
+    if facts is None or trained is None:
+        return
+    for servo in config.servos:
+        own = PRESETS[servo.model]
+        if own != trained:
+            ratio = own.torque_constant_nm_a / trained.torque_constant_nm_a
+            yield (
+                f"servo {servo.id} is a {servo.model} with {ratio:.2g} times the torque per ampere "
+                f"of the {facts.servo} in the bundle's plant: train a bundle for it, or expect "
+                "predictions out of range"
+            )
 
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:

@@ -37,7 +37,7 @@ def _draw_error(axes: Axes, result: SilResult) -> None:
         return
     distance_mm = LENGTH.shown(np.linalg.norm(off_m, axis=1))
     axes.plot(records["time_s"], distance_mm, color=SERIES[0], label="predicted − true tip")
-    axes.axhline(np.nanmean(distance_mm), color=MUTED, ls="--", label="mean")
+    axes.axhline(float(np.nanmean(distance_mm)), color=MUTED, ls="--", label="mean")
     axes.set(xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None))
     axes.legend(ncols=2)
 
@@ -49,7 +49,7 @@ def _draw_ends(axes: Axes, result: SilResult, timing: TimingVerdict) -> None:
     own_ms = TICK_TIME.shown(records["busy_ns"] - records["bus_wait_ns"])
     deadline_ms = float(TICK_TIME.shown(timing.budget.period_ns))
     least_ms = max(float(np.min(own_ms)), 1e-3)
-    edges = np.geomspace(least_ms, 1.2 * max(deadline_ms, float(np.max(end_ms))), 80)
+    edges = np.geomspace(least_ms, 1.2 * max(deadline_ms, float(np.max(end_ms))), 80).tolist()
     axes.hist(own_ms, edges, color=SERIES[1], alpha=0.7, label="own cost of a tick")
     axes.hist(end_ms, edges, color=SERIES[0], alpha=0.7, label="end of a tick in its slot")
     axes.axvline(deadline_ms, color=ALARM, ls="--", label="deadline")

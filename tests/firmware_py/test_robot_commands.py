@@ -18,8 +18,11 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.config import read_config
+from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.manifest import write_manifest
 from firmware_py.log.recording import read_recording
 from firmware_py.summary import read_run_summary
+from models.plant.plant import read_plant
 
 CONFIG = """
 bundle = "{bundle}"
@@ -152,6 +155,19 @@ def test_gains_that_are_compared_with_none_are_said_and_kept_in_the_log(servos, 
     log = read_recording(json.loads(output.out)["log"])
     (settings,) = json.loads(log.metadata["servo_settings"])
     assert settings["Position P Gain"] == 32
+
+
+def test_a_bundle_for_another_servo_is_named(servos, config, toy_bundle, capsys):
+    bundle = shutil.copytree(toy_bundle, config.with_name("bundle"))
+    link = config.with_name("link.toml")
+    assert call(capsys, "new", link, "--servo", "XM430-W350")[0] == 0
+    manifest = read_manifest(bundle)
+    read_plant(link).write(bundle / "plant.json")
+    write_manifest(bundle, manifest)
+    text = config.read_text().replace(str(toy_bundle), str(bundle))
+    config.write_text(text, encoding="utf-8")
+    error = call(capsys, "run", "--config", config)[1].err
+    assert "servo 1 is a H54-200-S500-R with 3.8 times the torque per ampere" in error
 
 
 def test_gains_that_are_declared_are_compared(servos, config, capsys):
