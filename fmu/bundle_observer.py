@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar
 
@@ -72,14 +72,19 @@ class ModelEstimator:
 
 
 def add_observer(
-    bundle: Path, manifest: Manifest, parts: FmuParts, platforms: Sequence[str] = (HOST,)
+    bundle: Path,
+    manifest: Manifest,
+    parts: FmuParts,
+    platforms: Sequence[str] = (HOST,),
+    report: Callable[[str], None] = lambda text: None,
 ) -> Path:
     """Build the observer FMU into a bundle and make it the bundle's estimator.
 
     The golden ticks keep their motion. The interpreted model recomputes their expected outputs, so
     the replay on the robot tests the binary. The manifest is replaced last, atomically.
 
-    `platforms` (see `build_fmu`) must include this machine's, because the golden ticks run here.
+    `platforms` and `report`: see `build_fmu`. The former must include this machine's, because the
+    golden ticks run here.
     """
     plant = parts.required_plant().for_robot()
     if manifest.plant_sha256 != plant.sha256():
@@ -97,6 +102,7 @@ def add_observer(
         resources=parts.resources(),
         platforms=platforms,
         derivatives=False,  # the robot needs none
+        report=report,
     )
     runtimes = _proven(golden, scratch, predictor, compiled=parts.predictor is not None)
     scratch.replace(bundle / OBSERVER)

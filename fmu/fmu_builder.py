@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -49,6 +49,7 @@ def build_fmu(
     files: Mapping[str, bytes] = MappingProxyType({}),
     sections: Sequence[Section] = (),
     example: Sequence[float] = (),
+    report: Callable[[str], None] = lambda text: None,
 ) -> Path:
     """Build an FMU from a step model.
 
@@ -75,6 +76,8 @@ def build_fmu(
         Further sections of the documentation.
     example : sequence of float
         Amplitude of the example motion for each input (`fmu/c/fmu_example.c`); empty for none.
+    report : callable
+        Called with a phrase when the equations are written, and after each platform.
 
     Returns
     -------
@@ -86,6 +89,7 @@ def build_fmu(
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
         model_c = write_equations(model, interface, directory)
+        report("equations written in C")
         token = _token(interface, fmi, description, model_c, resources)
         variables_c = write_variables(model, interface, token, directory)
         sources = [*core_sources(fmi), model_c, variables_c]
@@ -98,7 +102,7 @@ def build_fmu(
         if SOURCE_CODE in platforms:
             headers = [path for folder in include[:2] for path in sorted(folder.glob("*.h"))]
             content |= source_files(interface.name, fmi, sources, headers)
-        libraries = _libraries(interface.name, sources, include, platforms)
+        libraries = _libraries(interface.name, sources, include, platforms, report)
         content |= binary_files(interface.name, libraries, fmi)
     write_zip(content, output, epoch_s)
     return output
@@ -129,7 +133,11 @@ def _documents(
 
 
 def _libraries(
-    identifier: str, sources: Sequence[Path], include: Sequence[Path], platforms: Sequence[str]
+    identifier: str,
+    sources: Sequence[Path],
+    include: Sequence[Path],
+    platforms: Sequence[str],
+    report: Callable[[str], None],
 ) -> dict[str, bytes]:
     """Compile the library for each platform; return them by name of the platform."""
     libraries = {}
@@ -138,6 +146,7 @@ def _libraries(
             library = sources[-1].parent / name / f"{identifier}{PLATFORMS[name].suffix}"
             compile_library(sources, library, include=include, target=PLATFORMS[name].target)
             libraries[name] = library.read_bytes()
+            report(f"compiled for {name}")
     return libraries
 
 

@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_py.console import DONE, emit
+from firmware_py.console import DONE, Progress, emit
 from firmware_py.display_units import FILE_SIZE
 from firmware_py.errors import InputError
 
@@ -50,12 +50,14 @@ def run(args: argparse.Namespace) -> int:
     from fmu.fmu_builder import build_fmu
     from fmu.fmu_models import read_parts
     from fmu.packaging.fmu_contents import fmu_contents
-    from fmu.packaging.platforms import platform_names
+    from fmu.packaging.platforms import SOURCE_CODE, platform_names
     from models.bundle.plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)
     platforms = platform_names(args.platforms)
+    progress = Progress(f"fmu {kind}", 2 + sum(name != SOURCE_CODE for name in platforms))
+    progress.begin("composing the model")
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
@@ -68,15 +70,16 @@ def run(args: argparse.Namespace) -> int:
                 "cannot run on the robot (FMI 3.0)",
                 "omit --fmi or give --out",
             )
-        add_observer(args.bundle, manifest, parts, platforms)
+        add_observer(args.bundle, manifest, parts, platforms, progress.step)
     else:
         model = parts.model()
         contents = fmu_contents(parts, model, args.fmi)
         build_fmu(
             model, output, fmi=args.fmi, description=parts.description(),
             resources=parts.resources(), platforms=platforms, files=contents.files,
-            sections=contents.sections, example=contents.example,
+            sections=contents.sections, example=contents.example, report=progress.step,
         )  # fmt: skip
+    progress.step("packed")
     size = output.stat().st_size
     data = {
         "unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size,

@@ -14,20 +14,25 @@ from typing import Any
 
 import msgspec
 
+from firmware_py.console import Progress
 from firmware_py.files.output_files import write_whole
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import read_build
 from hil.report.gap.before_after import before_after, describe_before_after
 from hil.report.gap.before_after_page import before_after_page
 from hil.report.gap.gap_inputs import read_gap
-from hil.report.report_page import fault_page, report_page
+from hil.report.report_page import SECTIONS, fault_page, report_page
 
 __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
 
 def write_report(build: Path, out: Path) -> int:
     """Write the report of a build directory; return its size in bytes."""
-    return _write(report_page(read_build(build)), out)
+    progress = Progress("report", 1)
+    progress.begin("reading the build directory")
+    inputs = read_build(build)
+    progress.total = SECTIONS + max(len(inputs.loops), 1)
+    return _write(report_page(inputs, progress.step), out)
 
 
 def write_fault_report(document: FaultsDocument, out: Path) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any, Final
 
@@ -48,8 +48,17 @@ from models.study.document import StudyDocument
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "fmpy")
 
 
-def report_page(inputs: BuildInputs) -> str:
-    """Return the report as HTML."""
+SECTIONS: Final = 8
+"""Sections of the report beside those of the loops."""
+
+
+def report_page(inputs: BuildInputs, report: Callable[[str], None] = lambda title: None) -> str:
+    """Return the report as HTML; `report` gets the title of each section that is drawn."""
+
+    def section(name: str, title: str, parts: list[Part]) -> Section:
+        report(title)
+        return Section(name, title, parts)
+
     lead = Paragraph(
         "Results for an inflatable drop-stitch link on one or two servos: the published study, "
         "predictors without motion capture, the identified plant and its FMUs, and the control "
@@ -57,16 +66,16 @@ def report_page(inputs: BuildInputs) -> str:
         "lead",
     )
     sections = [
-        Section("glance", "Results and targets", [results_table(inputs)]),
-        Section("findings", "Findings of the paper", _findings(inputs.every_study)),
-        Section("study", "Study", _study(inputs)),
-        Section("estimators", "Predictors and estimators", _estimators(inputs)),
-        Section("plant", "Plant", _plant(inputs)),
-        Section("fmus", "FMUs", _fmus(inputs)),
-        *_loops(inputs),
-        Section("faults", "Fault campaign",
+        section("glance", "Results and targets", [results_table(inputs)]),
+        section("findings", "Findings of the paper", _findings(inputs.every_study)),
+        section("study", "Study", _study(inputs)),
+        section("estimators", "Predictors and estimators", _estimators(inputs)),
+        section("plant", "Plant", _plant(inputs)),
+        section("fmus", "FMUs", _fmus(inputs)),
+        *_loops(inputs, section),
+        section("faults", "Fault campaign",
                 _campaign(inputs.faults) if inputs.faults else [missing_inputs("make faults")]),
-        Section("made", "Origin, commands and versions", _made(inputs)),
+        section("made", "Origin, commands and versions", _made(inputs)),
     ]  # fmt: skip
     head: list[Part] = [*report_notices(inputs), lead]
     return render_page("Report of a build", head, sections, datetime.now(UTC))
@@ -140,10 +149,12 @@ def _fmus(inputs: BuildInputs) -> list[Part]:
     return [Paragraph("; ".join(listed) + "."), *fmu_tables(inputs.checks)]
 
 
-def _loops(inputs: BuildInputs) -> list[Section]:
+def _loops(
+    inputs: BuildInputs, section: Callable[[str, str, list[Part]], Section]
+) -> list[Section]:
     if not inputs.loops:
-        return [Section("loop", "Control loop", [missing_inputs("dropstitch sil")])]
-    return [Section(loop.name, _loop_title(loop), _loop(loop)) for loop in inputs.loops]
+        return [section("loop", "Control loop", [missing_inputs("dropstitch sil")])]
+    return [section(loop.name, _loop_title(loop), _loop(loop)) for loop in inputs.loops]
 
 
 def _loop_title(loop: LoopRun) -> str:
