@@ -165,7 +165,7 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     constants = [n for n in declared if n in known and known[n].role == "fixed"]
     if plant.load != "link" or not constants or len({t.meta.payload_kg for t in trials}) < 2:
         return []
-    free = (*free_parameters(plant, planes)[0], *constants)
+    free = free_parameters(plant, trials)[0] + constants
     rms = plant.provenance.residual_rms
     objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms)
     residual, slopes = objective(objective.start)

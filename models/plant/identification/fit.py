@@ -13,7 +13,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import msgspec
@@ -44,9 +44,7 @@ LEAST_SCALE: Final = {"rad": 0.1}
 """Smallest fraction of `SCALE`, if not one half. An encoder resolves 0.01 mrad (docs/sources.md,
 "Control tables"); 0.2 mrad separate the lag of the goal from the position gain."""
 
-CORRELATED_SAMPLES: Final = 12
-"""Samples that carry the information of one in a first fit (docs/sources.md, "Naming a missing
-effect")."""
+CORRELATED_SAMPLES: Final = 12  # that carry the information of one (docs/sources.md, as above)
 
 STANDSTILL: Final = {"angle_{}_rad": 0.1, "position_{}_m": 0.01}
 """Joint rate, in rad/s or on a guide in m/s, below which dry friction can take any value, so that
@@ -113,8 +111,7 @@ MOST_OF_TRIAL: Final = 3e6
 one joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the
 exact derivatives of the former; a diagnosis needs about twenty of them."""
 
-MOST_OF_ALL: Final = 10e6
-"""Most state updates in one simulation of all trials; `make demo` needs 1 % of it [assumed]."""
+MOST_OF_ALL: Final = 10e6  # of all trials; `make demo` needs 1 % of it [assumed]
 
 
 def shortened(trials: Sequence[Trial], model: StepModel) -> tuple[Trial, ...]:
@@ -130,15 +127,12 @@ def shortened(trials: Sequence[Trial], model: StepModel) -> tuple[Trial, ...]:
     remaining = MOST_OF_ALL - np.concatenate([[0.0], np.cumsum(sizes)[:-1]])
     limits = remaining / np.arange(len(sizes), 0, -1)
     most = min([*limits[sizes > limits][:1], MOST_OF_TRIAL])
-    result = []
-    for trial, update in zip(trials, cost, strict=True):
-        rows = max(200, int(most / update))
-        rest = trial.meta.rest_samples
+    result = list(trials)
+    for k, trial in enumerate(trials):
+        rows, rest = max(200, int(most / cost[k])), trial.meta.rest_samples
         start = max(0, rest - rows // 4)
-        is_long = rows < len(trial)
-        result.append(
-            with_rows(trial, slice(start, start + rows), rest - start) if is_long else trial
-        )
+        if rows < len(trial):
+            result[k] = with_rows(trial, slice(start, start + rows), rest - start)
     return tuple(result)
 
 
@@ -151,14 +145,8 @@ def with_rows(trial: Trial, rows: slice, rest_samples: int) -> Trial:
 
 # The fit
 
-LARGEST_DERIVATIVE: Final = 1e60
-"""Largest derivative of a stable simulation; squares of larger ones would overflow [assumed]."""
-
-DRIVEN_SUBSTEP_S: Final = 2.2e-3
-"""Longest internal step of the driven link, an eighth of a period, as it has no dry friction."""
-
-WORKERS: Final = 2
-"""Threads that simulate; CasADi releases the interpreter lock meanwhile."""
+LARGEST_DERIVATIVE: Final = 1e60  # of a stable simulation; larger squares overflow [assumed]
+WORKERS: Final = 2  # threads that simulate; CasADi releases the interpreter lock meanwhile
 
 
 class SignalFit(NamedTuple):
@@ -190,13 +178,13 @@ class Objective:
         prior: Plant | None = None,
     ) -> None:
         self.plant, self.free = plant, tuple(free)
-        self._signals, self._scale = tuple(signals), dict(scale or {})
+        self._signals, self._scale = tuple(signals), scale or {}
         self._models: dict[int, CompiledModel] = {}
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
-            if kind == "driven":
-                model = model.with_substeps(DRIVEN_SUBSTEP_S)
+            if kind == "driven":  # An eighth of a period is enough without dry friction.
+                model = model.with_substeps(2.2e-3)
             used += shortened([t for t in trials if t.meta.dof == dof], model)
             known = set(names(model.parameters))
             self._models[dof] = CompiledModel(model, [name for name in self.free if name in known])
@@ -309,11 +297,10 @@ class Objective:
         return fits
 
 
-@dataclass(frozen=True)
-class Solution:
+class Solution(NamedTuple):
     """Result of a fit."""
 
-    plant: Plant  # Plant with the fitted values and their standard errors
+    plant: Plant  # With the fitted values and their standard errors
     cost: float  # Half the sum of squares, prior included
     rms: dict[str, float]  # Root mean square residual of each signal, in its unit
 
@@ -353,8 +340,7 @@ def fit_objective(
 # a reduced model is alike in rows of one payload, or of one part of the motion, however many they
 # are. The fit is therefore repeated, linearised, with one group of rows left out at a time.
 
-LEAST_GROUPS: Final = 3
-"""Fewest groups whose scatter is used [assumed]."""
+LEAST_GROUPS: Final = 3  # whose scatter is used [assumed]
 
 
 def motion_parts(trial: Trial) -> NDArray[np.int_]:

@@ -36,8 +36,7 @@ from models.plant.plant import Plant, scope_of
 from models.plant.simulation.runner import Array
 from models.trials.trial import Trial, TrialSet
 
-LINK_SIGNALS: Final = ("tip", "di", "current")
-"""Start of the names of the signals that the link is fitted to."""
+LINK_SIGNALS: Final = ("tip", "di", "current")  # start of the names of those that it is fitted to
 
 Report = Callable[[str], None]
 
@@ -89,17 +88,14 @@ def identify(
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     fit, held_out = trials.split()
-    planes = _planes(fit)
-    if planes > LOADS[plant.load].max_dof:
+    if _planes(fit) > LOADS[plant.load].max_dof:
         raise InputError(
-            f"plant {plant.name!r}",
-            f"has one joint, a trial has {planes}",
-            "use a plant of the link",
+            f"plant {plant.name!r}", "has one joint, a trial has two", "use a plant of the link"
         )
     solve = _fit_link_plant if plant.load == "link" else _fit_from_several_starts
     solution = solve(plant, fit, report)
     result = _with_second_plane(solution.plant, fit)
-    fitted = _all_free(result, planes)
+    fitted = _all_free(result, fit)
     errors = evaluate_plant(result, held_out if len(held_out) else fit)
     provenance = Provenance(
         parent_sha256=plant.sha256(),
@@ -115,9 +111,9 @@ def identify(
     return Identification(result, tuple(result.parameters[n] for n in fitted), errors)
 
 
-def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def free_parameters(plant: Plant, trials: Iterable[Trial]) -> tuple[list[str], list[str]]:
     """Parameters to fit with the link and with the drive; friction is in both."""
-    scope = scope_of(plant.drive, plant.load, planes)
+    scope = scope_of(plant.drive, plant.load, _planes(trials))
 
     def free(part: Any) -> list[str]:
         declared = [q.name for q in part.parameters(scope)]
@@ -130,11 +126,12 @@ def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[s
         if effect.port in ("command", "servo_torque"):
             drive += free(effect())
     load += [n for n in drive if n.startswith(("rotor_inertia_", "torque_constant_"))]  # in current
-    return tuple(load), tuple(drive)
+    return load, drive
 
 
-def _all_free(plant: Plant, planes: int) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(n for part in free_parameters(plant, planes) for n in part))
+def _all_free(plant: Plant, trials: Iterable[Trial]) -> tuple[str, ...]:
+    load, drive = free_parameters(plant, trials)
+    return tuple(dict.fromkeys(load + drive))
 
 
 def _planes(trials: Iterable[Trial]) -> int:
@@ -143,8 +140,7 @@ def _planes(trials: Iterable[Trial]) -> int:
 
 # Loads other than the link
 
-DRAWS: Final = 32
-"""Number of starts drawn for the fit of a rigid load."""
+DRAWS: Final = 32  # of the prior, for the start of the fit
 
 
 def _fit_from_several_starts(plant: Plant, trials: Sequence[Trial], report: Report) -> Solution:
@@ -152,7 +148,7 @@ def _fit_from_several_starts(plant: Plant, trials: Sequence[Trial], report: Repo
 
     A sticking joint makes the cost discontinuous: its rest position jumps as a parameter changes.
     """
-    objective = Objective(plant, "twin", trials, _all_free(plant, _planes(trials)), ("",))
+    objective = Objective(plant, "twin", trials, _all_free(plant, trials), ("",))
     normal = np.random.default_rng(0).standard_normal((DRAWS, len(objective.free)))
     drawn = objective.start + objective.prior_deviation * normal
     starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
@@ -176,8 +172,7 @@ def _cost(objective: Objective, values: Array) -> float:
 
 # The link and its drive
 
-STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Factors on the initial stiffness in the scan."""
+STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors on the initial stiffness
 
 
 def _fit_link_plant(plant: Plant, trials: Sequence[Trial], report: Report) -> Solution:
@@ -194,7 +189,7 @@ def _fit_link_plant(plant: Plant, trials: Sequence[Trial], report: Report) -> So
     second = _Round(trials, with_options_of(plant, start), rms, report)
     link = second.fit_link(start)
     drive = second.with_alike_servos(second.fit_drive(link.plant))
-    return replace(drive, rms=_angles(drive.rms) | link.rms)
+    return drive._replace(rms=_angles(drive.rms) | link.rms)
 
 
 def _angles(rms: Mapping[str, float]) -> dict[str, float]:
@@ -216,7 +211,7 @@ class _Round:
 
     def scan_stiffness(self, plant: Plant) -> Plant:
         """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
-        link, _ = free_parameters(plant, _planes(self.trials))
+        link, _ = free_parameters(plant, self.trials)
         stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
         objective = Objective(plant, "driven", self.trials, stiffness, LINK_SIGNALS)
         costs: list[tuple[float, Array]] = []
@@ -229,7 +224,7 @@ class _Round:
 
     def fit_link(self, start: Plant) -> Solution:
         """Fit the link's parameters while the measured angles drive it."""
-        free, _ = free_parameters(start, _planes(self.trials))
+        free, _ = free_parameters(start, self.trials)
         objective = Objective(
             start, "driven", self.trials, free, LINK_SIGNALS, self.rms, self.prior
         )
@@ -241,7 +236,7 @@ class _Round:
         The smallest, middle and largest payload of each number of joints are enough.
         """
         trials = over_payloads(self.trials, (0.0, 0.5, 1.0))
-        _, free = free_parameters(start, _planes(self.trials))
+        _, free = free_parameters(start, self.trials)
         signals, rms = ("angle", "position", "current"), _angles(self.rms)
         return self._fit(Objective(start, "twin", trials, free, signals, rms, self.prior), "drive")
 

@@ -45,8 +45,7 @@ Array = NDArray[np.float64]
 PayloadSpectra = Mapping[float, Mapping[str, Array]]
 """Spectra by payload in kg and signal."""
 
-FLOOR_ROUNDS: Final = 3
-"""Times that floor and variation between trials are estimated in turn [assumed]."""
+FLOOR_ROUNDS: Final = 3  # in which floor and variation are estimated in turn [assumed]
 
 
 def with_noise_floor(plant: Plant, trials: Iterable[Trial]) -> Plant:
@@ -122,8 +121,7 @@ def smoothed(power: Array, width_fraction: float = 0.25, least_coefficients: int
 
 # Groups of trials of one motion
 
-LEAST_COEFFICIENTS: Final = 12
-"""Fewest coefficients of a trial: three bands of four [assumed]."""
+LEAST_COEFFICIENTS: Final = 12  # of a trial: three bands of four [assumed]
 
 
 @dataclass(frozen=True)
@@ -186,11 +184,12 @@ def trial_groups(trials: Sequence[Trial], outputs: Sequence[str]) -> list[TrialG
             raise nothing_measured(trial, outputs)
         check_duration(trial)
         members[trial_group_key(trial), signals].append(k)
-    first = {key: trials[rows[0]] for key, rows in members.items()}
-    return [
-        TrialGroup(key[0], tuple(rows), key[1], coefficient_count(len(t), t.step_s))
-        for (key, rows), t in zip(members.items(), first.values(), strict=True)
-    ]
+    result = []
+    for (key, signals), rows in members.items():
+        first = trials[rows[0]]
+        count = coefficient_count(len(first), first.step_s)
+        result.append(TrialGroup(key, tuple(rows), signals, count))
+    return result
 
 
 def group_frequencies_hz(group: TrialGroup, trials: Sequence[Trial]) -> Array:
@@ -252,8 +251,7 @@ KNOWN_FRACTION: Final = 0.01
 """Standard deviation of a mean that counts as known, over its standard deviation by chance
 [assumed]: small enough to hold the mean, large enough to keep matrices regular."""
 
-ECCENTRICITY_M: Final = 0.003
-"""Standard deviation of the payload's eccentricity between repetitions [assumed]."""
+ECCENTRICITY_M: Final = 0.003  # of the payload: standard deviation between repetitions [assumed]
 
 
 class Variation(NamedTuple):
@@ -293,8 +291,7 @@ LONGEST_SUBSTEP_S: Final = 2.9e-3
 0.25 ms; 46 µm with ten times the usual friction. Other loads keep the step of their model: the
 bristles of a small gear are faster."""
 
-FIT_STEPS: Final = 12
-"""Most steps of a fit of the variation [assumed]."""
+FIT_STEPS: Final = 12  # at most, of the variation between trials [assumed]
 
 
 class _VariedTwin:
@@ -456,11 +453,8 @@ class MeasuredFloor:
         return 1.0
 
 
-LEAST_NOISE_FRACTION: Final = 1e-9
-"""Least noise, as a fraction of a signal's largest variance: keeps matrices regular [assumed]."""
-
-PAYLOAD_REACH_KG: Final = 1.0
-"""Difference in payload over which the plant's own error changes [assumed]."""
+LEAST_NOISE_FRACTION: Final = 1e-9  # of a signal's largest variance: keeps matrices regular
+PAYLOAD_REACH_KG: Final = 1.0  # over which the plant's own error changes [assumed]
 
 
 def _whitener(floor: MeasuredFloor, group: TrialGroup, trials: Sequence[Trial]) -> Array:
@@ -560,8 +554,7 @@ RATIO_WINDOW: Final = (0.5, 8)
 """Half width of their smoothing, as a fraction of the frequency and in coefficients at least: 17
 coefficients are averaged [assumed]."""
 
-COMMON_FRACTION: Final = 1 / 18
-"""Weight of the common floor beside those of a window: one coefficient."""
+COMMON_FRACTION: Final = 1 / 18  # weight of the common floor beside 17 coefficients
 
 
 @dataclass(frozen=True)
