@@ -20,12 +20,12 @@ from models.predictor.fallback import doubts_of_di
 from models.trials.files import write_trial
 
 
-def identified(fitted=(), tip_m=(0.002, 0.003), rigid_m=(0.02, 0.06), clock_m=(None, None)):
-    """Result with these errors of the tip at 0 kg, 1 kg, …"""
-    errors = enumerate(zip(tip_m, rigid_m, clock_m, strict=True))
+def identified(fitted=(), tip_m=(0.002,), rigid_m=(0.02,), clock_m=(None,)):
+    """Result with these errors of the tip at 0 kg, 1 kg, …; the worst are those of all trials."""
+    rows = [TipError(*row) for row in zip(tip_m, rigid_m, clock_m, strict=True)]
     dof = DofEvaluation(
         signals={}, trials=2, tip_rms_m=max(tip_m), rigid_tip_rms_m=max(rigid_m),
-        payloads={f"{k}": TipError(*row) for k, row in errors},
+        payloads={f"{k}": row for k, row in enumerate(rows)},
     )  # fmt: skip
     errors = Evaluation(signals={}, trials=2, dof={"1": dof}, origins=())
     return Identification(read_plant(), fitted, errors)
@@ -38,83 +38,59 @@ def test_a_parameter_at_the_edge_of_its_range_is_named():
 
 
 @pytest.mark.parametrize(
-    "tip_m, rigid_m, clock_m, named",
+    "tip_m, rigid_m, clock_m, of_fit, of_evaluation",
     [
-        ((0.002, 0.027), (0.02, 0.196), None, True),  # 14 % of a large deflection
-        ((0.002, 0.009), (0.02, 0.196), None, False),  # 5 %
-        ((0.003, 0.004), (0.02, 0.03), None, False),  # 13 % of a small one
-        ((0.009, 0.004), (0.02, 0.06), None, False),  # without payload there is none to take off
-        ((0.002, 0.012), (0.02, 0.06), 0.004, False),  # the rest is the clock's
+        ((0.002, 0.027), (0.02, 0.196), None, "with 1 kg", None),  # 14 % of a large deflection
+        ((0.002, 0.009), (0.02, 0.196), None, None, None),  # 5 %
+        ((0.003, 0.004), (0.02, 0.03), None, None, None),  # 13 % of a small one
+        ((0.009, 0.004), (0.02, 0.06), None, None, None),  # no payload to take off
+        ((0.002, 0.012), (0.02, 0.06), 0.004, None, None),  # the rest is the clock's
+        ((0.02, 0.07), (0.02, 0.06), None, "a rigid link by", "a rigid link by"),
+        ((0.01, 0.269), (0.01, 0.27), None, "with 1 kg", None),  # the study's link has 0.95 m
+        ((0.01, 1.429), (0.01, 1.43), None, "with 1 kg", "no link bends so far"),
+        ((None,), (None,), None, None, None),  # no motion capture
     ],
 )
-def test_a_payload_that_is_badly_missed_is_named(tip_m, rigid_m, clock_m, named):
-    warnings = doubts(identified((), tip_m, rigid_m, (None, clock_m)))
-    assert [w.split(":")[0] for w in warnings] == ["1DOF with 1 kg"] * named
+def test_an_error_of_the_tip_that_speaks_against_the_plant_is_named_once(
+    tip_m, rigid_m, clock_m, of_fit, of_evaluation
+):
+    result = identified((), tip_m, rigid_m, (None, clock_m)[: len(tip_m)])
+    of_result = doubts(result), evaluation_doubts(result.held_out, read_plant())
+    for warnings, phrase in zip(of_result, (of_fit, of_evaluation), strict=True):
+        assert len(warnings) == (phrase is not None)
+        assert all(phrase in text for text in warnings)
 
 
-def test_a_plant_no_better_than_a_rigid_link_is_named_once():
-    bad = identified(tip_m=(0.02, 0.07), rigid_m=(0.02, 0.06))
-    (doubt,) = doubts(bad)
-    assert "a rigid link" in doubt
-    assert evaluation_doubts(bad.held_out, read_plant()) == [doubt]
-    assert evaluation_doubts(identified().held_out, read_plant()) == []
+def payload_trials(synthetic, constant_nm_a=6.83, payloads=(0.0, 1.5)):
+    plant = read_plant().with_values({"torque_constant_1_nm_a": constant_nm_a})
+    return [synthetic(plant, load, count=300, trial=1) for load in payloads]
 
 
-@pytest.mark.parametrize(("rigid_m", "is_beyond"), [(0.27, False), (1.43, True)])
-def test_a_tip_beyond_any_bend_is_named_though_plant_and_rigid_link_are_alike(rigid_m, is_beyond):
-    """The study's link is 0.95 m long; its plant is a millimetre better, as with a wrong tip."""
-    wrong = identified(tip_m=(0.01, rigid_m - 1e-3), rigid_m=(0.01, rigid_m)).held_out
-    warnings = evaluation_doubts(wrong, read_plant())
-    assert ["no link bends so far" in text for text in warnings] == [True] * is_beyond
-
-
-def test_without_motion_capture_there_is_no_doubt_about_the_tip():
-    dof = DofEvaluation(signals={}, trials=1, payloads={"0": TipError()})
-    errors = Evaluation(signals={}, trials=1, dof={"1": dof}, origins=())
-    assert doubts(Identification(read_plant(), (), errors)) == []
-
-
-@pytest.fixture
-def payload_trials(synthetic):
-    def make(constant_nm_a, payloads):
-        plant = read_plant().with_values({"torque_constant_1_nm_a": constant_nm_a})
-        return [synthetic(plant, load, count=300, trial=1) for load in payloads]
-
-    return make
-
-
-def test_payloads_reveal_a_wrong_torque_constant(payload_trials):
-    trials = payload_trials(4.8, (0.0, 1.5))
-    (doubt,) = torque_constant_doubts(read_plant(), trials)
+def test_payloads_reveal_a_wrong_torque_constant(synthetic):
+    trials, plant = payload_trials(synthetic, 4.8), read_plant()
+    (doubt,) = torque_constant_doubts(plant, trials)
     assert float(doubt.split("of about ")[1].split(" ")[0]) == pytest.approx(4.8, rel=0.05)
-    free = msgspec.structs.replace(
-        read_plant().parameters["torque_constant_1_nm_a"], role="nuisance"
-    )
-    fitted = replace(read_plant(), parameters=read_plant().parameters | {free.name: free})
+    free = msgspec.structs.replace(plant.parameters["torque_constant_1_nm_a"], role="nuisance")
+    fitted = replace(plant, parameters=plant.parameters | {free.name: free})
     assert torque_constant_doubts(fitted, trials) == []
 
 
 @pytest.mark.parametrize(("constant_nm_a", "payloads"), [(6.6, (0.0, 1.5)), (4.8, (1.5,))])
 def test_a_constant_near_the_data_sheet_or_a_single_payload_raises_no_doubt(
-    payload_trials, constant_nm_a, payloads
+    synthetic, constant_nm_a, payloads
 ):
-    assert torque_constant_doubts(read_plant(), payload_trials(constant_nm_a, payloads)) == []
+    trials = payload_trials(synthetic, constant_nm_a, payloads)
+    assert torque_constant_doubts(read_plant(), trials) == []
 
 
-def test_payloads_in_pounds_are_named_as_a_cause(payload_trials):
-    pounds = [
-        changed(t, payload_kg=2.2046 * t.meta.payload_kg) for t in payload_trials(6.83, (0.0, 1.5))
-    ]
-    (doubt,) = torque_constant_doubts(read_plant(), pounds)
+def test_wrong_payloads_and_currents_are_named_as_causes(synthetic):
+    light, heavy = payload_trials(synthetic)
+    pounds = changed(heavy, payload_kg=2.2046 * heavy.meta.payload_kg)
+    (doubt,) = torque_constant_doubts(read_plant(), [light, pounds])
     assert "or the payloads are in pounds" in doubt
-
-
-def test_a_current_that_falls_with_the_payload_is_no_constant(payload_trials):
-    light, heavy = payload_trials(6.83, (0.0, 1.5))
-    of_payload = heavy.columns["current_1_a"] - light.columns["current_1_a"]
-    turned = light.columns["current_1_a"] - of_payload
-    heavy = replace(heavy, columns=heavy.columns | {"current_1_a": turned})
-    (doubt,) = torque_constant_doubts(read_plant(), [light, heavy])
+    turned = 2 * light.columns["current_1_a"] - heavy.columns["current_1_a"]
+    falling = replace(heavy, columns=heavy.columns | {"current_1_a": turned})
+    (doubt,) = torque_constant_doubts(read_plant(), [light, falling])
     assert "of joint 1" in doubt and "check the sign" in doubt
 
 
