@@ -1,6 +1,6 @@
 """Evaluation of a plant on trials: the twin runs each trial's goals, signal by signal.
 
-The error of the end effector is given as it is, with the clock of each trial's motion capture
+The error of the end effector is stated as it is, with the clock of each trial's motion capture
 refitted, and beside that of a rigid link at the measured angles.
 """
 

@@ -1,8 +1,8 @@
 """Evaluation of a plant on trials: the twin, driven by their goals, compared with measurements.
 
-The motion capture has a clock of its own. Where it is a few milliseconds off the servos', the tip's
-error is that of the plant and of the clock together: a tip at 0.5 m/s is 4 mm off after 8 ms. So
-the tip's error is given twice, as it is and with the clock of each trial refitted.
+Motion capture and servos have two clocks. Where they differ by a few milliseconds, the tip's error
+is that of the plant and of the clock together: a tip at 0.5 m/s is 4 mm off after 8 ms. So the
+tip's error is stated twice, as it is and with the clock of each trial refitted.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
         dofs[str(dof)] = DofEvaluation(
             signals=signal_errors(plant, rows),
             trials=len(rows),
-            payloads={f"{load:g}": TipError(**_tip_errors(own)) for load, own in by_load.items()},
+            payloads={f"{load:g}": TipError(**_tip_errors(part)) for load, part in by_load.items()},
             **_tip_errors(rows),
         )
     return Evaluation(

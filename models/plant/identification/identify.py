@@ -178,16 +178,17 @@ STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors on the initial stif
 def _fit_link_plant(plant: Plant, trials: Sequence[Trial], report: Report) -> Solution:
     """Fit link and drive in two rounds, see the module's docstring."""
     fewest = min(t.meta.dof for t in trials)
-    first = _Round([t for t in trials if t.meta.dof == fewest], plant, {}, report)
-    link = first.fit_link(first.scan_stiffness(plant))
-    drive = first.with_servo_options(first.fit_drive(link.plant))
-    alike = replace(first, prior=with_options_of(plant, drive.plant))
-    drive = alike.with_alike_servos(drive)
-    start = _with_second_plane(drive.plant, first.trials)
-    rms = _angles(drive.rms) | link.rms
+    first = _Round(plant, [t for t in trials if t.meta.dof == fewest], {}, report)
+    link = first.fit_link(first.scan_stiffness())
+    drive = first.fit_drive(link.plant)
+    while (
+        better := first.best_drive(drive, starts_with_option(drive.plant), fall=0.1)
+    ) is not drive:
+        drive = better
+    drive = first.with_alike_servos(drive)
 
-    second = _Round(trials, with_options_of(plant, start), rms, report)
-    link = second.fit_link(start)
+    second = _Round(plant, trials, _angles(drive.rms) | link.rms, report)
+    link = second.fit_link(_with_second_plane(drive.plant, first.trials))
     drive = second.with_alike_servos(second.fit_drive(link.plant))
     return drive._replace(rms=_angles(drive.rms) | link.rms)
 
@@ -200,45 +201,48 @@ def _angles(rms: Mapping[str, float]) -> dict[str, float]:
 class _Round:
     """Fits of link and drive to some trials.
 
-    The values of `prior` are the centres of the priors; `rms` holds the residual of each signal in
+    The values of `plant` are the centres of the priors; `rms` holds the residual of each signal in
     the round before.
     """
 
+    plant: Plant
     trials: Sequence[Trial]
-    prior: Plant
     rms: Mapping[str, float]
     report: Report
 
-    def scan_stiffness(self, plant: Plant) -> Plant:
+    def scan_stiffness(self) -> Plant:
         """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
-        link, _ = free_parameters(plant, self.trials)
+        link, _ = free_parameters(self.plant, self.trials)
         stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
-        objective = Objective(plant, "driven", self.trials, stiffness, LINK_SIGNALS)
+        objective = Objective(self.plant, "driven", self.trials, stiffness, LINK_SIGNALS)
         costs: list[tuple[float, Array]] = []
         for factor in STIFFNESS_SCAN:
             values = np.clip(factor * objective.start, objective.low, objective.high)
             costs.append((_cost(objective, values), values))
             self.report(f"stiffness x {factor:g}")
         _, best = min(costs, key=lambda row: row[0])
-        return plant.with_values(dict(zip(stiffness, best, strict=True)))
+        return self.plant.with_values(dict(zip(stiffness, best, strict=True)))
 
     def fit_link(self, start: Plant) -> Solution:
         """Fit the link's parameters while the measured angles drive it."""
         free, _ = free_parameters(start, self.trials)
         objective = Objective(
-            start, "driven", self.trials, free, LINK_SIGNALS, self.rms, self.prior
+            start, "driven", self.trials, free, LINK_SIGNALS, self.rms, self.plant
         )
         return self._fit(objective, "link")
 
     def fit_drive(self, start: Plant) -> Solution:
         """Fit the drive's parameters while the goals drive the twin.
 
-        The smallest, middle and largest payload of each number of joints are enough.
+        The smallest, middle and largest payload of each number of joints are enough. The priors of
+        the servo's options are their values at the start.
         """
         trials = over_payloads(self.trials, (0.0, 0.5, 1.0))
         _, free = free_parameters(start, self.trials)
+        options = [q for n, q in start.parameters.items() if n.startswith(tuple(ABSENT))]
+        prior = _with_parameters(self.plant, options)
         signals, rms = ("angle", "position", "current"), _angles(self.rms)
-        return self._fit(Objective(start, "twin", trials, free, signals, rms, self.prior), "drive")
+        return self._fit(Objective(start, "twin", trials, free, signals, rms, prior), "drive")
 
     def _fit(self, objective: Objective, part: str) -> Solution:
         what = f"{part}, {len(objective.trials)} trials"
@@ -247,24 +251,16 @@ class _Round:
             report=lambda cost: self.report(f"{what}: cost {cost:.4g}"),
         )  # fmt: skip
 
-    def with_servo_options(self, drive: Solution) -> Solution:
-        """Fit of the drive with each option that lowers its cost enough, the best one first."""
-        while True:
-            fits = [
-                replace(self, prior=with_options_of(self.prior, start)).fit_drive(start)
-                for start in starts_with_option(drive.plant)
-            ]
-            best = min(fits, key=lambda s: s.cost, default=drive)
-            if best.cost >= 0.9 * drive.cost:  # [assumed]
-                return drive
-            drive = best
+    def best_drive(self, drive: Solution, starts: Sequence[Plant], fall: float) -> Solution:
+        """Best fit from further starts if it lowers the cost by this fraction, else `drive`."""
+        best = min(map(self.fit_drive, starts), key=lambda s: s.cost, default=drive)
+        return best if best.cost < (1 - fall) * drive.cost else drive
 
     def with_alike_servos(self, drive: Solution) -> Solution:
         """Best of the fit and of those in which both servos shape their goals alike."""
         if _planes(self.trials) < 2:
             return drive
-        fits = [self.fit_drive(start) for start in starts_with_alike_servos(drive.plant)]
-        return min([drive, *fits], key=lambda s: s.cost)
+        return self.best_drive(drive, starts_with_alike_servos(drive.plant), fall=0.0)
 
 
 def _with_second_plane(plant: Plant, trials: Sequence[Trial]) -> Plant:
@@ -319,12 +315,6 @@ def starts_with_option(plant: Plant) -> list[Plant]:
                 for p, q in option
             ]))  # fmt: skip
     return result
-
-
-def with_options_of(plant: Plant, other: Plant) -> Plant:
-    """Plant with the options of another one; their fitted values are the priors."""
-    options = [q for n, q in other.parameters.items() if n.startswith(tuple(ABSENT))]
-    return _with_parameters(plant, options)
 
 
 def starts_with_alike_servos(plant: Plant) -> list[Plant]:

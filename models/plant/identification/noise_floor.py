@@ -1,8 +1,8 @@
 """Noise floor of a plant: the residual that it leaves on trials without a hidden effect.
 
-`identify` measures it on its own trials and stores it in the plant file; the gap workflow counts
+`identify` measures it on its trials and stores it in the plant file; the gap workflow counts
 only what rises above it. Repetitions of a trial separate two parts of the variance of a residual:
-`noise` is drawn anew in every trial, `model` is the plant's own error, which repeats. What merely
+`noise` is drawn anew in every trial, the error of the `model` repeats. What merely
 varies between trials (pressure, friction, clock, place of the payload, frame of the motion capture)
 is fitted first, within its prior. It cannot be fitted without a floor, nor the floor be measured
 without it, so both are repeated a few times.
@@ -51,7 +51,7 @@ FLOOR_ROUNDS: Final = 3  # in which floor and variation are estimated in turn [a
 def with_noise_floor(plant: Plant, trials: Iterable[Trial]) -> Plant:
     """Plant whose provenance also holds the noise floor of trials without any hidden effect.
 
-    Repetitions separate noise from the plant's own error; without any there is no floor. Trials of
+    Repetitions separate noise from the model error; without any there is no floor. Trials of
     one and of two joints have a floor each.
     """
     floors: dict[str, FloorRecord] = {}
@@ -425,7 +425,7 @@ class MeasuredFloor:
     """Spectra of the noise floor, as a plant file carries them."""
 
     frequency_hz: Array  # (F,)
-    # (F,), variance of a coefficient by signal: noise, and the plant's own error
+    # (F,), variance of a coefficient by signal
     noise: Mapping[str, Array]
     model: Mapping[str, Array]
     # Mean error by motion and payload: group key → payload in kg → signal → (K,)
@@ -454,13 +454,13 @@ class MeasuredFloor:
 
 
 LEAST_NOISE_FRACTION: Final = 1e-9  # of a signal's largest variance: keeps matrices regular
-PAYLOAD_REACH_KG: Final = 1.0  # over which the plant's own error changes [assumed]
+PAYLOAD_REACH_KG: Final = 1.0  # over which the model error changes [assumed]
 
 
 def _whitener(floor: MeasuredFloor, group: TrialGroup, trials: Sequence[Trial]) -> Array:
     """Inverse Cholesky factors, shape (signals, K, trials, trials).
 
-    The plant's own error is alike in trials i and j whose payloads are close::
+    The model error is alike in trials i and j whose payloads are close::
 
         V_ij = noise_i δ_ij + √(model_i model_j) exp(−|payload_i − payload_j| / reach)
     """
@@ -545,7 +545,7 @@ def averaged(table: Mapping[str, Sequence[Array]]) -> dict[str, Array]:
 
 # Ratios of the floor at one payload to the floor over all payloads, by frequency. A heavy payload
 # brings the link near its limit: below 2 Hz two trials of one motion differ there by ten to forty
-# times the power of trials without payload, and the plant's own error grows alike. One floor for
+# times the power of trials without payload, and the model error grows alike. One floor for
 # all payloads would hide a small effect in the trials without payload, and would take the scatter
 # of the heaviest for an effect. Ratios are of power, smoothed over half the frequency to either
 # side. Each is pooled with one coefficient of the common floor, because repetitions are few.
@@ -563,14 +563,14 @@ class PayloadRatios:
 
     frequency_hz: Array  # (F,)
     noise: PayloadSpectra = field(default_factory=dict)  # Of the scatter between repetitions
-    model: PayloadSpectra = field(default_factory=dict)  # Of the plant's own error
+    model: PayloadSpectra = field(default_factory=dict)  # Of the model error
 
     def noise_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
         """Ratio of the noise at a payload, shape (K,); ones if none is known."""
         return self._at(self.noise, signal, payload_kg, hz)
 
     def model_at(self, signal: str, payload_kg: float, hz: Array) -> Array:
-        """Ratio of the plant's own error at a payload, shape (K,); ones if none is known."""
+        """Ratio of the model error at a payload, shape (K,); ones if none is known."""
         return self._at(self.model, signal, payload_kg, hz)
 
     def _at(self, table: PayloadSpectra, signal: str, payload_kg: float, hz: Array) -> Array:

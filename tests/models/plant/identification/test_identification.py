@@ -1,4 +1,4 @@
-"""Identification of plants whose parameters are known, from their own noisy runs."""
+"""Identification of plants whose parameters are known, from noisy runs of them."""
 
 import json
 from dataclasses import replace
