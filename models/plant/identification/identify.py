@@ -148,7 +148,8 @@ def _fit_from_several_starts(plant: Plant, trials: Sequence[Trial], report: Repo
 
     A sticking joint makes the cost discontinuous: its rest position jumps as a parameter changes.
     """
-    objective = Objective(plant, "twin", trials, _all_free(plant, trials), ("",))
+    every_signal = ("",)
+    objective = Objective(plant, "twin", trials, _all_free(plant, trials), every_signal)
     normal = np.random.default_rng(0).standard_normal((DRAWS, len(objective.free)))
     drawn = objective.start + objective.prior_deviation * normal
     starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
@@ -180,11 +181,7 @@ def _fit_link_plant(plant: Plant, trials: Sequence[Trial], report: Report) -> So
     fewest = min(t.meta.dof for t in trials)
     first = _Round(plant, [t for t in trials if t.meta.dof == fewest], {}, report)
     link = first.fit_link(first.scan_stiffness())
-    drive = first.fit_drive(link.plant)
-    while (
-        better := first.best_drive(drive, starts_with_option(drive.plant), fall=0.1)
-    ) is not drive:
-        drive = better
+    drive = first.with_servo_options(first.fit_drive(link.plant))
     drive = first.with_alike_servos(drive)
 
     second = _Round(plant, trials, _angles(drive.rms) | link.rms, report)
@@ -255,6 +252,11 @@ class _Round:
         """Best fit from further starts if it lowers the cost by this fraction, else `drive`."""
         best = min(map(self.fit_drive, starts), key=lambda s: s.cost, default=drive)
         return best if best.cost < (1 - fall) * drive.cost else drive
+
+    def with_servo_options(self, drive: Solution) -> Solution:
+        """Fit with each option that lowers the cost by a tenth [assumed], the best one first."""
+        best = self.best_drive(drive, starts_with_option(drive.plant), fall=0.1)
+        return drive if best is drive else self.with_servo_options(best)
 
     def with_alike_servos(self, drive: Solution) -> Solution:
         """Best of the fit and of those in which both servos shape their goals alike."""
