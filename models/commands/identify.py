@@ -37,9 +37,6 @@ EXAMPLE = (
 USUAL_STEPS: Final = 130
 """Usual number of runs of all trials in an identification, for progress [measured: 50 to 160]."""
 
-LEAST_LEFT: Final = 10
-"""Least number of remaining steps that progress shows before the end is known."""
-
 
 def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("trials", type=Path, metavar="DIR", help="directory of trials")
@@ -66,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 
     def report(text: str) -> None:
-        progress.step(text, further=max(progress.total - progress.done - 1, LEAST_LEFT))
+        progress.step(text, further=max(progress.total - progress.done - 1, 10))
 
     result = identify(plant, trials, report)
     plant = with_noise_floor(result.plant, trials)
@@ -80,28 +77,27 @@ def run(args: argparse.Namespace) -> int:
     findings = [*judge_pressures(trials.trials), *judge_not_fitted(trials)]
     warnings += [f"{row.text}; {row.remedy}" for row in findings]
 
-    parameters = {
-        q.name: {
-            "value": q.value,
-            "error": q.error,
-            "unit": q.unit,
-            "bound": bound_reached(q),
-            "weakly_determined": is_weakly_determined(q),
-        }
-        for q in result.fitted
-    }
     data = {
         "plant": str(args.out),
         "picture": str(picture),
-        "parameters": parameters,
+        "parameters": {
+            q.name: {
+                "value": q.value,
+                "error": q.error,
+                "unit": q.unit,
+                "bound": bound_reached(q),
+                "weakly_determined": is_weakly_determined(q),
+            }
+            for q in result.fitted
+        },
         "held_out": msgspec.to_builtins(result.held_out),
         "warnings": warnings,
     }
     rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
-    for name, q in parameters.items():
-        mark = "  weakly determined" if q["weakly_determined"] else ""
-        mark = f"  at its {q['bound']} bound" if q["bound"] else mark
-        rows.append(f"{name:34s}{q['value']:11.4g}{q['error'] or 0:12.2g}  {q['unit']}{mark}")
+    for q in result.fitted:
+        mark = "  weakly determined" if is_weakly_determined(q) else ""
+        mark = f"  at its {bound_reached(q)} bound" if bound_reached(q) else mark
+        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{mark}")
     what = (
         f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
     )

@@ -16,7 +16,7 @@ import numpy as np
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.settings import GapSettings
-from models.plant.identification.noise_floor import group_frequencies_hz
+from models.plant.identification.noise_floor import LEAST_NOISE_FRACTION, group_frequencies_hz
 from models.shared.kinematics import Array
 from models.trials.trial import TrialSet
 
@@ -53,7 +53,7 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
         own = [trials[k] for k in group.trials]
         payloads = np.array([t.meta.payload_kg for t in own])
         hz = group_frequencies_hz(group, trials)
-        levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean, settings)
+        levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean)
         both = [_level_of_comparable(k, levels, payloads, settings) for k in range(len(own))]
         comparable, ratios = zip(*both, strict=True)
         odd = [k for k in np.argsort(-levels) if levels[k] > ratios[k] * max(comparable[k], 1.0)]
@@ -73,9 +73,8 @@ def without_odd(trials: TrialSet, odd: Collection[OddTrial]) -> TrialSet:
 
 
 def _levels(
-    floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array,
-    settings: GapSettings,
-) -> Array:  # fmt: skip
+    floor: NoiseFloor, signals: Sequence[str], payloads_kg: Array, hz: Array, rows: Array
+) -> Array:
     """Root mean square residual of each trial in noise floors; the floor is not amplified."""
     power = []
     for b, signal in enumerate(signals):
@@ -90,7 +89,7 @@ def _levels(
             for p in payloads_kg
         ]
         # A signal of a simulation may have no noise at all.
-        least = settings.least_noise_fraction * max(float(np.max(variances)), 1e-12)
+        least = LEAST_NOISE_FRACTION * max(float(np.max(variances)), 1e-12)
         expected = np.maximum(variances, least)
         power.append(np.mean(rows[:, b] ** 2 / expected, axis=1))
     return np.sqrt(np.mean(power, axis=0)) if power else np.zeros(len(rows))

@@ -6,13 +6,12 @@ from typing import Final
 
 import msgspec
 
-from models.plant.identification.noise_floor import FloorSettings
 from models.plant.parameter import AT_BOUND
 
 __all__ = ["DEFAULT_SETTINGS", "GapSettings"]
 
 
-class GapSettings(FloorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Tuned numbers of residuals, noise floor, search and tests of the gap workflow.
 
     The calibrated data files (`model_discrepancy.npz`, `null_distribution.json`,
@@ -24,8 +23,8 @@ class GapSettings(FloorSettings, frozen=True, kw_only=True, forbid_unknown_field
     Examples
     --------
     >>> stricter = GapSettings(false_discovery_rate=0.01)
-    >>> stricter.false_discovery_rate, stricter.highest_frequency_hz
-    (0.01, 8.0)
+    >>> stricter.false_discovery_rate, stricter.most_named
+    (0.01, 3)
     """
 
     # Prior distributions
@@ -108,6 +107,8 @@ class GapSettings(FloorSettings, frozen=True, kw_only=True, forbid_unknown_field
     percentile from 1.41 to 0.95; 16 patterns to 0.30 and 1.13."""
 
     # Estimation
+    floor_fit_steps: int = 12
+    """Most steps of a fit while the noise floor is measured [assumed]."""
     converged_cost_fall: float = 0.3
     """Predicted fall of twice the cost below which a fit stops [assumed]."""
     line_search_fractions: tuple[float, ...] = (1.0, 0.5, 0.2, 0.05)

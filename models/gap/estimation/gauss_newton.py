@@ -59,7 +59,7 @@ class GaussNewton:
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
         self.basis, self.shrinkage = self._patterns()
-        self.means = [residuals.as_counted(g, floor.mean(g, trials, self.settings)) for g in groups]
+        self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
         self.precision = prior_precision(residuals.fit_parameters)  # of each alone
         self.prior = prior_matrix(residuals.fit_parameters)
         self.low = np.array([q.low for q in residuals.fit_parameters])

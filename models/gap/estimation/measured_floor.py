@@ -15,7 +15,6 @@ import numpy as np
 
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.residuals.residuals import Residuals
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import (
     Array,
     PayloadRatios,
@@ -34,13 +33,10 @@ SLOW_HZ: Final = 2.0
 
 
 def floor_of_residual(
-    groups: Sequence[TrialGroup],
-    trials: Sequence[Trial],
-    rows: Sequence[Array],
-    settings: GapSettings = DEFAULT_SETTINGS,
+    groups: Sequence[TrialGroup], trials: Sequence[Trial], rows: Sequence[Array]
 ) -> NoiseFloor:
     """Floor that equals the smoothed spectrum of a residual."""
-    measured = floor_from_residuals(groups, trials, rows, settings, repeated=False)
+    measured = floor_from_residuals(groups, trials, rows, repeated=False)
     return NoiseFloor.of(measured, learned=False)
 
 

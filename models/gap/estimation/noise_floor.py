@@ -41,6 +41,7 @@ from models.gap.estimation.payload_transfer import (
 )
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import (
+    PAYLOAD_REACH_KG,
     Array,
     MeasuredFloor,
     TrialGroup,
@@ -151,7 +152,7 @@ class NoiseFloor(MeasuredFloor):
                 power = np.mean(rows[payloads == payload] ** 2, axis=0)
                 own = table.setdefault(float(payload), {})
                 for signal, row in zip(group.signals, power, strict=True):
-                    smooth = settings.equation_error_fraction**2 * smoothed(row, settings)
+                    smooth = settings.equation_error_fraction**2 * smoothed(row)
                     own.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
         return replace(
             self,
@@ -181,7 +182,7 @@ class NoiseFloor(MeasuredFloor):
         """
         own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
         payload = np.array([t.meta.payload_kg for t in own])
-        alike = np.exp(-np.abs(payload[:, None] - payload) / settings.payload_reach_kg)
+        alike = np.exp(-np.abs(payload[:, None] - payload) / PAYLOAD_REACH_KG)
         curves, _ = self.curves_for(group, trials)
         result = np.empty((len(group.signals), len(hz), len(own), len(own)))
         for s, signal in enumerate(group.signals):
@@ -192,11 +193,10 @@ class NoiseFloor(MeasuredFloor):
             left, own_noise, unknown = 1.0, np.zeros(len(own)), np.zeros_like(alike)
             if measured_kg:
                 left = settings.model_error_left_fraction**2
-                reach = settings.payload_reach_kg
-                weights = transfer_weights(payload, measured_kg, reach)
+                weights = transfer_weights(payload, measured_kg, PAYLOAD_REACH_KG)
                 own_noise = np.sum(weights**2, axis=1) / self.repeats
-                unknown = (1 - left) * unknown_fraction(payload, measured_kg, reach)
-            noise, model = self.by_trial(signal, payload, hz, settings)
+                unknown = (1 - left) * unknown_fraction(payload, measured_kg, PAYLOAD_REACH_KG)
+            noise, model = self.by_trial(signal, payload, hz)
             missed = np.array([self._missed(signal, p, hz) for p in payload])
             repeated = settings.equation_error_repeated_fraction
             shared = left * model + own_noise[:, None] * noise + repeated * missed
@@ -217,12 +217,7 @@ class NoiseFloor(MeasuredFloor):
             return np.zeros(len(hz))
         return np.interp(hz, self.frequency_hz, own[signal])
 
-    def mean(
-        self,
-        group: TrialGroup,
-        trials: Sequence[Trial],
-        settings: GapSettings = DEFAULT_SETTINGS,
-    ) -> Array:
+    def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Expected error of the plant, shape (trials, signals, K); zero where it is unknown."""
         result = np.zeros((len(group.trials), len(group.signals), group.coefficients))
         known, _ = self.curves_for(group, trials)
@@ -230,6 +225,6 @@ class NoiseFloor(MeasuredFloor):
         for b, signal in enumerate(group.signals):
             measured_kg, rows = rows_by_payload(known, signal)
             if measured_kg:
-                weights = transfer_weights(payload, measured_kg, settings.payload_reach_kg)
+                weights = transfer_weights(payload, measured_kg, PAYLOAD_REACH_KG)
                 result[:, b] = weights @ np.array(rows)
         return result

@@ -29,24 +29,23 @@ def nuisance_and_variation(
 ) -> list[FitParameter]:
     """Fit parameters without any effect: nuisance, and the variation of each trial."""
     nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, settings)
-    return nuisance + trial_fit_parameters(plant, trials, settings)
+    return nuisance + trial_fit_parameters(plant, trials)
 
 
 def floor_of_nuisance_fit(residuals: Residuals) -> NoiseFloor:
     """Floor where the plant file carries none: the spectrum of the nuisance fit's residual."""
     base = np.array([q.kind != "effect" for q in residuals.fit_parameters])
-    settings = residuals.settings
     floor = guessed_noise_floor(residuals)
-    for _ in range(settings.nuisance_floor_rounds):
+    for _ in range(residuals.settings.nuisance_floor_rounds):
         point = fitted_point(residuals, floor, base)
-        floor = floor_of_residual(residuals.groups, residuals.trials, point.rows, settings)
+        floor = floor_of_residual(residuals.groups, residuals.trials, point.rows)
     return floor
 
 
 def guessed_noise_floor(residuals: Residuals) -> NoiseFloor:
     """Floor from the usual error of each signal, before any residual is known."""
     units = {v.name: v.unit for v in residuals.model.outputs}
-    guessed = guessed_floor(residuals.groups, residuals.trials, units, residuals.settings)
+    guessed = guessed_floor(residuals.groups, residuals.trials, units)
     return NoiseFloor.of(guessed, learned=False)
 
 

@@ -1,10 +1,10 @@
 """Nuisance bias: a variation between trials that is the same in all of them.
 
 Place of the payload, frame, friction and pressure differ from trial to trial by little and by
-chance (`GapSettings.eccentricity_variation_m` and others). A missing effect can hide in them: an
-offset of the payload appears as the same eccentricity in every trial, a larger friction beside a
-named dead time as more friction in every trial, hardly outside of each trial's prior and far
-outside of that of all. For each kind of variation, with θ_t in standard deviations of its prior,
+chance (`trial_variation`). A missing effect can hide in them: an offset of the payload appears as
+the same eccentricity in every trial, a larger friction beside a named dead time as more friction in
+every trial, hardly outside of each trial's prior and far outside of that of all. For each kind of
+variation, with θ_t in standard deviations of its prior,
 
     z = Σ θ_t / √n
 

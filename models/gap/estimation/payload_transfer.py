@@ -1,7 +1,7 @@
 """Transfer of the plant's own error to payloads at which it was not measured.
 
 The noise floor treats the error as alike at neighbouring payloads, with the correlation exp(−|Δ
-payload| / reach) of `GapSettings.payload_reach_kg`. A Gaussian process with it (Rasmussen and
+payload| / reach) of `PAYLOAD_REACH_KG`. A Gaussian process with it (Rasmussen and
 Williams 2006, section 2.2) gives, from the errors at the measured payloads, the expected error at
 any other one and its variance: zero at a measured payload, 46 % of the prior variance in the middle
 of two that are one reach apart, 63 % one half of a reach beyond the last one.

@@ -31,7 +31,7 @@ from models.plant.identification.noise_floor import (
     TrialGroup,
     coefficient_count,
     cosine_transform,
-    smoothed_power,
+    smoothed,
     trial_group_key,
 )
 from models.plant.plant import Plant
@@ -154,7 +154,7 @@ class SeparationModel:
         motion's own spectrum as on the trials that the floor was measured on, and as no less than
         there.
         """
-        count = coefficient_count(len(trial), trial.step_s, self.settings.highest_frequency_hz)
+        count = coefficient_count(len(trial), trial.step_s)
         group = TrialGroup(trial_group_key(trial), (0,), self.signals, count)
         known = np.asarray(self.floor.whitener(group, [trial], self.settings)[:, :, 0, 0])
         if self.floor.curves_for(group, [trial])[1] != "unknown":
@@ -164,9 +164,7 @@ class SeparationModel:
         rows = self.spectra(trial, y - y[0], plain).reshape(plain.shape)
         if not np.isfinite(rows).all():
             return known
-        power = smoothed_power(
-            rows**2, self.settings.smoothing_fraction, self.settings.smoothing_coefficients
-        )
+        power = smoothed(rows**2)
         scale = np.where(known > 0, 1.0, 0.0)
         variance = 1 / np.maximum(known, 1e-300) ** 2 + self._error_fraction[:, None] * power
         return np.asarray(scale / np.sqrt(variance))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import msgspec
@@ -177,7 +178,7 @@ def errors_in_floors(
     for c in compare_with_trials(plant, trials):
         end = goal_not_followed_at_row.get(c.trial.name, len(c.trial))
         unused = np.where(np.arange(len(c.trial)) < end, 0.0, np.nan)
-        compared.append(c._replace(simulated={s: y + unused for s, y in c.simulated.items()}))
+        compared.append(replace(c, simulated={s: y + unused for s, y in c.simulated.items()}))
     result = {}
     for signal, row in signal_errors(plant, compared).items():
         if not np.isfinite(row.rms):  # not measured in the rows that are used

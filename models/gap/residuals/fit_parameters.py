@@ -105,9 +105,7 @@ def nuisance_fit_parameters(
     return sorted(result, key=lambda q: q.name)
 
 
-def trial_fit_parameters(
-    plant: Plant, trials: Sequence[Trial], settings: GapSettings = DEFAULT_SETTINGS
-) -> list[FitParameter]:
+def trial_fit_parameters(plant: Plant, trials: Sequence[Trial]) -> list[FitParameter]:
     """Variation between trials: pressure, friction, payload, clock and frame of each trial.
 
     For loads other than the link nothing varies.
@@ -116,7 +114,7 @@ def trial_fit_parameters(
     return [
         FitParameter(v.name, "trial", v.parameters, v.outputs, v.standard_deviation, trial=k)
         for k, trial in enumerate(trials)
-        for v in trial_variation(full, _owned(full, trial.meta.dof), trial, settings)
+        for v in trial_variation(full, _owned(full, trial.meta.dof), trial)
     ]
 
 

@@ -17,6 +17,7 @@ from models.gap.residuals.trial_runs import TrialRuns
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.fit import LARGEST_DERIVATIVE, measured_signals, shortened
 from models.plant.identification.noise_floor import (
+    LONGEST_SUBSTEP_S,
     Array,
     TrialGroup,
     cosine_transform,
@@ -48,7 +49,7 @@ class Residuals:
         model = plant_with_every_effect(plant).step_model(dofs.pop(), "twin")
         is_link = plant.load == "link"
         if is_link:
-            model = model.with_substeps(settings.longest_substep_s)
+            model = model.with_substeps(LONGEST_SUBSTEP_S)
         self.plant, self.model = plant, model
         self.trials = shortened(trials, model)
         self.fit_parameters, self.settings = tuple(fit_parameters), settings
@@ -61,11 +62,11 @@ class Residuals:
         self._high = np.array([v.maximum for v in model.parameters])
         self._set_directions(names(model.parameters), moved)
         self._measured = [measured_signals(t) for t in trials]
-        self.groups = trial_groups(trials, self._outputs, settings)
+        self.groups = trial_groups(trials, self._outputs)
         self._follows = [np.ones(len(t)) for t in trials]
         if is_link:
             self._follows = [
-                rows_that_follow(t, error, settings)
+                rows_that_follow(t, error)
                 for t, error in zip(trials, self._usual_errors_rad(), strict=True)
             ]
 

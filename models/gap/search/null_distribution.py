@@ -24,7 +24,7 @@ from models.gap.estimation.payload_transfer import unknown_fraction
 from models.gap.residuals.fit_parameters import is_alike_in_joints
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.effects import EFFECTS
-from models.plant.identification.noise_floor import Array
+from models.plant.identification.noise_floor import PAYLOAD_REACH_KG, Array
 from models.plant.plant import Plant
 
 PATH: Final = Path(__file__).with_name("null_distribution.json")
@@ -119,7 +119,7 @@ def null_distributions() -> dict[str, NullDistribution]:
 def known_error(estimator: GaussNewton) -> KnownError:
     """What is known of the plant's own error on the trials of an estimator."""
     patterns = any(own != "unknown" for _, own in estimator.knowledge().values())
-    residuals, reach_kg = estimator.residuals, estimator.settings.payload_reach_kg
+    residuals, reach_kg = estimator.residuals, PAYLOAD_REACH_KG
     middle = unknown_fraction([MIDDLE], STUDY_KG, reach_kg).item()
     other_motions = other_payloads = 0.0
     for group in residuals.groups:

@@ -36,13 +36,16 @@ ALIKE_M_S2: Final = 0.3
 def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial]) -> None:
     """Refuse trials of several links, and trials of another link than the plant's.
 
-    A plant that is no link has nothing to compare.
+    Links differ in size, gravity or largest payload: the observer's estimate of the payload is
+    limited to the most that the link carries. A plant that is no link has nothing to compare.
     """
     if plant.load != "link":
         return
     refuse_mixed_links(trials)
+    link = plant.link or STUDY_LINK
+    gravity = [plant.parameters["gravity_m_s2"].value * axis for axis in link.gravity.unit]
     for trial in trials:
-        length_m = trial.meta.link_length_m
+        length_m, payload_kg = trial.meta.link_length_m, trial.meta.payload_kg
         for name in ("link_length_m", "link_width_m", "base_offset_m") if length_m else ():
             of_plant_m, of_trial_m = plant.parameters[name].value, getattr(trial.meta, name)
             if abs(of_trial_m - of_plant_m) > SAME_SIZE_FRACTION * length_m:
@@ -51,21 +54,7 @@ def refuse_other_links(plant: Plant, where: Path | str, trials: Sequence[Trial])
                     f"{name} is {of_trial_m:g} m, in the plant {where} {of_plant_m:g} m",
                     "correct the one that is wrong, or name a plant of this link",
                 )
-    check_weight(plant, trials)
-
-
-def check_weight(plant: Plant, trials: Sequence[Trial]) -> None:
-    """Refuse trials of a link with another gravity than the plant's, or with too much payload.
-
-    The observer's estimate of the payload is limited to the most that the link carries.
-    """
-    if plant.load != "link":
-        return
-    unit = (plant.link or STUDY_LINK).gravity.unit
-    gravity = tuple(plant.parameters["gravity_m_s2"].value * axis for axis in unit)
-    for trial in trials:
-        payload_kg, link = trial.meta.payload_kg, plant.link
-        if link is not None and payload_kg > link.most_payload_kg:
+        if plant.link is not None and payload_kg > link.most_payload_kg:
             raise InputError(
                 trial.path,
                 f"has a payload of {payload_kg:g} kg, a plant of this link takes "
@@ -74,24 +63,16 @@ def check_weight(plant: Plant, trials: Sequence[Trial]) -> None:
                 "file: --plant link.toml",
             )
         if math.dist(gravity, trial.meta.gravity) > ALIKE_M_S2:
+            of_trial, of_plant = (
+                ", ".join(f"{axis:.3g}" for axis in vector)
+                for vector in (trial.meta.gravity, gravity)
+            )
             raise InputError(
                 trial.path,
-                f"gravity is {_vector(trial.meta.gravity)} m/s², "
-                f"in the plant {_vector(gravity)} m/s²",
+                f"gravity is [{of_trial}] m/s², in the plant [{of_plant}] m/s²",
                 "name the link's file: --plant link.toml, with its mounting under [gravity]",
             )
 
-
-def _vector(vector: tuple[float, ...]) -> str:
-    return "[" + ", ".join(f"{value:.3g}" for value in vector) + "]"
-
-
-LARGE_FRACTION: Final = 0.1
-"""Error of the tip, as a fraction of its deflection, above which a payload is reported [assumed; 10
-of 133 plants of drawn rigs exceed it]."""
-
-LARGE_M: Final = 5e-3
-"""Error of the tip below which a large fraction is attributed to a small deflection [assumed]."""
 
 MOST_DEFLECTION: Final = 0.3
 """Root mean square error of a rigid link, relative to its length, that no bend explains. The rig's
@@ -118,25 +99,19 @@ def doubts(result: Identification) -> list[str]:
 
 def evaluation_doubts(result: Evaluation, plant: Plant) -> list[str]:
     """Warnings about a comparison of a plant with trials, one sentence each."""
-    return [
-        text
-        for dof, error in result.dof.items()
-        for text in _beyond_any_bend(dof, error, plant) or _no_better_than_rigid(dof, error)
-    ]
-
-
-def _beyond_any_bend(dof: str, error: DofEvaluation, plant: Plant) -> list[str]:
-    """Warn of a tip farther from a rigid link's than any bend explains."""
-    if plant.load != "link" or error.rigid_tip_rms_m is None:
-        return []
-    part = error.rigid_tip_rms_m / plant.parameters["link_length_m"].value
-    if part <= MOST_DEFLECTION:
-        return []
-    return [
-        f"{dof}DOF: the measured tip is {LENGTH.text(error.rigid_tip_rms_m, 0)} from that of a "
-        f"rigid link, {FRACTION.text(part)} of the link's length, and no link bends so far: check "
-        "tip, units, angles and size of the trials ('dropstitch validate')"
-    ]
+    warnings = []
+    for dof, error in result.dof.items():
+        rigid_m, length = error.rigid_tip_rms_m, plant.parameters.get("link_length_m")
+        if rigid_m is not None and length and rigid_m > MOST_DEFLECTION * length.value:
+            warnings.append(
+                f"{dof}DOF: the measured tip is {LENGTH.text(rigid_m, 0)} from that of a rigid "
+                f"link, {FRACTION.text(rigid_m / length.value)} of the link's length, and no link "
+                "bends so far: check tip, units, angles and size of the trials "
+                "('dropstitch validate')"
+            )
+        else:
+            warnings += _no_better_than_rigid(dof, error)
+    return warnings
 
 
 def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
@@ -154,35 +129,23 @@ def _no_better_than_rigid(dof: str, error: DofEvaluation) -> list[str]:
 def _payload_missed(dof: str, error: DofEvaluation) -> list[str]:
     """Warn of the payload with the largest tip error, if it is a large part of the deflection.
 
-    What the clock explains is not the plant's.
+    What the clock explains is not the plant's. The limits are 5 mm and a tenth of the deflection
+    [assumed; 10 of 133 plants of drawn rigs exceed them].
     """
     errors = [
-        (tip.tip_rms_m if tip.clock_tip_rms_m is None else tip.clock_tip_rms_m,
-         tip.rigid_tip_rms_m, load)
+        (tip.clock_tip_rms_m or tip.tip_rms_m, tip.rigid_tip_rms_m, load)
         for load, tip in error.payloads.items()
         if float(load) > 0 and tip.tip_rms_m is not None and tip.rigid_tip_rms_m is not None
-    ]  # fmt: skip
+    ]
     plant_m, deflection_m, load = max(errors, default=(0.0, 0.0, ""))
-    if plant_m < max(LARGE_M, LARGE_FRACTION * deflection_m):
+    if plant_m < max(5e-3, 0.1 * deflection_m):
         return []
-    percent = 100 * plant_m / deflection_m
     return [
         f"{dof}DOF with {load} kg: the plant misses the tip by {LENGTH.text(plant_m, 2)}, "
-        f"{percent:.0f} % of its deflection: the link may be near the moment at which it folds, "
-        "where its bend scatters from run to run; give the gap workflow trials with less payload"
+        f"{100 * plant_m / deflection_m:.0f} % of its deflection: the link may be near the moment "
+        "at which it folds, where its bend scatters from run to run; give the gap workflow trials "
+        "with less payload"
     ]
-
-
-DIFFERENT_FRACTION: Final = 0.1
-"""Relative difference of the constant above which the user is warned [assumed: one servo's constant
-is within some per cent of its model's; on rigs with the right value the fit was within 2 %]."""
-
-SURE_DEVIATIONS: Final = 5.0
-"""The same in standard deviations [assumed: model errors are larger than noise]."""
-
-LEAST_INVERSE: Final = 0.1
-"""Ratio of measured to expected growth of the current with the payload below which no constant
-explains it [assumed: a servo with ten times the torque per ampere is another servo]."""
 
 
 def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
@@ -191,6 +154,10 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     The plant takes the torque per ampere from the servo's data sheet. If it is wrong, masses,
     inertia and friction are wrong by the same factor. But the payloads are known, so the difference
     in current between two payloads does not match their weight. One step of a fit tells.
+
+    A warning needs a difference of a tenth and of five standard deviations [assumed: a servo's
+    constant is within some per cent of its model's; on rigs with the right value the fit was within
+    2 %; model errors are larger than noise].
     """
     planes = max(t.meta.dof for t in trials)
     declared = [f"torque_constant_{j}_nm_a" for j in range(1, planes + 1)]
@@ -198,7 +165,7 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     constants = [n for n in declared if n in known and known[n].role == "fixed"]
     if plant.load != "link" or not constants or len({t.meta.payload_kg for t in trials}) < 2:
         return []
-    free = (*free_parameters(plant, planes)[0], *constants)
+    free = free_parameters(plant, trials)[0] + constants
     rms = plant.provenance.residual_rms
     objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms)
     residual, slopes = objective(objective.start)
@@ -208,10 +175,10 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     warnings = []
     for name in constants:
         k, value = free.index(name), known[name].value
-        if abs(step[k]) <= max(DIFFERENT_FRACTION * value, SURE_DEVIATIONS * deviation[k]):
+        if abs(step[k]) <= max(0.1 * value, 5 * deviation[k]):
             continue
         inverse = 1 - step[k] / value  # the current is linear in the constant's inverse
-        if inverse < LEAST_INVERSE:
+        if inverse < 0.1:  # No servo has ten times the torque per ampere of its model [assumed].
             warnings.append(
                 f"the current of joint {name.split('_')[2]} does not grow with the payload as "
                 "its weight does: check the sign and the unit of the current, and the declared "

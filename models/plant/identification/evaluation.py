@@ -1,15 +1,17 @@
 """Evaluation of a plant on trials: the twin, driven by their goals, compared with measurements.
 
-The motion capture has a clock of its own. Where it is a few milliseconds off the servos', the tip's
-error is that of the plant and of the clock together: a tip at 0.5 m/s is 4 mm off after 8 ms. So
-the tip's error is given twice, as it is and with the clock of each trial refitted.
+Motion capture and servos have two clocks. Where they differ by a few milliseconds, the tip's error
+is that of the plant and of the clock together: a tip at 0.5 m/s is 4 mm off after 8 ms. So the
+tip's error is stated twice, as it is and with the clock of each trial refitted.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -34,7 +36,8 @@ CLOCK_LIMIT_S: Final = 0.010
 synchronised."""
 
 
-class Comparison(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Comparison:
     """Measured trial beside its simulation.
 
     Attributes
@@ -71,20 +74,18 @@ class Comparison(NamedTuple):
             simulated = CubicSpline(time_s, simulated)(at)
         return simulated - measured
 
+    @cached_property
     def clock_s(self) -> float:
-        """Return the offset of the motion capture's clock with the least error of the tip, in s.
+        """Offset of the motion capture's clock with the least error of the tip, in s.
 
         Positive where the motion capture is late; within `CLOCK_LIMIT_S`; 0 without a tip.
         """
-        if not self.has_tip:
+        if not self.has_tip or not (rows := np.isfinite(self.tip_error_m()).all(axis=1)).any():
             return 0.0
-        rows = np.isfinite(self.tip_error_m()).all(axis=1)
 
         def error(fraction: Array) -> Array:
             return self.tip_error_m(float(fraction[0]) * CLOCK_LIMIT_S)[rows].ravel()
 
-        if not rows.any():
-            return 0.0
         return float(CLOCK_LIMIT_S * least_squares(error, [0.0], bounds=(-1.0, 1.0)).x[0])
 
     def columns(self) -> dict[str, Array]:
@@ -118,28 +119,31 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
         if dof not in compiled:
             compiled[dof] = CompiledModel(plant.step_model(dof, "twin"))
         y, measured = run_trial(compiled[dof], trial), measured_signals(trial)
-        signals = [s for s in names(compiled[dof].model.outputs) if s in measured]
         outputs = names(compiled[dof].model.outputs)
-        if not any(np.isfinite(measured[s]).any() for s in signals):
-            raise InputError(
-                trial.path, "has no measured signal that the plant simulates",
-                "declare one of " + ", ".join(outputs) + " and give its samples",
-            )  # fmt: skip
-        simulated = {s: y[:, outputs.index(s)] for s in signals}
+        simulated = {s: y[:, k] for k, s in enumerate(outputs) if s in measured}
+        if not any(np.isfinite(measured[s]).any() for s in simulated):
+            raise nothing_measured(trial, outputs)
         if not all(np.isfinite(column).all() for column in simulated.values()):
             raise InputError(
                 f"plant {plant.name!r}", f"does not stay finite on trial {trial.name}",
                 "identify it on trials of this link",
             )  # fmt: skip
-        result.append(Comparison(trial, simulated, {s: measured[s] for s in signals}))
+        result.append(Comparison(trial, simulated, {s: measured[s] for s in simulated}))
     return result
+
+
+def nothing_measured(trial: Trial, outputs: Sequence[str]) -> InputError:
+    """Error for a trial without any measured signal among the outputs of a plant."""
+    return InputError(
+        trial.path, "has no measured signal that the plant simulates",
+        "declare one of " + ", ".join(outputs) + " and give its samples",
+    )  # fmt: skip
 
 
 def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, SignalError]:
     """Errors of each signal over all measured rows of all trials."""
-    units: dict[str, str] = {}
-    for dof in sorted({c.trial.meta.dof for c in comparisons}):
-        units |= {v.name: v.unit for v in plant.step_model(dof, "twin").outputs}
+    dofs = sorted({c.trial.meta.dof for c in comparisons})
+    units = {v.name: v.unit for dof in dofs for v in plant.step_model(dof, "twin").outputs}
     result = {}
     for signal, unit in units.items():
         parts = [c.error(signal) for c in comparisons if signal in c.simulated]
@@ -162,18 +166,17 @@ def _root_mean_square(errors_m: Sequence[Array]) -> float | None:
     return float(np.sqrt(np.mean(measured))) if len(measured) else None
 
 
-def _tip_errors(clocked: Sequence[tuple[Comparison, float]]) -> dict[str, float | None]:
-    """Fields of a `TipError`, from comparisons and the offset of each one's clock in s."""
-    comparisons = [c for c, _ in clocked if c.has_tip]
-    refitted = [c.tip_error_m(clock_s) for c, clock_s in clocked if c.has_tip]
+def _tip_errors(comparisons: Sequence[Comparison]) -> dict[str, float | None]:
+    """Fields of a `TipError`."""
+    measured = [c for c in comparisons if c.has_tip]
     rigid = [
         rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) - t.tip_m
-        for t in (c.trial for c in comparisons if "angle_1_rad" in c.simulated)
+        for t in (c.trial for c in measured if "angle_1_rad" in c.simulated)
     ]
     return {
-        "tip_rms_m": tip_rms_m(comparisons),
+        "tip_rms_m": tip_rms_m(measured),
         "rigid_tip_rms_m": _root_mean_square(rigid),
-        "clock_tip_rms_m": _root_mean_square(refitted),
+        "clock_tip_rms_m": _root_mean_square([c.tip_error_m(c.clock_s) for c in measured]),
     }
 
 
@@ -213,29 +216,37 @@ def evaluate_plant(plant: Plant, trials: Iterable[Trial]) -> Evaluation:
     True
     """
     comparisons = compare_with_trials(plant, trials)
-    clocked = [(c, c.clock_s()) for c in comparisons]
     dofs = {}
     for dof in sorted({c.trial.meta.dof for c in comparisons}):
-        own = [(c, clock_s) for c, clock_s in clocked if c.trial.meta.dof == dof]
-        by_load: dict[float, list[tuple[Comparison, float]]] = {}
-        for c, clock_s in own:
-            by_load.setdefault(c.trial.meta.payload_kg, []).append((c, clock_s))
+        rows = [c for c in comparisons if c.trial.meta.dof == dof]
+        by_load = {
+            load: [c for c in rows if c.trial.meta.payload_kg == load]
+            for load in sorted({c.trial.meta.payload_kg for c in rows})
+        }
         dofs[str(dof)] = DofEvaluation(
-            signals=signal_errors(plant, [c for c, _ in own]),
-            trials=len(own),
-            payloads={
-                f"{load:g}": TipError(**_tip_errors(by_load[load])) for load in sorted(by_load)
-            },
-            **_tip_errors(own),
+            signals=signal_errors(plant, rows),
+            trials=len(rows),
+            payloads={f"{load:g}": TipError(**_tip_errors(part)) for load, part in by_load.items()},
+            **_tip_errors(rows),
         )
     return Evaluation(
         signals=signal_errors(plant, comparisons),
         trials=len(comparisons),
         dof=dofs,
         origins=origins_of(c.trial for c in comparisons),
-        clocks_s={c.trial.name: clock_s for c, clock_s in clocked if c.has_tip},
-        **_tip_errors(clocked),
+        clocks_s={c.trial.name: c.clock_s for c in comparisons if c.has_tip},
+        **_tip_errors(comparisons),
     )
+
+
+def over_payloads(trials: Sequence[Trial], fractions: Sequence[float]) -> list[Trial]:
+    """Trials of each number of joints at these fractions of their order by payload."""
+    chosen: list[Trial] = []
+    for dof in sorted({t.meta.dof for t in trials}):
+        same = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
+        last = len(same) - 1
+        chosen += [same[k] for k in sorted({min(int(f * len(same)), last) for f in fractions})]
+    return chosen
 
 
 def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
@@ -244,7 +255,7 @@ def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
 
     from models.shared.drawing import FILE_STYLE  # loads matplotlib
 
-    columns = compare_with_trials(plant, _extremes(trials))
+    columns = compare_with_trials(plant, over_payloads(trials, (0.0, 1.0)))
     signals = list(dict.fromkeys(s for c in columns for s in c.simulated))
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(
@@ -256,7 +267,10 @@ def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
             column[0].set_title(f"{c.trial.meta.dof}DOF, {payload}", fontsize=9)
             column[-1].set_xlabel(TIME.label("time"), fontsize=8)
             for axis, signal in zip(column, signals, strict=True):
-                _panel(axis, c, signal)
+                if signal in c.simulated:
+                    _draw_signal(axis, c, signal)
+                else:
+                    axis.set_visible(False)
         axes[0, 0].legend(fontsize=7)
         figure.suptitle(f"{plant.name}: measured, and simulated from the goals", fontsize=10)
         figure.savefig(path, format="svg")
@@ -264,25 +278,13 @@ def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
     return path
 
 
-def _extremes(trials: Sequence[Trial]) -> list[Trial]:
-    chosen: list[Trial] = []
-    for dof in sorted({t.meta.dof for t in trials}):
-        own = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
-        chosen += own if len(own) == 1 else [own[0], own[-1]]
-    return chosen
-
-
-def _panel(axis: object, c: Comparison, signal: str) -> None:
-    axis.tick_params(labelsize=7)  # type: ignore[attr-defined]
-    if signal not in c.simulated:
-        axis.set_visible(False)  # type: ignore[attr-defined]
-        return
-    unit = signal_unit(signal)
-    every = max(1, len(c.trial) // 300)
-    for values, style, label in (
-        (c.measured[signal], {"color": MUTED, "lw": 2.0}, "measured"),
-        (c.simulated[signal], {"color": SIMULATED, "lw": 0.8}, "plant"),
-    ):
-        rows = np.round(unit.shown(values[::every]), 3)
-        axis.plot(c.trial.time_s[::every], rows, label=label, **style)  # type: ignore[attr-defined]
-    axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)  # type: ignore[attr-defined]
+def _draw_signal(axis: Any, c: Comparison, signal: str) -> None:
+    unit, every = signal_unit(signal), max(1, len(c.trial) // 300)
+    measured, simulated = (
+        np.round(unit.shown(rows[signal][::every]), 3) for rows in (c.measured, c.simulated)
+    )
+    time_s = c.trial.time_s[::every]
+    axis.plot(time_s, measured, color=MUTED, lw=2.0, label="measured")
+    axis.plot(time_s, simulated, color=SIMULATED, lw=0.8, label="plant")
+    axis.set_ylabel(unit.label(signal_words(signal)), fontsize=7)
+    axis.tick_params(labelsize=7)

@@ -9,11 +9,11 @@ values.
 
 from __future__ import annotations
 
-import math
 import warnings
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import msgspec
@@ -23,7 +23,6 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
 from firmware_py.errors import InputError
-from models.plant.effects import PULLEY_M
 from models.plant.parameter import AT_BOUND, prior_deviation_of
 from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.runner import (
@@ -36,6 +35,8 @@ from models.plant.step_model import StepModel, names
 from models.trials.deformation import deformation_index, marker_lengths_m
 from models.trials.trial import Trial
 
+# Signals of a trial, their scales and weights
+
 SCALE: Final = {"m": 0.003, "1": 3e-4, "A": 0.1, "rad": 0.002, "V": 0.1}
 """Scale of a residual in a first fit, by the unit of the signal."""
 
@@ -43,27 +44,11 @@ LEAST_SCALE: Final = {"rad": 0.1}
 """Smallest fraction of `SCALE`, if not one half. An encoder resolves 0.01 mrad (docs/sources.md,
 "Control tables"); 0.2 mrad separate the lag of the goal from the position gain."""
 
-EFFORT_FRACTION: Final = 0.03
-"""Scale of the residual of a torque or a force, relative to its RMS, as its size is unknown."""
+CORRELATED_SAMPLES: Final = 12  # that carry the information of one (docs/sources.md, as above)
 
-CORRELATED_SAMPLES: Final = 12
-"""Samples that carry the information of one in a first fit (docs/sources.md, "Naming a missing
-effect")."""
-
-STANDSTILL_RAD_S: Final = 0.1
-"""Joint rate below which dry friction can take any value, so the current has a low weight."""
-
-STANDSTILL_M_S: Final = STANDSTILL_RAD_S * PULLEY_M
-"""The same on a straight guide."""
-
-DRIVEN_SUBSTEP_S: Final = 2.2e-3
-"""Longest internal step of the driven link, an eighth of a period, as it has no dry friction."""
-
-LARGEST_DERIVATIVE: Final = 1e60
-"""Largest derivative of a stable simulation; squares of larger ones would overflow [assumed]."""
-
-WORKERS: Final = 2
-"""Threads that simulate; CasADi releases the interpreter lock meanwhile."""
+STANDSTILL: Final = {"angle_{}_rad": 0.1, "position_{}_m": 0.01}
+"""Joint rate, in rad/s or on a guide in m/s, below which dry friction can take any value, so that
+the current has a low weight [assumed]."""
 
 
 def measured_signals(trial: Trial) -> dict[str, Array]:
@@ -92,11 +77,14 @@ def _balanced_index(trial: Trial) -> Array:
 
 
 def usual_error(unit: str, measured: Sequence[Array]) -> float:
-    """Expected error of a signal before a first fit, in its unit; `measured` holds arrays (n,)."""
+    """Expected error of a signal before a first fit, in its unit; `measured` holds arrays (n,).
+
+    For a torque or a force, whose size is unknown, it is 3 % of its root mean square.
+    """
     if unit in SCALE:
         return SCALE[unit]
     rms = float(np.sqrt(np.nanmean(np.concatenate(measured) ** 2))) if measured else 0.0
-    return EFFORT_FRACTION * max(rms, 1e-9)
+    return 0.03 * max(rms, 1e-9)
 
 
 def row_weights(trial: Trial, signal: str) -> Array:
@@ -105,11 +93,10 @@ def row_weights(trial: Trial, signal: str) -> Array:
     A current is weighted by its joint's rate if that was measured; all else has the weight one.
     """
     if signal.startswith("current_"):
-        joint = signal.split("_")[1]
-        slow = {f"angle_{joint}_rad": STANDSTILL_RAD_S, f"position_{joint}_m": STANDSTILL_M_S}
-        for name, standstill in slow.items():
-            if name in trial.columns:
-                rate = np.gradient(trial.columns[name], trial.step_s)
+        for pattern, standstill in STANDSTILL.items():
+            joint = trial.columns.get(pattern.format(signal.split("_")[1]))
+            if joint is not None:
+                rate = np.gradient(joint, trial.step_s)
                 return np.asarray(np.sqrt(rate**2 / (rate**2 + standstill**2)))
     return np.ones(len(trial))
 
@@ -124,57 +111,52 @@ MOST_OF_TRIAL: Final = 3e6
 one joint, 430 000 rows of a mass on a guide at 1 kHz. Measured: 1.6 s of processor time for the
 exact derivatives of the former; a diagnosis needs about twenty of them."""
 
-MOST_OF_ALL: Final = 10e6
-"""Most state updates in one simulation of all trials; `make demo` needs 1 % of it [assumed]."""
-
-LEAST_ROWS: Final = 200
-"""Fewest rows that a cut trial keeps [assumed]."""
-
-REST_FRACTION: Final = 0.25
-"""Largest fraction of a cut trial at rest before the motion [assumed]."""
+MOST_OF_ALL: Final = 10e6  # of all trials; `make demo` needs 1 % of it [assumed]
 
 
 def shortened(trials: Sequence[Trial], model: StepModel) -> tuple[Trial, ...]:
-    """Cut trials to the limits, for a model with its longest internal step."""
-    substeps = [max(1, math.ceil(t.step_s / model.max_substep_s - 1e-9)) for t in trials]
-    cost = len(model.states) * np.array(substeps)
+    """Cut trials to the limits, for a model with its longest internal step.
+
+    All trials beyond one length are cut to it, but to 200 rows at least, of which at most a quarter
+    are at rest before the motion [assumed].
+    """
+    cost = len(model.states) * np.array([model.substeps(t.step_s) for t in trials])
     updates = np.minimum(cost * np.array([len(t) for t in trials]), MOST_OF_TRIAL)
-    most = min(_level(updates, MOST_OF_ALL), MOST_OF_TRIAL)
-    return tuple(
-        _first_rows(t, max(LEAST_ROWS, int(most / c))) for t, c in zip(trials, cost, strict=True)
-    )
+    # The limit of a trial w satisfies sum(min(updates, w)) = MOST_OF_ALL.
+    sizes = np.sort(updates)
+    remaining = MOST_OF_ALL - np.concatenate([[0.0], np.cumsum(sizes)[:-1]])
+    limits = remaining / np.arange(len(sizes), 0, -1)
+    most = min([*limits[sizes > limits][:1], MOST_OF_TRIAL])
+    result = list(trials)
+    for k, trial in enumerate(trials):
+        rows, rest = max(200, int(most / cost[k])), trial.meta.rest_samples
+        start = max(0, rest - rows // 4)
+        if rows < len(trial):
+            result[k] = with_rows(trial, slice(start, start + rows), rest - start)
+    return tuple(result)
 
 
-def _level(sizes: NDArray[np.float64], most: float) -> float:
-    """Level w with sum(min(size, w)) = most; infinite if the sum of all sizes is below."""
-    left = most
-    for place, size in enumerate(np.sort(sizes)):
-        level = left / (len(sizes) - place)
-        if size > level:
-            return level
-        left -= float(size)
-    return math.inf
-
-
-def _first_rows(trial: Trial, rows: int) -> Trial:
-    """First rows of a trial, with only the end of a long rest before the motion."""
-    if rows >= len(trial):
-        return trial
-    rest = trial.meta.rest_samples
-    start = max(0, rest - int(REST_FRACTION * rows))
-    meta = msgspec.structs.replace(trial.meta, rest_samples=rest - start)
-    columns = {name: column[start : start + rows] for name, column in trial.columns.items()}
+def with_rows(trial: Trial, rows: slice, rest_samples: int) -> Trial:
+    """Some rows of a trial, of which the first ones are at rest before the motion."""
+    meta = msgspec.structs.replace(trial.meta, rest_samples=rest_samples)
+    columns = {name: column[rows] for name, column in trial.columns.items()}
     return replace(trial, meta=meta, columns=columns)
 
 
+# The fit
+
+LARGEST_DERIVATIVE: Final = 1e60  # of a stable simulation; larger squares overflow [assumed]
+WORKERS: Final = 2  # threads that simulate; CasADi releases the interpreter lock meanwhile
+
+
 class SignalFit(NamedTuple):
-    """One signal of one trial at some values of the free parameters."""
+    """Measured rows of one signal of one trial, at some values of the free parameters."""
 
     trial: Trial
     signal: str
-    measured: NDArray[np.bool_]  # (n,), rows with a measurement, m of them
-    residual: Array  # (m,)
-    jacobian: Array  # (m, free)
+    part: NDArray[np.int_]  # (n,), see `motion_parts`
+    residual: Array  # (n,)
+    jacobian: Array  # (n, free)
 
 
 class Objective:
@@ -196,16 +178,16 @@ class Objective:
         prior: Plant | None = None,
     ) -> None:
         self.plant, self.free = plant, tuple(free)
-        self._signals, self._scale = tuple(signals), dict(scale or {})
+        self._signals, self._scale = tuple(signals), scale or {}
         self._models: dict[int, CompiledModel] = {}
         used: list[Trial] = []
         for dof in sorted({t.meta.dof for t in trials}):
             model = plant.step_model(dof, kind)
-            if kind == "driven":
-                model = model.with_substeps(DRIVEN_SUBSTEP_S)
+            if kind == "driven":  # An eighth of a period is enough without dry friction.
+                model = model.with_substeps(2.2e-3)
             used += shortened([t for t in trials if t.meta.dof == dof], model)
-            own = [name for name in self.free if name in names(model.parameters)]
-            self._models[dof] = CompiledModel(model, own)
+            known = set(names(model.parameters))
+            self._models[dof] = CompiledModel(model, [name for name in self.free if name in known])
         self.trials = tuple(used)
         self._measured = [measured_signals(t) for t in used]
         chosen = [plant.parameters[name] for name in self.free]
@@ -214,11 +196,11 @@ class Objective:
         self.high = np.array([q.high for q in chosen])
         self.prior_deviation = np.array([prior_deviation_of(q) for q in chosen])
         self._centre = np.array([(prior or plant).parameters[n].value for n in self.free])
-        self._simulated: tuple[bytes | None, list[SignalFit]] = (None, [])
+        self._last: tuple[bytes | None, list[SignalFit]] = (None, [])
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
         """Residuals (n,) and their Jacobian (n, len(free)); those of the priors come last."""
-        fits = self._simulate(values)
+        fits = self._fits(values)
         prior = (values - self._centre) / self.prior_deviation
         residual = np.concatenate([*(f.residual for f in fits), prior])
         jacobian = np.concatenate([*(f.jacobian for f in fits), np.diag(1 / self.prior_deviation)])
@@ -228,35 +210,53 @@ class Objective:
 
     def rms(self, values: Array) -> dict[str, float]:
         """Weighted root mean square residual of each signal, in its unit."""
-        squares: dict[str, list[Array]] = {}
-        for f in self._simulate(values):
+        squares: dict[str, list[Array]] = defaultdict(list)
+        for f in self._fits(values):
             if len(f.residual):
-                squares.setdefault(f.signal, []).append(f.residual**2 * CORRELATED_SAMPLES)
+                squares[f.signal].append(f.residual**2 * CORRELATED_SAMPLES)
         return {
-            signal: float(np.sqrt(np.mean(np.concatenate(rows)))) * self.scale(signal)
+            signal: float(np.sqrt(np.mean(np.concatenate(rows)))) * self._scale_of(signal)
             for signal, rows in squares.items()
         }
 
-    def unstable_trials(self, values: Array) -> list[str]:
-        """Files of the trials on which the simulation or its derivatives do not stay finite."""
-        unstable = (
-            str(f.trial.path) for f in self._simulate(values)
+    def refuse_unstable(self, values: Array) -> None:
+        """Refuse a plant whose simulation or its derivatives do not stay finite."""
+        if np.isfinite(self(values)[0]).all():
+            return
+        unstable = {
+            str(f.trial.path): None for f in self._fits(values)
             if not np.isfinite(f.residual).all()
             or not (np.abs(f.jacobian) < LARGEST_DERIVATIVE).all()
-        )  # fmt: skip
-        return list(dict.fromkeys(unstable))
+        }  # fmt: skip
+        raise InputError(
+            f"plant {self.plant.name!r}",
+            f"does not stay finite on {', '.join(unstable) or 'a trial'}",
+            "start from other values of its parameters, or check the conditions of the trials",
+        )
 
     def standard_errors(self, values: Array) -> Array:
-        """Standard errors at the solution, see `cluster_errors`."""
-        by_load, by_part = grouped(self._simulate(values))
-        information = np.diag(self.prior_deviation**-2.0)
-        information = information + sum(g.information for g in by_load.values())
+        """Standard errors at the solution, see `cluster_errors`.
+
+        Rows are grouped by payload (by trial if payloads are few), and by part of the motion.
+        """
+        fits = self._fits(values)
+        loads = [f.trial.meta.payload_kg for f in fits]
+        keys = loads if len(set(loads)) >= LEAST_GROUPS else [f.trial.name for f in fits]
         margin = AT_BOUND * (self.high - self.low)
         low, high = self.low - values, self.high - values
-        low, high = np.where(low > -margin, 0.0, low), np.where(high < margin, 0.0, high)
-        return cluster_errors((by_load, by_part), information, low, high)
+        return cluster_errors(
+            np.concatenate([f.residual for f in fits]),
+            np.concatenate([f.jacobian for f in fits]),
+            np.diag(self.prior_deviation**-2.0),
+            [
+                np.repeat(np.unique(keys, return_inverse=True)[1], [len(f.residual) for f in fits]),
+                np.concatenate([f.part for f in fits]),
+            ],
+            np.where(low > -margin, 0.0, low),
+            np.where(high < margin, 0.0, high),
+        )
 
-    def scale(self, signal: str) -> float:
+    def _scale_of(self, signal: str) -> float:
         """Scale of a signal's residual, at least `LEAST_SCALE` of its `SCALE`.
 
         With a smaller scale, a signal that hardly moves (the end effector across a single joint's
@@ -267,13 +267,13 @@ class Objective:
         default = usual_error(unit, [m[signal] for m in self._measured if signal in m])
         return max(self._scale.get(signal, default), LEAST_SCALE.get(unit, 0.5) * default)
 
-    def _simulate(self, values: Array) -> list[SignalFit]:
+    def _fits(self, values: Array) -> list[SignalFit]:
         """Every signal of every trial; the last result is reused."""
-        if values.tobytes() != self._simulated[0]:
+        if values.tobytes() != self._last[0]:
             with ThreadPoolExecutor(WORKERS) as pool:
                 parts = list(pool.map(lambda k: self._trial(k, values), range(len(self.trials))))
-            self._simulated = (values.tobytes(), [fit for part in parts for fit in part])
-        return self._simulated[1]
+            self._last = (values.tobytes(), [fit for part in parts for fit in part])
+        return self._last[1]
 
     def _trial(self, index: int, values: Array) -> list[SignalFit]:
         trial, measured = self.trials[index], self._measured[index]
@@ -284,24 +284,23 @@ class Objective:
         p = trial_parameters(model, trial)
         p[[known.index(name) for name in compiled.wrt]] = values[columns]
         y, slopes = differentiate_trial(compiled, trial, p)
-        fits = []
+        part, fits = motion_parts(trial), []
         for k, signal in enumerate(names(model.outputs)):
             if signal not in measured or not signal.startswith(self._signals):
                 continue
-            factor = row_weights(trial, signal) / self.scale(signal) / CORRELATED_SAMPLES**0.5
+            factor = row_weights(trial, signal) / self._scale_of(signal) / CORRELATED_SAMPLES**0.5
             residual = (y[:, k] - measured[signal]) * factor
             jacobian = np.zeros((len(y), len(self.free)))
             jacobian[:, columns] = slopes[:, k] * factor[:, None]
             rows = np.isfinite(measured[signal])
-            fits.append(SignalFit(trial, signal, rows, residual[rows], jacobian[rows]))
+            fits.append(SignalFit(trial, signal, part[rows], residual[rows], jacobian[rows]))
         return fits
 
 
-@dataclass(frozen=True)
-class Solution:
+class Solution(NamedTuple):
     """Result of a fit."""
 
-    plant: Plant  # Plant with the fitted values and their standard errors
+    plant: Plant  # With the fitted values and their standard errors
     cost: float  # Half the sum of squares, prior included
     rms: dict[str, float]  # Root mean square residual of each signal, in its unit
 
@@ -320,21 +319,15 @@ def fit_objective(
         report(0.5 * float(result @ result))
         return result
 
-    margin = 1e-9 * (objective.high - objective.low)
-    first = np.clip(objective.start if start is None else start,
-                    objective.low + margin, objective.high - margin)  # fmt: skip
-    if not np.isfinite(objective(first)[0]).all():
-        raise InputError(
-            f"plant {objective.plant.name!r}",
-            f"does not stay finite on {', '.join(objective.unstable_trials(first)) or 'a trial'}",
-            "start from other values of its parameters, or check the conditions of the trials",
-        )
+    low, high = objective.low, objective.high
+    margin = 1e-9 * (high - low)
+    first = np.clip(objective.start if start is None else start, low + margin, high - margin)
+    objective.refuse_unstable(first)
     solution = least_squares(
-        residuals, first, lambda values: objective(values)[1],
-        bounds=(objective.low, objective.high), x_scale="jac", method="trf",
-        max_nfev=evaluations, ftol=tolerance, xtol=1e-6, gtol=1e-8,
+        residuals, first, lambda values: objective(values)[1], bounds=(low, high), x_scale="jac",
+        method="trf", max_nfev=evaluations, ftol=tolerance, xtol=1e-6, gtol=1e-8,
     )  # fmt: skip
-    values = np.clip(solution.x, objective.low, objective.high)
+    values = np.clip(solution.x, low, high)
     residual, _ = objective(values)
     plant = objective.plant.with_values(
         dict(zip(objective.free, values, strict=True)),
@@ -347,40 +340,7 @@ def fit_objective(
 # a reduced model is alike in rows of one payload, or of one part of the motion, however many they
 # are. The fit is therefore repeated, linearised, with one group of rows left out at a time.
 
-LEAST_GROUPS: Final = 3
-"""Fewest groups whose scatter is used [assumed]."""
-
-TWO_SIDED: Final = 0.975
-
-
-class Group(NamedTuple):
-    """Rows that are left out together."""
-
-    information: Array  # (k, k), J'J of the rows
-    score: Array  # (k,), J'r of the rows
-
-
-Groups = dict[Hashable, Group]
-
-
-def grouped(fits: Sequence[SignalFit]) -> tuple[Groups, Groups]:
-    """Group the rows by payload (by trial if payloads are few), and by part of the motion."""
-    few = len({f.trial.meta.payload_kg for f in fits}) < LEAST_GROUPS
-    by_load: Groups = {}
-    by_part: Groups = {}
-
-    def add(groups: Groups, key: Hashable, residual: Array, jacobian: Array) -> None:
-        information, score = groups.get(key, (0.0, 0.0))
-        groups[key] = Group(jacobian.T @ jacobian + information, jacobian.T @ residual + score)
-
-    for f in fits:
-        key = f.trial.name if few else f.trial.meta.payload_kg
-        add(by_load, key, f.residual, f.jacobian)
-        part = motion_parts(f.trial)[f.measured]
-        for number in np.unique(part):
-            rows = part == number
-            add(by_part, int(number), f.residual[rows], f.jacobian[rows])
-    return by_load, by_part
+LEAST_GROUPS: Final = 3  # whose scatter is used [assumed]
 
 
 def motion_parts(trial: Trial) -> NDArray[np.int_]:
@@ -396,30 +356,19 @@ def motion_parts(trial: Trial) -> NDArray[np.int_]:
 
 
 def cluster_errors(
-    groupings: Sequence[Mapping[Hashable, Group]], information: Array, low: Array, high: Array
+    residual: Array,
+    jacobian: Array,
+    prior: Array,
+    groupings: Sequence[NDArray[np.int_]],
+    low: Array,
+    high: Array,
 ) -> Array:
     """Standard errors from the curvature and the grouping with the larger variance together.
 
-    `information` has shape (k, k). `low` and `high` (k,) are the largest changes of each parameter
+    Shapes: `residual` (n,), `jacobian` (n, k), the information `prior` (k, k), the group of each
+    row in each of `groupings` (n,). `low` and `high` (k,) are the largest changes of each parameter
     down and up, because a refit stays within the bounds. A parameter at a bound (no room on one
     side) is left out of the jackknife and has the error of the curvature alone.
-    """
-    curvature = np.diag(np.linalg.pinv(information, hermitian=True))
-    free = np.flatnonzero((low < 0) & (high > 0))
-    largest = np.zeros(len(information))
-    for groups in groupings:
-        inner = [Group(g.information[np.ix_(free, free)], g.score[free]) for g in groups.values()]
-        variance = _jackknife_variance(
-            inner, information[np.ix_(free, free)], low[free], high[free]
-        )
-        largest[free] = np.maximum(largest[free], variance)
-    return np.asarray(np.sqrt(curvature + largest))
-
-
-def _jackknife_variance(
-    groups: Sequence[Group], information: Array, low: Array, high: Array
-) -> Array:
-    """Variance of each parameter, leaving one group out at a time; zero for too few groups.
 
     The delete-a-group jackknife [Efron & Tibshirani 1993]; with few groups the sandwich estimate
     is too small [Cameron & Miller 2015]::
@@ -430,13 +379,21 @@ def _jackknife_variance(
     G groups give G − 1 degrees of freedom: the error is widened so that twice the error is a 95 %
     interval of Student's t.
     """
-    count = len(groups)
-    if count < LEAST_GROUPS:
-        return np.zeros(len(information))
-    changes = np.array(
-        [np.linalg.lstsq(information - g.information, g.score, rcond=1e-12)[0] for g in groups]
-    )
-    changes = np.clip(changes, low, high)
-    scatter = np.sum((changes - changes.mean(axis=0)) ** 2, axis=0) * (count - 1) / count
-    widened = float(student_t.ppf(TWO_SIDED, count - 1)) / 2.0
-    return np.asarray(scatter * max(widened, 1.0) ** 2)
+    information = jacobian.T @ jacobian + prior
+    curvature = np.diag(np.linalg.pinv(information, hermitian=True))
+    free = np.flatnonzero((low < 0) & (high > 0))
+    information = information[np.ix_(free, free)]
+    largest = np.zeros(len(low))
+    for groups in groupings:
+        changes = []
+        for group in np.unique(groups):
+            rows = jacobian[groups == group][:, free]
+            score = rows.T @ residual[groups == group]
+            change = np.linalg.lstsq(information - rows.T @ rows, score, rcond=1e-12)[0]
+            changes.append(np.clip(change, low[free], high[free]))
+        count = len(changes)
+        if count >= LEAST_GROUPS:
+            widened = max(float(student_t.ppf(0.975, count - 1)) / 2.0, 1.0)
+            variance = (count - 1) * np.var(changes, axis=0) * widened**2
+            largest[free] = np.maximum(largest[free], variance)
+    return np.asarray(np.sqrt(curvature + largest))

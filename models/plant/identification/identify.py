@@ -29,16 +29,14 @@ from models.plant.components import DRIVES, LOADS
 from models.plant.components.goal import NO_ACCELERATION_LIMIT
 from models.plant.document import Evaluation, Provenance
 from models.plant.effects import EFFECTS
-from models.plant.identification.evaluation import evaluate_plant
+from models.plant.identification.evaluation import evaluate_plant, over_payloads
 from models.plant.identification.fit import Objective, Solution, fit_objective
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant, scope_of
 from models.plant.simulation.runner import Array
 from models.trials.trial import Trial, TrialSet
 
-LINK_SIGNALS: Final = ("tip", "di", "current")
-DRIVE_SIGNALS: Final = ("angle", "position", "current")
-ALL_SIGNALS: Final = ("",)
+LINK_SIGNALS: Final = ("tip", "di", "current")  # start of the names of those that it is fitted to
 
 Report = Callable[[str], None]
 
@@ -90,17 +88,14 @@ def identify(
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     fit, held_out = trials.split()
-    planes = _planes(fit)
-    if planes > LOADS[plant.load].max_dof:
+    if _planes(fit) > LOADS[plant.load].max_dof:
         raise InputError(
-            f"plant {plant.name!r}",
-            f"has one joint, a trial has {planes}",
-            "use a plant of the link",
+            f"plant {plant.name!r}", "has one joint, a trial has two", "use a plant of the link"
         )
     solve = _fit_link_plant if plant.load == "link" else _fit_from_several_starts
     solution = solve(plant, fit, report)
     result = _with_second_plane(solution.plant, fit)
-    fitted = tuple(dict.fromkeys(n for part in free_parameters(result, planes) for n in part))
+    fitted = _all_free(result, fit)
     errors = evaluate_plant(result, held_out if len(held_out) else fit)
     provenance = Provenance(
         parent_sha256=plant.sha256(),
@@ -116,23 +111,27 @@ def identify(
     return Identification(result, tuple(result.parameters[n] for n in fitted), errors)
 
 
-def free_parameters(plant: Plant, planes: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def free_parameters(plant: Plant, trials: Iterable[Trial]) -> tuple[list[str], list[str]]:
     """Parameters to fit with the link and with the drive; friction is in both."""
-    scope = scope_of(plant.drive, plant.load, planes)
+    scope = scope_of(plant.drive, plant.load, _planes(trials))
 
     def free(part: Any) -> list[str]:
         declared = [q.name for q in part.parameters(scope)]
         return [name for name in declared if plant.parameters[name].role != "fixed"]
 
     load, drive = free(LOADS[plant.load]()), free(DRIVES[plant.drive]())
-    for name in plant.effects:
-        port, own = EFFECTS[name].port, free(EFFECTS[name]())
-        if port != "command":
-            load += own
-        if port in ("command", "servo_torque"):
-            drive += own
+    for effect in (EFFECTS[name] for name in plant.effects):
+        if effect.port != "command":
+            load += free(effect())
+        if effect.port in ("command", "servo_torque"):
+            drive += free(effect())
     load += [n for n in drive if n.startswith(("rotor_inertia_", "torque_constant_"))]  # in current
-    return tuple(load), tuple(drive)
+    return load, drive
+
+
+def _all_free(plant: Plant, trials: Iterable[Trial]) -> tuple[str, ...]:
+    load, drive = free_parameters(plant, trials)
+    return tuple(dict.fromkeys(load + drive))
 
 
 def _planes(trials: Iterable[Trial]) -> int:
@@ -141,31 +140,27 @@ def _planes(trials: Iterable[Trial]) -> int:
 
 # Loads other than the link
 
-DRAWS: Final = 32
-"""Number of starts drawn for the fit of a rigid load."""
-
-FITTED_STARTS: Final = 2
-"""Number of the best starts to fit from, in addition to the plant itself."""
+DRAWS: Final = 32  # of the prior, for the start of the fit
 
 
 def _fit_from_several_starts(plant: Plant, trials: Sequence[Trial], report: Report) -> Solution:
-    """Best of the fits from the plant itself and from draws of the prior.
+    """Best of the fits from the plant itself and from the two best draws of the prior.
 
     A sticking joint makes the cost discontinuous: its rest position jumps as a parameter changes.
     """
-    free = dict.fromkeys(n for part in free_parameters(plant, _planes(trials)) for n in part)
-    objective = Objective(plant, "twin", trials, tuple(free), ALL_SIGNALS)
+    every_signal = ("",)
+    objective = Objective(plant, "twin", trials, _all_free(plant, trials), every_signal)
     normal = np.random.default_rng(0).standard_normal((DRAWS, len(objective.free)))
     drawn = objective.start + objective.prior_deviation * normal
     starts = [objective.start, *np.clip(drawn, objective.low, objective.high)]
-    order = np.argsort([_cost(objective, start) for start in starts])[:FITTED_STARTS]
+    best = np.argsort([_cost(objective, start) for start in starts])[:2]
     report(f"{DRAWS} starts drawn")
     fits = [
         fit_objective(
             objective, starts[k], evaluations=60, tolerance=1e-5,
             report=lambda cost: report(f"cost {cost:.4g}"),
         )
-        for k in dict.fromkeys((0, *order))
+        for k in dict.fromkeys((0, *best))
     ]  # fmt: skip
     return min(fits, key=lambda s: s.cost)
 
@@ -178,104 +173,96 @@ def _cost(objective: Objective, values: Array) -> float:
 
 # The link and its drive
 
-STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Factors on the initial stiffness in the scan."""
-
-OPTION_FALL: Final = 0.1
-"""Smallest relative decrease of the drive's cost for which an option is accepted [assumed]."""
+STIFFNESS_SCAN: Final = (0.5, 0.7, 1.0, 1.4, 2.0)  # factors on the initial stiffness
 
 
 def _fit_link_plant(plant: Plant, trials: Sequence[Trial], report: Report) -> Solution:
     """Fit link and drive in two rounds, see the module's docstring."""
     fewest = min(t.meta.dof for t in trials)
-    first = [t for t in trials if t.meta.dof == fewest]
-    link = _fit_link(_scan_stiffness(plant, first, report), plant, first, {}, report)
-    drive = _fit_drive(link.plant, plant, first, {}, report)
-    drive = _with_servo_options(drive, plant, first, report)
-    drive = _with_alike_servos(drive, plant, first, {}, report)
-    rms = _angles(drive.rms) | link.rms
+    first = _Round(plant, [t for t in trials if t.meta.dof == fewest], {}, report)
+    link = first.fit_link(first.scan_stiffness())
+    drive = first.with_servo_options(first.fit_drive(link.plant))
+    drive = first.with_alike_servos(drive)
 
-    start = _with_second_plane(drive.plant, first)
-    prior = with_options_of(plant, start)
-    link = _fit_link(start, prior, trials, rms, report)
-    drive = _fit_drive(link.plant, prior, trials, rms, report)
-    drive = _with_alike_servos(drive, prior, trials, rms, report)
-    return replace(drive, rms=_angles(drive.rms) | link.rms)
-
-
-def _scan_stiffness(plant: Plant, trials: Sequence[Trial], report: Report) -> Plant:
-    """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
-    link, _ = free_parameters(plant, _planes(trials))
-    stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
-    objective = Objective(plant, "driven", trials, stiffness, LINK_SIGNALS)
-    costs: list[tuple[float, Array]] = []
-    for factor in STIFFNESS_SCAN:
-        values = np.clip(factor * objective.start, objective.low, objective.high)
-        costs.append((_cost(objective, values), values))
-        report(f"stiffness x {factor:g}")
-    _, best = min(costs, key=lambda row: row[0])
-    return plant.with_values(dict(zip(stiffness, best, strict=True)))
-
-
-def _fit_link(
-    start: Plant, prior: Plant, trials: Sequence[Trial], rms: Mapping[str, float], report: Report
-) -> Solution:
-    """Fit the link's parameters while the measured angles drive it."""
-    free, _ = free_parameters(start, _planes(trials))
-    return fit_objective(
-        Objective(start, "driven", trials, free, LINK_SIGNALS, rms, prior),
-        evaluations=25, tolerance=1e-3,
-        report=lambda cost: report(f"link, {len(trials)} trials: cost {cost:.4g}"),
-    )  # fmt: skip
-
-
-def _fit_drive(
-    start: Plant, prior: Plant, trials: Sequence[Trial], rms: Mapping[str, float], report: Report
-) -> Solution:
-    """Fit the drive's parameters while the goals drive the twin.
-
-    The smallest, middle and largest payload of each number of joints are enough.
-    """
-    chosen: list[Trial] = []
-    for dof in sorted({t.meta.dof for t in trials}):
-        same = sorted((t for t in trials if t.meta.dof == dof), key=lambda t: t.meta.payload_kg)
-        chosen += [same[k] for k in sorted({0, len(same) // 2, len(same) - 1})]
-    _, free = free_parameters(start, _planes(trials))
-    return fit_objective(
-        Objective(start, "twin", chosen, free, DRIVE_SIGNALS, _angles(rms), prior),
-        evaluations=25, tolerance=1e-3,
-        report=lambda cost: report(f"drive, {len(chosen)} trials: cost {cost:.4g}"),
-    )  # fmt: skip
+    second = _Round(plant, trials, _angles(drive.rms) | link.rms, report)
+    link = second.fit_link(_with_second_plane(drive.plant, first.trials))
+    drive = second.with_alike_servos(second.fit_drive(link.plant))
+    return drive._replace(rms=_angles(drive.rms) | link.rms)
 
 
 def _angles(rms: Mapping[str, float]) -> dict[str, float]:
     return {name: value for name, value in rms.items() if name.startswith("angle_")}
 
 
-def _with_servo_options(
-    drive: Solution, prior: Plant, trials: Sequence[Trial], report: Report
-) -> Solution:
-    """Fit of the drive with each option that lowers its cost enough, the best one first."""
-    while True:
-        fits = [
-            _fit_drive(start, with_options_of(prior, start), trials, {}, report)
-            for start in starts_with_option(drive.plant)
-        ]
-        best = min(fits, key=lambda s: s.cost, default=drive)
-        if best.cost >= (1 - OPTION_FALL) * drive.cost:
+@dataclass(frozen=True)
+class _Round:
+    """Fits of link and drive to some trials.
+
+    The values of `plant` are the centres of the priors; `rms` holds the residual of each signal in
+    the round before.
+    """
+
+    plant: Plant
+    trials: Sequence[Trial]
+    rms: Mapping[str, float]
+    report: Report
+
+    def scan_stiffness(self) -> Plant:
+        """Plant with all stiffness multiplied by the best factor of `STIFFNESS_SCAN`."""
+        link, _ = free_parameters(self.plant, self.trials)
+        stiffness = [n for n in link if "_stiffness_" in n and n.endswith("_nm_rad")]
+        objective = Objective(self.plant, "driven", self.trials, stiffness, LINK_SIGNALS)
+        costs: list[tuple[float, Array]] = []
+        for factor in STIFFNESS_SCAN:
+            values = np.clip(factor * objective.start, objective.low, objective.high)
+            costs.append((_cost(objective, values), values))
+            self.report(f"stiffness x {factor:g}")
+        _, best = min(costs, key=lambda row: row[0])
+        return self.plant.with_values(dict(zip(stiffness, best, strict=True)))
+
+    def fit_link(self, start: Plant) -> Solution:
+        """Fit the link's parameters while the measured angles drive it."""
+        free, _ = free_parameters(start, self.trials)
+        objective = Objective(
+            start, "driven", self.trials, free, LINK_SIGNALS, self.rms, self.plant
+        )
+        return self._fit(objective, "link")
+
+    def fit_drive(self, start: Plant) -> Solution:
+        """Fit the drive's parameters while the goals drive the twin.
+
+        The smallest, middle and largest payload of each number of joints are enough. The priors of
+        the servo's options are their values at the start.
+        """
+        trials = over_payloads(self.trials, (0.0, 0.5, 1.0))
+        _, free = free_parameters(start, self.trials)
+        options = [q for n, q in start.parameters.items() if n.startswith(tuple(ABSENT))]
+        prior = _with_parameters(self.plant, options)
+        signals, rms = ("angle", "position", "current"), _angles(self.rms)
+        return self._fit(Objective(start, "twin", trials, free, signals, rms, prior), "drive")
+
+    def _fit(self, objective: Objective, part: str) -> Solution:
+        what = f"{part}, {len(objective.trials)} trials"
+        return fit_objective(
+            objective, evaluations=25, tolerance=1e-3,
+            report=lambda cost: self.report(f"{what}: cost {cost:.4g}"),
+        )  # fmt: skip
+
+    def best_drive(self, drive: Solution, starts: Sequence[Plant], fall: float) -> Solution:
+        """Best fit from further starts if it lowers the cost by this fraction, else `drive`."""
+        best = min(map(self.fit_drive, starts), key=lambda s: s.cost, default=drive)
+        return best if best.cost < (1 - fall) * drive.cost else drive
+
+    def with_servo_options(self, drive: Solution) -> Solution:
+        """Fit with each option that lowers the cost by a tenth [assumed], the best one first."""
+        best = self.best_drive(drive, starts_with_option(drive.plant), fall=0.1)
+        return drive if best is drive else self.with_servo_options(best)
+
+    def with_alike_servos(self, drive: Solution) -> Solution:
+        """Best of the fit and of those in which both servos shape their goals alike."""
+        if _planes(self.trials) < 2:
             return drive
-        drive = best
-
-
-def _with_alike_servos(
-    drive: Solution, prior: Plant, trials: Sequence[Trial], rms: Mapping[str, float], report: Report
-) -> Solution:
-    """Best of the fit and of those in which both servos shape their goals alike."""
-    if _planes(trials) < 2:
-        return drive
-    starts = starts_with_alike_servos(drive.plant)
-    fits = [_fit_drive(start, prior, trials, rms, report) for start in starts]
-    return min([drive, *fits], key=lambda s: s.cost)
+        return self.best_drive(drive, starts_with_alike_servos(drive.plant), fall=0.0)
 
 
 def _with_second_plane(plant: Plant, trials: Sequence[Trial]) -> Plant:
@@ -315,30 +302,21 @@ free in every fit, they would be confused with the loop's gains."""
 SHAPE: Final = ("goal_interpolation_{j}", "current_phase_{j}", "goal_delay_{j}_s")
 """Parameters of a goal's shape within the step."""
 
-SHAPES_DIFFER: Final = 0.3
-"""Difference between two joints' interpolation above which each is tried for both [assumed]."""
-
 
 def starts_with_option(plant: Plant) -> list[Plant]:
     """Plants with one more option, its parameters free, for each that the plant does not have."""
     result = []
     for start in OPTION_STARTS:
-        own = [(p, q) for n, q in plant.parameters.items() for p in start if n.startswith(p)]
-        if own and all(q.role == "fixed" and q.value == ABSENT[p] for p, q in own):
+        option = [(p, q) for n, q in plant.parameters.items() for p in start if n.startswith(p)]
+        if option and all(q.role == "fixed" and q.value == ABSENT[p] for p, q in option):
             result.append(_with_parameters(plant, [
                 msgspec.structs.replace(
                     q, value=start[p], role="nuisance",
                     prior_deviation=q.prior_deviation or start[p],
                 )
-                for p, q in own
+                for p, q in option
             ]))  # fmt: skip
     return result
-
-
-def with_options_of(plant: Plant, other: Plant) -> Plant:
-    """Plant with the options of another one; their fitted values are the priors."""
-    options = [q for n, q in other.parameters.items() if n.startswith(tuple(ABSENT))]
-    return _with_parameters(plant, options)
 
 
 def starts_with_alike_servos(plant: Plant) -> list[Plant]:
@@ -349,14 +327,12 @@ def starts_with_alike_servos(plant: Plant) -> list[Plant]:
     """
     interpolation = [plant.parameters.get(SHAPE[0].format(j=j)) for j in (1, 2)]
     values = [q.value for q in interpolation if q is not None and q.role != "fixed"]
-    if len(values) < 2 or abs(values[0] - values[1]) <= SHAPES_DIFFER:
+    if len(values) < 2 or abs(values[0] - values[1]) <= 0.3:  # [assumed]
         return []
     return [
-        plant.with_values(
-            {q.format(j=b): plant.parameters[q.format(j=a)].value for q in SHAPE}
-        )
+        plant.with_values({n.format(j=b): plant.parameters[n.format(j=a)].value for n in SHAPE})
         for a, b in ((1, 2), (2, 1))
-    ]  # fmt: skip
+    ]
 
 
 def _with_parameters(plant: Plant, parameters: Iterable[Parameter]) -> Plant:

@@ -7,74 +7,54 @@ from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import write_trial
 
 
+class FitStarted(Exception):
+    """The command has checked its arguments."""
+
+
 @pytest.fixture
-def trials(toy_trials, tmp_path):
-    """Directory with a trial."""
+def directory(toy_trials, tmp_path, monkeypatch):
+    """Directory with a trial, a plant and a configuration; nothing is fitted."""
+
+    def fit(*_):
+        raise FitStarted
+
+    monkeypatch.setattr("models.commands.identify.identify", fit)
     write_trial(toy_trials(1, amplitudes_deg=(30,))[0], tmp_path / "trials")
-    return tmp_path / "trials"
+    for name in ("p.svg", "p.json"):
+        read_plant().write(tmp_path / name)
+    (tmp_path / "robot.toml").write_text("robot")
+    return tmp_path
 
 
-@pytest.fixture
-def refused(capsys, monkeypatch):
-    """Function that gives the command, which must end before the fit, and returns its sentence."""
-    monkeypatch.setattr("models.commands.identify.identify", lambda *_: pytest.fail("fitted"))
-
-    def run(*words):
-        assert main(["identify", *map(str, words)]) == 2
-        said = capsys.readouterr().err
-        assert said.count("\n") == 1
-        return said
-
-    return run
+def identify(directory, plant, out, *options):
+    return main(
+        ["identify", f"{directory}/trials", "--plant", str(plant), "--out", str(out), *options]
+    )
 
 
 @pytest.mark.parametrize("name", ["p.svg", "plain", "p.yaml"])
-def test_a_name_that_could_not_be_read_is_refused(trials, refused, tmp_path, name):
-    said = refused(trials, "--plant", NOMINAL, "--out", tmp_path / "id" / name)
-    assert "let its name end with .json or .toml" in said
-    assert not (tmp_path / "id").exists()
+def test_a_name_that_could_not_be_read_is_refused(directory, capsys, name):
+    assert identify(directory, NOMINAL, directory / "id" / name) == 2
+    assert "let its name end with .json or .toml" in capsys.readouterr().err
+    assert not (directory / "id").exists()
 
 
-def test_the_picture_does_not_replace_the_given_plant(trials, refused, tmp_path):
-    plant = tmp_path / "p.svg"
-    read_plant().write(plant)
-    before = plant.read_bytes()
-    said = refused(trials, "--plant", plant, "--out", tmp_path / "new" / ".." / "p.json")
-    assert "is a file that is read" in said
-    assert plant.read_bytes() == before
+@pytest.mark.parametrize("replaced", ["p.svg", "robot.toml", "trials/conditions"])
+def test_the_result_does_not_replace_an_input(directory, capsys, replaced):
+    path, plant, out, options = directory / replaced, NOMINAL, directory / replaced, []
+    if replaced == "p.svg":  # the picture beside the plant
+        plant, out = path, directory / "new" / ".." / "p.json"
+    elif replaced == "robot.toml":
+        options = ["--gains", str(path)]
+    else:
+        (path,) = (directory / "trials").glob("*.toml")
+        out = path
+    before = path.read_bytes()
+    assert identify(directory, plant, out, *options) == 2
+    assert "is a file that is read" in capsys.readouterr().err
+    assert path.read_bytes() == before
 
 
-def test_the_fit_may_replace_the_plant_that_it_starts_from(trials, tmp_path, monkeypatch):
-    class Fitted(Exception):
-        """The fit has begun."""
-
-    def fit(*_):
-        raise Fitted
-
-    monkeypatch.setattr("models.commands.identify.identify", fit)
-    plant = tmp_path / "p.json"
-    read_plant().write(plant)
-    with pytest.raises(Fitted):
-        main(["identify", str(trials), "--plant", str(plant), "--out", str(plant)])
-
-
-def test_the_given_configuration_is_not_replaced(trials, refused, tmp_path):
-    config = tmp_path / "robot.toml"
-    config.write_text("kept")
-    said = refused(trials, "--plant", NOMINAL, "--gains", config, "--out", config)
-    assert "is a file that is read" in said
-    assert config.read_text() == "kept"
-
-
-def test_the_conditions_of_a_trial_are_not_replaced(trials, refused):
-    (conditions,) = trials.glob("*.toml")
-    before = conditions.read_bytes()
-    assert "is a file that is read" in refused(trials, "--plant", NOMINAL, "--out", conditions)
-    assert conditions.read_bytes() == before
-
-
-@pytest.mark.parametrize("name", ["P.JSON", "P.Toml", "plain"])
-def test_a_plant_is_read_as_it_was_written(tmp_path, name):
-    read_plant().write(tmp_path / name)
-    assert (tmp_path / name).read_text().startswith("{") == name.endswith("JSON")
-    assert read_plant(tmp_path / name) == read_plant()
+def test_the_fit_may_replace_the_plant_that_it_starts_from(directory):
+    with pytest.raises(FitStarted):
+        identify(directory, directory / "p.json", directory / "p.json")

@@ -12,7 +12,7 @@ from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkS
 from models.commands import linearise
 from models.commands.simulate import _cases, _complete_from_link
 from models.plan.planning import PAYLOADS_KG, check_grid
-from models.plant.identification.doubts import check_weight
+from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
 from models.plant.step_model import names
@@ -91,9 +91,9 @@ def test_trials_with_more_than_the_link_carries_are_refused(plant_of, make_trial
     plant = plant_of(msgspec.structs.replace(STUDY_LINK, payload_kg=1.0))
     trial = make_trial(np.zeros(8), payload_kg=2.0)
     with pytest.raises(InputError, match=r"payload of 2 kg, a plant of this link takes 1.5 kg"):
-        check_weight(plant, TrialSet((trial,)))
+        refuse_other_links(plant, "plant.json", TrialSet((trial,)))
     meta = msgspec.structs.replace(trial.meta, payload_kg=1.5)
-    check_weight(plant, TrialSet((replace(trial, meta=meta),)))
+    refuse_other_links(plant, "plant.json", TrialSet((replace(trial, meta=meta),)))
 
 
 def test_the_payload_that_nobody_gives_is_within_the_bounds(plant_of, tmp_path, monkeypatch):

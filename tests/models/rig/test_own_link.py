@@ -1,6 +1,7 @@
 """Another size, marker layout, mounting and servo on the rig, and the plant that starts from it."""
 
 import math
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -11,7 +12,7 @@ from firmware_py.link.link_description import LinkDescription, LinkGravity, Link
 from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import square_layout
 from firmware_py.motion import Motion
-from models.plant.identification.doubts import check_weight
+from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 from models.rig.drawn import rig_named
@@ -60,9 +61,11 @@ def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
     assert error.tip_rms_m < 0.9 * error.rigid_tip_rms_m  # a stiff link: 5 mm off a rigid one
 
 
-def test_a_plant_that_stands_otherwise_is_refused(trial):
-    with pytest.raises(InputError, match=r"gravity is \[0, 0, 9.81\]"):
-        check_weight(read_plant(), TrialSet((trial,)))
+def test_a_plant_that_stands_otherwise_is_refused(trial, link_file):
+    upright = replace(trial, meta=msgspec.structs.replace(trial.meta, gravity_m_s2=None))
+    refuse_other_links(read_plant(link_file), link_file, (trial,))
+    with pytest.raises(InputError, match=r"gravity is \[0, 0, -9.81\]"):
+        refuse_other_links(read_plant(link_file), link_file, (upright,))
 
 
 def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file, tmp_path, monkeypatch):

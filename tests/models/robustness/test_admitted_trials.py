@@ -17,6 +17,7 @@ from models.gap import diagnosis
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import GapSettings
 from models.plant.identification import identify as identification
+from models.plant.identification import noise_floor
 from models.trials.files import write_trial
 from tests.models.robustness.mutations import CASES, PLANT_CASES
 from tests.models.robustness.short_trials import plant_of, short_trials
@@ -27,7 +28,7 @@ CONSIDERED = {
     "guide": ("coulomb_friction", "load_offset"),
 }
 FEW_STEPS = GapSettings(
-    noise_floor_rounds=1, nuisance_floor_rounds=1, widening_rounds=1, floor_fit_steps=2,
+    nuisance_floor_rounds=1, widening_rounds=1, floor_fit_steps=2,
     nuisance_fit_steps=2, candidate_start_steps=1, candidate_fit_steps=1, refitted_candidates=1,
     refitted_pairs=1, restart_bound_fractions=(0.25,), restart_steps=1, deletion_steps=1,
     ladder_bound_fractions=(0.5,), ladder_refinements=1, bootstrap_draws=20, waterfall_steps=1,
@@ -68,13 +69,8 @@ def few_steps(monkeypatch):
     monkeypatch.setattr(
         diagnosis, "diagnose", lambda *a, **o: diagnose(*a, **o | {"settings": FEW_STEPS})
     )
-    from models.commands import identify
-
-    monkeypatch.setattr(
-        identify,
-        "with_noise_floor",
-        functools.partial(identify.with_noise_floor, settings=FEW_STEPS),
-    )
+    monkeypatch.setattr(noise_floor, "FLOOR_ROUNDS", 1)
+    monkeypatch.setattr(noise_floor, "FIT_STEPS", 2)
 
 
 def check(capsys, argv, documents):

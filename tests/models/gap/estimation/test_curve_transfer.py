@@ -6,7 +6,6 @@ import pytest
 from models.gap.estimation.curve_transfer import transferred
 from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.noise_floor import (
     TrialGroup,
     coefficient_count,
@@ -15,7 +14,6 @@ from models.plant.identification.noise_floor import (
 )
 
 PERIOD_S, ROWS, STEP_S, REST = 2.0, 300, 0.017, 40
-HZ = DEFAULT_SETTINGS.highest_frequency_hz
 
 
 def error(time_s):
@@ -37,7 +35,7 @@ def trial_of(make_trial):
 
 
 def group_of(trial):
-    count = coefficient_count(len(trial), trial.step_s, HZ)
+    count = coefficient_count(len(trial), trial.step_s)
     return TrialGroup(trial_group_key(trial), (0,), ("tip_x_m",), count)
 
 

@@ -22,7 +22,7 @@ from models.plant.identification.noise_floor import TrialGroup, coefficient_coun
 from models.plant.plant import read_plant
 
 COUNT, STEP_S = 200, 0.017
-SIZE = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
+SIZE = coefficient_count(COUNT, STEP_S)
 MOST = DEFAULT_SETTINGS.discrepancy_patterns
 PAYLOADS_KG = np.array([0.0, 1.0])
 

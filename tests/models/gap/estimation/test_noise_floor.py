@@ -9,7 +9,6 @@ import pytest
 from firmware_py.errors import InputError
 from models.gap.estimation import noise_floor
 from models.gap.estimation.noise_floor_fit import noise_floor_of
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.document import FloorRecord
 from models.plant.identification.noise_floor import (
     TrialGroup,
@@ -35,13 +34,13 @@ def ar_noise(rng, trials, pole):
 
 def group_of(trials):
     """The only group of trials of one motion with a signal x."""
-    size = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
+    size = coefficient_count(COUNT, STEP_S)
     return TrialGroup(trial_group_key(trials[0]), tuple(range(len(trials))), ("x",), size)
 
 
 def spectra(rows):
     """(trials, 1, K)."""
-    size = coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz)
+    size = coefficient_count(COUNT, STEP_S)
     return cosine_transform(rows.T, size).T[:, None]
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from models.gap.residuals.localisation import GapRegion, locate_gap, location_sentence
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.noise_floor import (
     TrialGroup,
     coefficient_count,
@@ -31,7 +30,7 @@ def group_of(trials):
         trial_group_key(trials[0]),
         tuple(range(len(trials))),
         signals,
-        coefficient_count(COUNT, STEP_S, DEFAULT_SETTINGS.highest_frequency_hz),
+        coefficient_count(COUNT, STEP_S),
     )
 
 

@@ -14,7 +14,11 @@ from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.search.candidate import Candidate, SearchResult, may_pass
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.evaluation import compare_with_trials
-from models.plant.identification.noise_floor import rows_that_follow
+from models.plant.identification.noise_floor import (
+    ECCENTRICITY_M,
+    NOT_FOLLOWED_RAD,
+    rows_that_follow,
+)
 from models.plant.plant import read_plant
 
 
@@ -135,7 +139,7 @@ def test_a_trial_counts_until_its_joint_no_longer_follows_the_goal(trials_of, pl
     follows_rad = np.abs(trial.goal_rad - trial.angle_rad).max(axis=0)
     assert rows_that_follow(trial, follows_rad).all()
     late = {name: column.copy() for name, column in trial.columns.items()}
-    late["angle_1_rad"][150:170] += 2 * (follows_rad[0] + DEFAULT_SETTINGS.not_followed_error_rad)
+    late["angle_1_rad"][150:170] += 2 * (follows_rad[0] + NOT_FOLLOWED_RAD)
     late["current_1_a"][150:170] = 0.0
     assert rows_that_follow(replace(trial, columns=late), follows_rad).all(), "it does not even try"
     late["current_1_a"][150:170] = -np.abs(trial.current_a).max()
@@ -188,7 +192,7 @@ def test_an_effect_that_hides_in_the_variation_of_the_trials_is_missed(plant, hi
     assert found.named == ()
     assert found.improved.parameters == plant.parameters, "a stand-in seen on one motion only"
     loaded = [t for t in trials if t.meta.payload_kg > 0]
-    each = offset * trials[0].meta.link_length_m / DEFAULT_SETTINGS.eccentricity_variation_m
+    each = offset * trials[0].meta.link_length_m / ECCENTRICITY_M
     expected = each * len(loaded) / np.sqrt(len(trials))
     assert found.nuisance_bias["eccentricity_m"] == pytest.approx(expected, rel=0.25)
     assert "place of the payload by" in gap_in_words(gap_document(found, trials))

@@ -1,4 +1,4 @@
-"""Identification of plants whose parameters are known, from their own noisy runs."""
+"""Identification of plants whose parameters are known, from noisy runs of them."""
 
 import json
 from dataclasses import replace
@@ -17,7 +17,6 @@ from models.plant.identification.identify import (
 )
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import write_trial
-from models.trials.trial import TrialSet
 
 SHIFTED = (
     "link_mass_kg", "root_stiffness_1_nm_rad", "span_stiffness_1_nm_rad",
@@ -40,37 +39,30 @@ def drawn(seed):
     return nominal.with_values(values), rng
 
 
-def trials_of(plant, synthetic, rng, payloads=(0.0, 1.0, 2.0), numbers=(1, 2), dof=1):
-    return TrialSet(
-        tuple(
-            synthetic(plant, load, count=420, trial=k, rng=rng, dof=dof)
-            for load in payloads
-            for k in numbers
-        )
-    )
+def trials_of(plant, synthetic, rng, payloads, numbers=(1, 2)):
+    return [
+        synthetic(plant, load, count=420, trial=k, rng=rng) for load in payloads for k in numbers
+    ]
 
 
 OPTIONS = {
-    "none": {}, "profile": {"profile_acceleration_1_rad_s2": 18.0},
+    "profile": {"profile_acceleration_1_rad_s2": 18.0},
     "feedforward": {"velocity_feedforward_1": 0.4, "position_integral_1_per_s2": 5.0},
-    "weight": {"setpoint_weight_1": 0.6},
-}  # fmt: skip
+}
 """What servos may have beside the cascade."""
 
 
-@pytest.mark.parametrize(
-    "seed, option", [(1, "none"), (2, "profile"), (5, "feedforward"), (6, "weight")]
-)
-def test_known_parameters_come_back(synthetic, seed, option):
+@pytest.mark.parametrize("seed, option", [(2, "profile"), (5, "feedforward")])
+def test_known_parameters_are_recovered(synthetic, seed, option):
     true, rng = drawn(seed)
-    own = OPTIONS[option]
-    true = true.with_values(own | {n.replace("_1", "_2", 1): v for n, v in own.items()})
-    found = identify(read_plant(), trials_of(true, synthetic, rng))
-    assert found.held_out.tip_rms_m < 1e-3
-    assert found.held_out.tip_rms_m < 0.05 * found.held_out.rigid_tip_rms_m
-    assert found.held_out.signals["angle_1_rad"].rms < 1e-3
-    assert found.held_out.signals["di"].rms < 3e-4
-    q, p = found.plant.parameters, true.parameters
+    of_servo = OPTIONS[option]
+    true = true.with_values(of_servo | {n.replace("_1", "_2", 1): v for n, v in of_servo.items()})
+    start = read_plant()
+    result = identify(start, trials_of(true, synthetic, rng, (0.0, 1.0, 2.0)))
+    assert result.held_out.tip_rms_m < min(1e-3, 0.05 * result.held_out.rigid_tip_rms_m)
+    assert result.held_out.signals["angle_1_rad"].rms < 1e-3
+    assert result.held_out.signals["di"].rms < 3e-4
+    q, p = result.plant.parameters, true.parameters
     for name, share in {
         "link_mass_kg": 0.15, "coulomb_friction_1_nm": 0.1, "load_dependent_friction_1": 0.15,
         "position_gain_1_per_s": 0.01,
@@ -83,29 +75,21 @@ def test_known_parameters_come_back(synthetic, seed, option):
             lever[h] ** 2 / parameters[f"{h}_stiffness_1_nm_rad"].value for h in ("root", "span")
         )
 
-    for name in (n for values in OPTIONS.values() for n in values):
-        assert q[name].role == ("nuisance" if name in own else "fixed"), name
-        assert q[name].value == pytest.approx(p[name].value, rel=0.05, abs=0.02), name
-
     # hysteresis and creep carry part of the stiffness, so that springs alone are known less well
     assert tip_compliance(q) == pytest.approx(tip_compliance(p), rel=0.15)
-    for parameter in found.fitted:
+    for name in (n for values in OPTIONS.values() for n in values):
+        assert q[name].role == ("nuisance" if name in of_servo else "fixed"), name
+        assert q[name].value == pytest.approx(p[name].value, rel=0.05, abs=0.02), name
+    for parameter in result.fitted:
         assert parameter.low <= parameter.value <= parameter.high
         assert parameter.error is not None and parameter.error > 0
+    # No trial moves the second plane.
+    for name in ("root_stiffness_1_nm_rad", "coulomb_friction_1_nm", "creep_share_1"):
+        assert q[name.replace("_1", "_2", 1)].value == q[name].value
+    assert q["prebend_2_rad"].value == start.parameters["prebend_2_rad"].value
 
 
-def test_the_plane_that_no_trial_moves_is_like_the_other(synthetic):
-    true, rng = drawn(3)
-    start = read_plant()
-    trials = list(trials_of(true, synthetic, rng, (0.0, 2.0), (1,)))
-    found = identify(start, trials).plant
-    for name, q in found.parameters.items():
-        if name.startswith(("root_stiffness_1", "coulomb_friction_1", "creep_share_1")):
-            assert found.parameters[name.replace("_1", "_2", 1)].value == q.value
-    assert found.parameters["prebend_2_rad"].value == start.parameters["prebend_2_rad"].value
-
-
-def test_occluded_markers_only_cost_certainty(synthetic):
+def test_occluded_markers_do_not_shift_the_estimate(synthetic):
     true, rng = drawn(4)
     (trial,) = trials_of(true, synthetic, rng, (1.0,), (1,))
     free = ["root_stiffness_1_nm_rad", "edge_gain"]
@@ -130,24 +114,21 @@ def test_occluded_markers_only_cost_certainty(synthetic):
 def test_a_fit_that_starts_at_the_truth_stays_there(synthetic):
     true, _ = drawn(5)
     trials = [synthetic(true, load, count=300) for load in (0.5, 2.0)]
-    objective = Objective(true, "twin", trials, SHIFTED, ("tip", "angle", "current"))
-    solution = fit_objective(objective)
+    solution = fit_objective(Objective(true, "twin", trials, SHIFTED, ("tip", "angle", "current")))
     assert solution.cost < 1e-6
-    for name in SHIFTED:
-        assert solution.plant.parameters[name].value == pytest.approx(
-            true.parameters[name].value, rel=1e-6
-        )
+    q, p = solution.plant.parameters, true.parameters
+    assert [q[n].value for n in SHIFTED] == pytest.approx([p[n].value for n in SHIFTED], rel=1e-6)
 
 
-def test_two_joints_are_told_apart(synthetic):
+def test_two_joints_have_their_values_each(synthetic):
     true, rng = drawn(6)
-    own = {"root_stiffness_2_nm_rad": 300.0, "coulomb_friction_2_nm": 3.5}
+    second = {"root_stiffness_2_nm_rad": 300.0, "coulomb_friction_2_nm": 3.5}
     first = {"root_stiffness_1_nm_rad": 400.0, "coulomb_friction_1_nm": 5.0}
-    trials = [synthetic(true.with_values(own | first), 1.0, count=300, rng=rng, dof=2)]
-    free = (*own, *first)
+    trials = [synthetic(true.with_values(second | first), 1.0, count=300, rng=rng, dof=2)]
+    free = (*second, *first)
     objective = Objective(true, "driven", trials, free, ("tip", "di", "current"))
     q = fit_objective(objective).plant.parameters
-    for name, value in (own | first).items():
+    for name, value in (second | first).items():
         assert q[name].value == pytest.approx(value, rel=0.05), name
 
 
@@ -155,7 +136,7 @@ def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeyp
     # Of the synthetic markers only the lengths between them are right, not where they stand.
     monkeypatch.setattr("models.trials.checks.trials.judge_tip", lambda trial: [])
     true, rng = drawn(7)
-    for trial in trials_of(true, synthetic, rng, (0.0, 2.0), (1, 2)):
+    for trial in trials_of(true, synthetic, rng, (0.0, 2.0)):
         write_trial(trial, tmp_path / "trials")
     out = tmp_path / "plant.json"
     arguments = ["identify", str(tmp_path / "trials"), "--plant", str(NOMINAL), "--out", str(out)]
@@ -165,6 +146,8 @@ def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeyp
     assert (tmp_path / "plant.svg").read_text().startswith("<?xml")
     for name, row in printed["parameters"].items():
         assert written["parameters"][name]["value"] == row["value"]
+    options = [n for values in OPTIONS.values() for n in values]
+    assert all(written["parameters"][name]["role"] == "fixed" for name in options)
     provenance = written["provenance"]
     assert provenance["parent_sha256"] == read_plant().sha256()
     assert {t["name"] for t in provenance["fitted_trials"]} == {
@@ -181,52 +164,23 @@ def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeyp
     assert "nowhere.toml: is missing" in capsys.readouterr().err
 
 
-# Further starts of the drive's fit: only where they may lead to another valley of the cost
+# Further starts of the drive's fit, whose cost has several local minima
 
 
-def with_shapes(first, second):
-    values = {
+@pytest.mark.parametrize(
+    "second, others", [((1.0, 1.0, 0.0), 2), ((0.0, 1.0, 0.0), 0), ((0.25, 0.3, 0.003), 0)]
+)
+def test_the_shape_of_either_joints_goals_is_tried_for_both_if_they_differ(second, others):
+    first = (0.0, 0.3, 0.003)
+    plant = read_plant().with_values({
         name.format(j=j): value
         for j, shape in ((1, first), (2, second)) for name, value in zip(SHAPE, shape, strict=True)
-    }  # fmt: skip
-    return read_plant().with_values(values)
-
-
-def shapes(plant):
-    return [tuple(plant.parameters[n.format(j=j)].value for n in SHAPE) for j in (1, 2)]
-
-
-def test_either_joint_lends_its_goals_shape_to_the_other():
-    held, interpolated = (0.0, 0.3, 0.003), (1.0, 1.0, 0.0)
-    starts = starts_with_alike_servos(with_shapes(held, interpolated))
-    assert [shapes(start) for start in starts] == [2 * [held], 2 * [interpolated]]
-    plant, start = with_shapes(held, interpolated), starts[0]
-    changed = {n for n, q in start.parameters.items() if q.value != plant.parameters[n].value}
-    assert changed == {n.format(j=2) for n in SHAPE}
-
-
-@pytest.mark.parametrize("second", [(0.0, 1.0, 0.0), (0.25, 0.3, 0.003)])
-def test_servos_that_do_alike_need_no_further_start(second):
-    assert starts_with_alike_servos(with_shapes((0.0, 0.3, 0.003), second)) == []
-
-
-def freed(plant, start):
-    before = plant.parameters
-    return {n: q.value for n, q in start.parameters.items() if q != before[n]}
-
-
-def test_a_cascade_is_tried_with_every_option_and_both_joints_get_it():
-    plant = read_plant()
-    starts = starts_with_option(plant)
-    assert [set(freed(plant, s)) for s in starts] == [
-        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
-        {f"profile_acceleration_{j}_rad_s2" for j in (1, 2)},
-        {f"velocity_feedforward_{j}" for j in (1, 2)}
-        | {f"position_integral_{j}_per_s2" for j in (1, 2)},
-        {f"setpoint_weight_{j}" for j in (1, 2)},
+    })  # fmt: skip
+    shapes = [
+        [tuple(start.parameters[n.format(j=j)].value for n in SHAPE) for j in (1, 2)]
+        for start in starts_with_alike_servos(plant)
     ]
-    for start in starts:
-        assert all(start.parameters[n].role == "nuisance" for n in freed(plant, start))
+    assert shapes == [2 * [first], 2 * [second]][:others]
 
 
 @pytest.mark.parametrize("change", [{"value": 0.2}, {"role": "nuisance"}])
@@ -234,5 +188,11 @@ def test_an_option_that_the_plant_has_or_leaves_free_is_not_tried_again(change):
     plant = read_plant()
     q = msgspec.structs.replace(plant.parameters["velocity_feedforward_1"], **change)
     known = replace(plant, parameters={**plant.parameters, q.name: q})
-    begins = {n.split("_1")[0] for s in starts_with_option(known) for n in freed(known, s)}
-    assert {b for b in begins if "_2" not in b} == {"profile_acceleration", "setpoint_weight"}
+    tried = {
+        name
+        for start in starts_with_option(known)
+        for name, p in start.parameters.items()
+        if p != known.parameters[name]
+    }
+    options = ("profile_acceleration_{}_rad_s2", "setpoint_weight_{}")
+    assert tried == {name.format(j) for name in options for j in (1, 2)}
