@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,14 +24,14 @@ from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
 from firmware_py.inference.manifest import FILES, MANIFEST, Manifest, Quantity, write_manifest
-from firmware_py.inference.predictor import InputRange, OnnxPredictor
+from firmware_py.inference.predictor import InputRange, OnnxGraph, OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
 from models.bundle.model_card import write_model_card
 from models.plant.plant import Plant
 from models.predictor.document import PredictorsDocument, summary_of, write_predictors
 from models.predictor.fallback import LAG_TICKS, Fallback
 from models.predictor.guarded_tip import GuardedTip
-from models.predictor.onnx_graphs import Array, to_onnx
+from models.predictor.onnx_graphs import OUTPUTS, Array, to_onnx
 from models.predictor.polynomials import GuardedPredictor, Polynomial
 from models.predictor.training import TipTraining
 from models.study.document import StudyDocument, write_study
@@ -60,15 +59,11 @@ def _holds_bundle(directory: Path) -> bool:
 
 @contextlib.contextmanager
 def replaced_bundle(directory: Path) -> Iterator[Path]:
-    """Directory to write a bundle to; it replaces an old one if the body succeeds.
-
-    If the body fails, nothing changes. Yields an empty directory on the same file system, which
-    only this process uses.
-    """
+    """Empty directory whose files replace those of an old bundle if the body succeeds."""
     check_bundle_directory(directory)
     directory = directory.resolve()
     directory.parent.mkdir(parents=True, exist_ok=True)
-    place = directory if directory.exists() and not _is_beside(directory) else directory.parent
+    place = directory if directory.exists() else directory.parent  # on the same file system
     with tempfile.TemporaryDirectory(
         prefix=f".{directory.name}.", dir=place, ignore_cleanup_errors=True
     ) as scratch:
@@ -83,12 +78,6 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
                 (fresh / name).replace(directory / name)
             else:
                 (directory / name).unlink(missing_ok=True)
-
-
-def _is_beside(directory: Path) -> bool:
-    """Whether files next to a directory can be moved into it, because it is not a mount."""
-    parent = directory.parent
-    return os.access(parent, os.W_OK) and parent.stat().st_dev == directory.stat().st_dev
 
 
 GATE_POINTS: Final = 10_000
@@ -116,29 +105,21 @@ def write_bundle(
     """Write a bundle, complete or not at all; the same results give the same bytes.
 
     Its estimator is the lagged regressor, until `dropstitch fmu build --unit observer` adds the
-    observer that the predictor was trained with. The files of an old bundle in `directory` are
-    replaced, others are kept; a directory of anything else is refused.
-
-    `fallback`: predictor for a robot without the observer. `tip`: the robot's predictor; without
-    it the fallback's polynomial is the robot's predictor, too. `study`: written as `study.json`.
-
-    Returns the largest differences at the parity gate: `tip_m`, `half_width_m`.
+    observer that the predictor was trained with. Without `tip` the fallback's polynomial is the
+    robot's predictor, too. Returns the largest differences at the parity gate.
     """
     with replaced_bundle(directory) as fresh:
         manifest = _manifest(plant, fallback, tip, study)
         polynomial = fresh / (POLYNOMIAL if tip else PREDICTOR)
-        names = feature_names(manifest.dof)
-        lower, upper = fallback.predictor.lower.tolist(), fallback.predictor.upper.tolist()
-        ranges = list(map(InputRange, names, lower, upper))
+        box = fallback.predictor.polynomial
+        lower, upper = box.lower.tolist(), box.upper.tolist()
+        ranges = list(map(InputRange, feature_names(manifest.dof), lower, upper))
         features = fallback.samples.features("observer")
         facts = _facts(manifest, ranges) | {"degree": manifest.degree}
-        onnx.save(to_onnx(fallback.predictor, len(names), facts), polynomial)
-        parity = check_parity(polynomial, fallback.predictor, features, manifest.dof)
+        parity = _write_predictor(polynomial, fallback.predictor, facts, features)
         if tip:
             facts = _facts(manifest, tip.predictor.ranges()) | {"predictor": manifest.predictor}
-            onnx.save(to_onnx(tip.predictor, len(tip.rows.names), facts), fresh / PREDICTOR)
-            inputs = tip.rows.inputs
-            parity = check_parity(fresh / PREDICTOR, tip.predictor, inputs, manifest.dof)
+            parity = _write_predictor(fresh / PREDICTOR, tip.predictor, facts, tip.rows.inputs)
             write_predictors(fresh / "predictors.json", tip.document)
         if study:
             write_study(fresh / "study.json", study)
@@ -150,10 +131,21 @@ def write_bundle(
         return parity
 
 
+def _write_predictor(
+    path: Path, predictor: GuardedPredictor | GuardedTip, facts: Mapping[str, Any], features: Array
+) -> dict[str, float]:
+    onnx.save(to_onnx(predictor.write_graph, features.shape[1], facts), path)
+    return check_parity(path, predictor, features)
+
+
 def _write_lagged(path: Path, fallback: Fallback, manifest: Manifest) -> LaggedEstimator:
+    lagged = fallback.lagged
     facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
-    inputs = len(fallback.lagged.lower)
-    onnx.save(to_onnx(fallback.lagged, inputs, facts, "lagged", {"di": 1}), path)
+    graph = to_onnx(
+        lambda graph, source: lagged.write(graph, source, "di_of", "di"),
+        len(lagged.lower), facts, "lagged", {"di": 1},
+    )  # fmt: skip
+    onnx.save(graph, path)
     return LaggedEstimator(path, LAG_TICKS, manifest.dof)
 
 
@@ -170,32 +162,29 @@ def _write_golden(
 
 
 def check_parity(
-    path: Path, predictor: GuardedPredictor | GuardedTip, features: Array, dof: int
+    path: Path, predictor: GuardedPredictor | GuardedTip, features: Array
 ) -> dict[str, float]:
     """Compare the graph with scikit-learn on 10,000 points of the training hull.
 
     A point of the hull is a random convex combination of n + 1 training rows, with n the number of
     features. Returns the largest absolute difference of `tip_m` and `half_width_m`, in m.
-
-    Shapes: `features` (rows, n).
     """
     rng = np.random.default_rng(0)
     corners = rng.integers(len(features), size=(GATE_POINTS, features.shape[1] + 1))
     weights = rng.dirichlet(np.ones(corners.shape[1]), size=GATE_POINTS)
     points = np.einsum("kc,kcn->kn", weights, features[corners])
-    graph = OnnxPredictor(path, dof)
-    tip_m, half_width_m = np.empty((GATE_POINTS, 3)), np.empty((GATE_POINTS, 3))
-    in_range = np.empty(GATE_POINTS, dtype=bool)
-    for k, point in enumerate(points):
-        measured, observed = point[: 2 * dof + 1], point[2 * dof + 1 :]
-        age_s, signals = observed[:1].sum(), observed[1:]
-        answer = graph.predict(measured[:dof], measured[dof:-1], measured[-1], signals, age_s)
-        tip_m[k], half_width_m[k], in_range[k] = answer.tip_m, answer.half_width_m, answer.in_range
+    graph, answers = OnnxGraph(path, features.shape[1], tuple(OUTPUTS.items())), []
+    for point in points:
+        graph.row[:] = point
+        graph.run()
+        answers.append(np.concatenate(graph.results))
+    tip_m, in_range, half_width_m = np.split(np.array(answers), [3, 4], axis=1)
     worst = {
         "tip_m": float(np.abs(tip_m - predictor.predict(points)).max()),
         "half_width_m": float(np.abs(half_width_m - predictor.half_width(points)).max()),
     }
-    if max(worst.values()) > GATE_M or not np.array_equal(in_range, predictor.in_range(points)):
+    alike = np.array_equal(in_range[:, 0] > 0.5, predictor.in_range(points))
+    if max(worst.values()) > GATE_M or not alike:
         raise ParityError(
             f"the graph differs from scikit-learn by {worst['tip_m']:.1e} m (tip) and "
             f"{worst['half_width_m']:.1e} m (half width), more than {GATE_M:g} m: no bundle written"
@@ -206,15 +195,14 @@ def check_parity(
 def _manifest(
     plant: Plant, fallback: Fallback, tip: TipTraining | None, study: StudyDocument | None
 ) -> Manifest:
-    samples, predictor = fallback.samples, fallback.predictor
+    samples, box = fallback.samples, fallback.predictor.polynomial
     data = summary_of(samples.trials)
     dof = samples.trials[0].meta.dof
     names = feature_names(dof)
-    features = (
-        _quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
-        if tip
-        else _quantities(names, predictor.lower, predictor.upper)
-    )
+    if tip:
+        features = _quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
+    else:
+        features = _quantities(names, box.lower, box.upper)
     return Manifest(
         dof=dof,
         period_s=data.step_s,
@@ -229,8 +217,8 @@ def _manifest(
         metrics=(_study_metrics(study) if study else {})
         | (_tip_metrics(tip.document) if tip else {}),
         coefficients={
-            monomial(exponents, names): tuple(float(v) for v in beta)
-            for exponents, beta in Polynomial.of(predictor.pipeline).in_si_units().items()
+            monomial(exponents, names): tuple(beta.tolist())
+            for exponents, beta in Polynomial.of(box.pipeline).in_si_units().items()
         },
         predictor=tip.document.chosen if tip else "",
         servo_gains=plant.provenance.servo_gains[:dof],
@@ -247,11 +235,11 @@ def _quantities(names: Sequence[str], low: Array, high: Array) -> tuple[Quantity
 
 def _facts(manifest: Manifest, ranges: Sequence[InputRange]) -> dict[str, Any]:
     """Facts that a predictor's graph stores about itself."""
-    features = [
-        {"name": r.name, "unit": unit_of(r.name) or "1"} | msgspec.to_builtins(r) for r in ranges
-    ]
     return {
-        "features": features,
+        "features": [
+            {"name": r.name, "unit": unit_of(r.name) or "1"} | msgspec.to_builtins(r)
+            for r in ranges
+        ],
         "outputs": msgspec.to_builtins(manifest.outputs),
         "in_range": "1 where the prediction may be trusted, else 0 (also where an input is NaN)",
         "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
@@ -266,23 +254,27 @@ def _tip_metrics(document: PredictorsDocument) -> dict[str, float]:
     chosen = document.candidates[document.chosen]
     metrics = {"predictor_left_out_mean_euclidean_distance_m": chosen.nested.mean_m}
     for name, parts in chosen.tests.items():
-        metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
-        metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
-        metrics[f"predictor_{name}_interval_coverage_least_axis"] = parts["all"].coverage_least
+        metrics |= {
+            f"predictor_{name}_mean_euclidean_distance_m": parts["all"].mean_m,
+            f"predictor_{name}_interval_coverage": parts["all"].coverage,
+            f"predictor_{name}_interval_coverage_least_axis": parts["all"].coverage_least,
+        }
     return metrics
 
 
 def _study_metrics(study: StudyDocument) -> dict[str, float]:
     """Held-out figures of the fallback, by test."""
     degree = str(study.chosen_degree)
-    metrics = {}
+    metrics: dict[str, float] = {}
     for name, table in study.mean_euclidean_distance_m.items():
         pooled, deployed = table["pooled"], study.deployed[name]
-        metrics[f"{name}_mean_euclidean_distance_m"] = deployed.mean_euclidean_distance_m
-        metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
-        metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
-        metrics[f"{name}_r2_di"] = study.estimators[name]["observer"].r2_di
-        metrics[f"{name}_interval_coverage"] = deployed.interval_coverage_mean
+        metrics |= {
+            f"{name}_mean_euclidean_distance_m": deployed.mean_euclidean_distance_m,
+            f"{name}_with_true_di_m": pooled["with_di"][degree],
+            f"{name}_without_di_m": pooled["without_di"][degree],
+            f"{name}_r2_di": study.estimators[name]["observer"].r2_di,
+            f"{name}_interval_coverage": deployed.interval_coverage_mean,
+        }
     return metrics
 
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from firmware_py.inference.predictor import TRUSTED_M, InputRange
 from firmware_py.signals import AGE
 from models.predictor.candidates import TipPredictor
-from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, sum_of_squares
+from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, sums_of_squares
 from models.predictor.observed_trials import TipRows
 from models.predictor.onnx_graphs import Array, GraphWriter, evaluate
 
@@ -48,14 +48,11 @@ class GuardedTip:
     interval: TipInterval  # Calibrated on rows that were left out
     lower: Array  # (inputs,), range of every input in the training rows
     upper: Array
-    innovation_a: (
-        Array  # (dof,), innovation above which the interval of moving joints is too narrow
-    )
+    innovation_a: Array  # (dof,), bound above which the interval of moving joints is too narrow
 
     @classmethod
     def of(cls, rows: TipRows, predictor: TipPredictor, interval: TipInterval) -> GuardedTip:
         """Guard a fitted predictor by the range of its training rows."""
-        lower, upper = rows.inputs.min(axis=0), rows.inputs.max(axis=0)
         rates = rows.of(joint_inputs(rows.names, "joint_rate"))
         moving = (rates**2).sum(axis=1) > STANDING_RAD_S**2
         innovation_a = rows.of(joint_inputs(rows.names, "innovation"))[moving]
@@ -64,6 +61,7 @@ class GuardedTip:
             if moving.any()
             else np.full(rows.dof, np.sqrt(NO_BOUND))
         )
+        lower, upper = rows.inputs.min(axis=0), rows.inputs.max(axis=0)
         return cls(rows.names, predictor, interval, lower, upper, bound_a)
 
     def predict(self, inputs: Array) -> Array:
@@ -76,15 +74,7 @@ class GuardedTip:
 
     def in_range(self, inputs: Array) -> NDArray[np.bool_]:
         """Whether the prediction may be trusted, shape (n,)."""
-
-        def write(graph: GraphWriter, source: str) -> str:
-            return self._write_in_range(graph, source, self._write_half_width(graph, source))
-
-        return evaluate(write, inputs)[:, 0] > 0.5
-
-    def innovation_exceeded(self, inputs: Array) -> NDArray[np.bool_]:
-        """Where joints move and an innovation exceeds its bound, shape (n,)."""
-        return evaluate(self._write_exceeded, inputs)[:, 0] > 0.5
+        return evaluate(self._write_in_range, inputs)[:, 0] > 0.5
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds outside which an input is out of range, (inputs,) each.
@@ -104,51 +94,49 @@ class GuardedTip:
     def ranges(self) -> list[InputRange]:
         """Range of each input in the training rows, and the bounds of the guard, for the robot."""
         innovations = joint_inputs(self.names, "innovation")
-        ranges = []
-        for name, low, high, least, most in zip(
-            self.names, self.lower, self.upper, *self.bounds(), strict=True
-        ):
-            bounds: tuple[float | None, float | None] = (float(least), float(most))
-            if name in innovations:
-                bounds = (None, float(self.innovation_a[innovations.index(name)]))
-            elif most == NO_BOUND:
-                bounds = (None, None)
-            ranges.append(InputRange(name, float(low), float(high), bounds))
-        return ranges
+        innovation_a = dict(zip(innovations, self.innovation_a.tolist(), strict=True))
+        rows = np.column_stack([self.lower, self.upper, *self.bounds()]).tolist()
+        return [
+            InputRange(
+                name,
+                low,
+                high,
+                (None, innovation_a.get(name)) if most == NO_BOUND else (least, most),
+            )
+            for name, (low, high, least, most) in zip(self.names, rows, strict=True)
+        ]
 
     def write_graph(self, graph: GraphWriter, source: str) -> None:
         """Write `tip_m`, `half_width_m` and `in_range`."""
         self.predictor.write(graph, source, "tip_m")
-        half_width = self._write_half_width(graph, source, "half_width_m")
-        self._write_in_range(graph, source, half_width, "in_range")
+        self._write_in_range(graph, source, ("half_width_m", "in_range"))
 
     def _write_half_width(self, graph: GraphWriter, source: str, output: str | None = None) -> str:
-        usual = self.interval.write(graph, source)
-        exceeded = self._write_exceeded(graph, source)
-        widening = graph.constant("widening", np.full((1, 3), TRUSTED_M))
-        widening = graph.temporary("MatMul", [exceeded, widening], "widening")
-        return graph.node("Add", [usual, widening], output or graph.unique("half_width"))
-
-    def _write_exceeded(self, graph: GraphWriter, source: str) -> str:
-        """Write 1.0 where joints move and an innovation exceeds its bound, else 0.0."""
+        """Write the interval, wider by 15 mm where joints move and an innovation is too large."""
         innovations = joint_inputs(self.names, "innovation")
         groups = [*([name] for name in innovations), joint_inputs(self.names, "joint_rate")]
-        sums = graph.constant("bounded_sums", sum_of_squares(self.names, groups))
-        square = graph.temporary("Mul", [source, source], "bounded")
-        total = graph.temporary("MatMul", [square, sums], "bounded_total")
+        square = graph.temporary("Mul", [source, source], "square")
+        total = graph.temporary("MatMul", [square, sums_of_squares(self.names, groups)], "total")
         above = graph.bits(total, np.append(self.innovation_a, STANDING_RAD_S) ** 2, "above")
         # The sum exceeds dof only with the moving bit and at least one other.
         dof = len(innovations)
-        votes = graph.constant("above_votes", np.array([[1.0]] * dof + [[float(dof)]]))
+        votes = np.array([[1.0]] * dof + [[float(dof)]])
         count = graph.temporary("MatMul", [above, votes], "above_count")
-        return graph.bits(count, np.array([dof + 0.5]), "exceeded")
+        exceeded = graph.bits(count, np.array([dof + 0.5]), "exceeded")
+        widening = graph.temporary("MatMul", [exceeded, np.full((1, 3), TRUSTED_M)], "widening")
+        usual = self.interval.write(graph, source)
+        return graph.node("Add", [usual, widening], output or graph.unique("half_width"))
 
     def _write_in_range(
-        self, graph: GraphWriter, source: str, half_width: str, output: str | None = None
+        self,
+        graph: GraphWriter,
+        source: str,
+        outputs: tuple[str, str] | tuple[None, None] = (None, None),
     ) -> str:
+        """Write the half width and, from it, whether the prediction is in range."""
+        half_width = self._write_half_width(graph, source, outputs[0])
         _, inside = graph.inside(source, *self.bounds())
         wide = graph.bits(half_width, np.full(3, TRUSTED_M), "wide")
-        doubts = graph.constant("doubts", -np.ones((3, 1)))
-        doubts = graph.temporary("MatMul", [wide, doubts], "doubts")
+        doubts = graph.temporary("MatMul", [wide, -np.ones((3, 1))], "doubts")
         votes = graph.temporary("Add", [inside, doubts], "votes")
-        return graph.bits(votes, np.array([len(self.names) - 0.5]), "trusted", output)
+        return graph.bits(votes, np.array([len(self.names) - 0.5]), "trusted", outputs[1])

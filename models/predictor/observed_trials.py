@@ -26,8 +26,7 @@ WRONG_STIFFNESS: Final = (0.8, 1.2)
 largest error of a plant that must be detected."""
 ASKEW_RAD: Final = 0.005
 """Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip [assumed] for a link that is taken off and mounted again by hand. `train --askew-deg`
-sets another; 0 ignores this error, which the servos cannot measure."""
+the tip [assumed] for a link that is taken off and mounted again by hand."""
 
 
 class ObservedTrial(NamedTuple):
@@ -49,8 +48,7 @@ def observe(
     p: Array = model.parameter_values(changes)
     for trial in trials:
         y = observer.simulate(model_inputs(model, trial), trial.step_s, p)[1:]
-        signals = dict(zip(names(model.outputs), np.ascontiguousarray(y.T), strict=True))
-        observed.append(ObservedTrial(trial, signals))
+        observed.append(ObservedTrial(trial, dict(zip(names(model.outputs), y.T, strict=True))))
     return observed
 
 
@@ -80,11 +78,9 @@ class TipRows:
         return len(self.run)
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Indices of input columns by name."""
         return [self.names.index(name) for name in names]
 
     def of(self, names: Sequence[str]) -> Array:
-        """Input columns by name, shape (n, len(names))."""
         return self.inputs[:, self.columns(names)]
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> TipRows:
@@ -99,7 +95,6 @@ class TipRows:
 
     @property
     def observer_tip_m(self) -> Array:
-        """Tip of the observer, shape (n, 3)."""
         return self.of(tip_names())
 
 
@@ -126,7 +121,7 @@ def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
     return TipRows(names, *map(np.concatenate, zip(*parts, strict=True)))
 
 
-def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
+def askew_shifts_m(rows: TipRows, askew_rad: float) -> list[Array]:
     """Shift of the tip of a link that is mounted askew, (n, 3) each; empty for an angle of zero.
 
     One shift for either direction in the plane of each joint.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,17 +75,21 @@ def train_tip(
 
     `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
     """
-    rows = collect_rows(observe(observer, training))
-    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
-    wrong = {factor: changes for factor, changes in changed.items() if changes}
-    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
+
+    def rows_of(trials: Sequence[Trial], changes: Mapping[str, float] | None = None) -> TipRows:
+        return collect_rows(observe(observer, trials, changes))
+
+    rows = rows_of(training)
+    wrong = {
+        f"stiffness_x_{factor:g}": changes
+        for factor in WRONG_STIFFNESS
+        if (changes := wrong_stiffness(observer.model, factor))
+    }
+    disturbed = [rows_of(training, changes) for changes in wrong.values()]
     chosen, results = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
-    tested = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
+    tested = {name: rows_of(trials) for name, trials in tests.items()}
     if together := [trial for trials in tests.values() for trial in trials]:
-        tested |= {
-            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
-            for factor, changes in wrong.items()
-        }
+        tested |= {name: rows_of(together, changes) for name, changes in wrong.items()}
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
         dof=rows.dof,
@@ -96,8 +100,7 @@ def train_tip(
         payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
         askew_rad=askew_rad,
         candidates={result.candidate.name: _entry(result, tested) for result in results},
-        data={"training": summary_of(training)}
-        | {name: summary_of(trials) for name, trials in tests.items()},
+        data={name: summary_of(trials) for name, trials in {"training": training, **tests}.items()},
         out_of_range={
             name: range_reasons(chosen.predictor, rows.inputs) for name, rows in tested.items()
         },
@@ -126,8 +129,7 @@ def choose_tip_predictor(
 ) -> tuple[CandidateResult, list[CandidateResult]]:
     """Compare candidates, simplest first, and fit each on all rows; return the best, and all.
 
-    `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
-    by which the link may be mounted askew, which the interval covers.
+    `disturbed`: the same rows with observers of wrong plants, for the interval.
     """
     few = rows.take(slice(None, None, STRIDE))
     others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
@@ -149,20 +151,21 @@ def choose_tip_predictor(
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
     """One fold for each payload and each motion that it leaves out.
 
-    With one payload and one motion, trials are left out. `most`: largest number of groups of
-    payloads; neighbours are in different groups.
+    With one payload and one motion, trials are left out; one trial is trained and tested on whole.
+    `most`: largest number of groups of payloads; neighbours are in different groups.
     """
     payload = np.unique(rows.payload_kg, return_inverse=True)[1]
-    folds = [
-        (np.flatnonzero(groups != value), np.flatnonzero(groups == value))
-        for groups in (payload % most if most else payload, rows.motion)
-        for value in np.unique(groups)
-    ]
-    folds = [fold for fold in folds if len(fold[0])] or [
-        (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
-        for run in np.unique(rows.run)
-    ]
-    return [fold for fold in folds if len(fold[0])] or [(np.arange(len(rows)),) * 2]
+
+    def left_out(*groupings: NDArray[Any]) -> list[Fold]:
+        return [
+            (np.flatnonzero(groups != value), np.flatnonzero(groups == value))
+            for groups in groupings
+            for value in np.unique(groups)
+            if (groups != value).any()
+        ]
+
+    folds = left_out(payload % most if most else payload, rows.motion) or left_out(rows.run)
+    return folds or [(np.arange(len(rows)),) * 2]
 
 
 def _nested(
@@ -176,43 +179,43 @@ def _nested(
     folds, fitted = group_folds(rows), []
     total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 1))
     for train, test in folds:
-        seen = rows.take(train)
-        fitted.append(candidate(_best_variant(candidate, seen)).fit(seen))
+        trained = rows.take(train)
+        fitted.append(candidate(_best_variant(candidate, trained)).fit(trained))
         total[test] += rows.tip_m[test] - fitted[-1].predict(rows.inputs[test])
         count[test] += 1
     left_out_m = total / count
     parts = []
     for (train, test), predictor in zip(folds, fitted, strict=True):
-        seen = rows.take(train)
+        trained = rows.take(train)
         wrong = [other.take(train) for other in disturbed]
-        interval = _interval(predictor, seen, left_out_m[train], wrong, askew_rad)
-        parts.append(_answers(GuardedTip.of(seen, predictor, interval), rows.take(test)))
-    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return _score(error_m, half_width_m, in_range, rows.dof), left_out_m
+        interval = _interval(predictor, trained, left_out_m[train], wrong, askew_rad)
+        parts.append(_answers(GuardedTip.of(trained, predictor, interval), rows.take(test)))
+    answers = [np.concatenate(of_folds) for of_folds in zip(*parts, strict=True)]
+    return _score(rows.dof, *answers), left_out_m
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
-    """Variant with the least mean error on held-out rows; a simpler one if it hardly differs."""
-    first, *others = candidate.variants
+    """Variant with the least mean error on rows left out; a simpler one if it hardly differs."""
+    best, *others = candidate.variants
     if not others:
-        return first
+        return best
     folds = group_folds(rows, INNER_GROUPS)
-    best, least_m = first, _mean_error_m(candidate(first), rows, folds)
+
+    def mean_error_m(variant: int) -> float:
+        predictor, distances_m = candidate(variant), []
+        for train, test in folds:
+            predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
+            distances_m.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
+        return float(np.mean(np.concatenate(distances_m)))
+
+    least_m = mean_error_m(best)
     for variant in others:
-        mean_m = _mean_error_m(candidate(variant), rows, folds)
+        mean_m = mean_error_m(variant)
         if mean_m > WORSE * least_m:
             break
         if mean_m < (1.0 - TOLERANCE) * least_m:
             best, least_m = variant, mean_m
     return best
-
-
-def _mean_error_m(predictor: TipPredictor, rows: TipRows, folds: Sequence[Fold]) -> float:
-    distances = []
-    for train, test in folds:
-        predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
-        distances.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
-    return float(np.mean(np.concatenate(distances)))
 
 
 def _interval(
@@ -233,7 +236,7 @@ def _answers(predictor: GuardedTip, rows: TipRows) -> tuple[Array, Array, NDArra
     return error_m, predictor.half_width(rows.inputs), predictor.in_range(rows.inputs)
 
 
-def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
+def _score(dof: int, error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_]) -> TipScore:
     coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
     distance_m = np.linalg.norm(error_m, axis=1)
     return TipScore(
@@ -250,23 +253,21 @@ def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof
 
 
 def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
-    graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
+    predictor = result.predictor
+    graph = to_onnx(predictor.write_graph, len(predictor.names)).SerializeToString()
+
+    def scores(rows: TipRows) -> dict[str, TipScore]:
+        parts = {"all": rows} | {k: rows.take(rows.part == k) for k in ("rest", "motion")}
+        return {k: _score(rows.dof, *_answers(predictor, v)) for k, v in parts.items() if len(v)}
+
     return CandidateEntry(
         summary=result.candidate.summary,
         variant=result.variant,
         nested=result.nested,
-        tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
+        tests={name: scores(rows) for name, rows in tests.items()},
         graph_bytes=len(graph),
         latency=graph_latency(graph),
     )
-
-
-def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
-    (error_m, half_width_m, in_range), scores = _answers(predictor, rows), {}
-    for part in ("all", "rest", "motion"):
-        if (k := (rows.part == part) | (part == "all")).any():
-            scores[part] = _score(error_m[k], half_width_m[k], in_range[k], rows.dof)
-    return scores
 
 
 def range_reasons(predictor: GuardedTip, inputs: Array) -> RangeReasons:
