@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import importlib.metadata
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -44,17 +44,14 @@ _KEYS: Final = frozenset({"training_data_sha256", "plant_sha256", "files"})
 
 def check_bundle_directory(directory: Path) -> None:
     """Refuse a directory that is not empty and holds no bundle."""
-    occupied = directory.exists() and (not directory.is_dir() or any(directory.iterdir()))
-    if occupied and not _holds_bundle(directory):
-        raise InputError(directory, "exists and is not a bundle", "choose another --out")
-
-
-def _holds_bundle(directory: Path) -> bool:
+    if not directory.exists() or (directory.is_dir() and not any(directory.iterdir())):
+        return
     try:
         manifest = read_json(directory / MANIFEST, "train the bundle again")
     except InputError:
-        return False
-    return isinstance(manifest, dict) and manifest.keys() >= _KEYS
+        manifest = None
+    if not isinstance(manifest, dict) or not manifest.keys() >= _KEYS:
+        raise InputError(directory, "exists and is not a bundle", "choose another --out")
 
 
 @contextlib.contextmanager
@@ -110,43 +107,31 @@ def write_bundle(
     """
     with replaced_bundle(directory) as fresh:
         manifest = _manifest(plant, fallback, tip, study)
+        box, names = fallback.predictor.polynomial, feature_names(manifest.dof)
+        ranges = list(map(InputRange, names, box.lower.tolist(), box.upper.tolist()))
         polynomial = fresh / (POLYNOMIAL if tip else PREDICTOR)
-        box = fallback.predictor.polynomial
-        lower, upper = box.lower.tolist(), box.upper.tolist()
-        ranges = list(map(InputRange, feature_names(manifest.dof), lower, upper))
-        features = fallback.samples.features("observer")
         facts = _facts(manifest, ranges) | {"degree": manifest.degree}
-        parity = _write_predictor(polynomial, fallback.predictor, facts, features)
+        onnx.save(to_onnx(fallback.predictor.write_graph, len(names), facts), polynomial)
+        features = fallback.samples.features("observer")
+        parity = check_parity(polynomial, fallback.predictor, features)
         if tip:
             facts = _facts(manifest, tip.predictor.ranges()) | {"predictor": manifest.predictor}
-            parity = _write_predictor(fresh / PREDICTOR, tip.predictor, facts, tip.rows.inputs)
+            graph = to_onnx(tip.predictor.write_graph, len(tip.rows.names), facts)
+            onnx.save(graph, fresh / PREDICTOR)
+            parity = check_parity(fresh / PREDICTOR, tip.predictor, tip.rows.inputs)
             write_predictors(fresh / "predictors.json", tip.document)
         if study:
             write_study(fresh / "study.json", study)
         plant.for_robot().write(fresh / "plant.json")
-        lagged = _write_lagged(fresh / "lagged.onnx", fallback, manifest)
+        facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
+        width = len(fallback.lagged.lower)
+        graph = to_onnx(fallback.write_lagged, width, facts, "lagged", {"di": 1})
+        onnx.save(graph, fresh / "lagged.onnx")
+        lagged = LaggedEstimator(fresh / "lagged.onnx", LAG_TICKS, manifest.dof)
         _write_golden(fresh / GOLDEN, fallback, lagged, OnnxPredictor(polynomial, manifest.dof))
         write_model_card(fresh, manifest, tip.document if tip else None)
         write_manifest(fresh, manifest)
         return parity
-
-
-def _write_predictor(
-    path: Path, predictor: GuardedPredictor | GuardedTip, facts: Mapping[str, Any], features: Array
-) -> dict[str, float]:
-    onnx.save(to_onnx(predictor.write_graph, features.shape[1], facts), path)
-    return check_parity(path, predictor, features)
-
-
-def _write_lagged(path: Path, fallback: Fallback, manifest: Manifest) -> LaggedEstimator:
-    lagged = fallback.lagged
-    facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
-    graph = to_onnx(
-        lambda graph, source: lagged.write(graph, source, "di_of", "di"),
-        len(lagged.lower), facts, "lagged", {"di": 1},
-    )  # fmt: skip
-    onnx.save(graph, path)
-    return LaggedEstimator(path, LAG_TICKS, manifest.dof)
 
 
 def _write_golden(
@@ -199,16 +184,15 @@ def _manifest(
     data = summary_of(samples.trials)
     dof = samples.trials[0].meta.dof
     names = feature_names(dof)
-    if tip:
-        features = _quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
-    else:
-        features = _quantities(names, box.lower, box.upper)
+    coefficients = Polynomial.of(box.pipeline).in_si_units()
     return Manifest(
         dof=dof,
         period_s=data.step_s,
         degree=fallback.degree,
         estimator="lagged",
-        features=features,
+        features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
+        if tip
+        else _quantities(names, box.lower, box.upper),
         outputs=_quantities(tip_names(), samples.tip_m.min(axis=0), samples.tip_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
         training_data_sha256=data.sha256,
@@ -216,10 +200,7 @@ def _manifest(
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=(_study_metrics(study) if study else {})
         | (_tip_metrics(tip.document) if tip else {}),
-        coefficients={
-            monomial(exponents, names): tuple(beta.tolist())
-            for exponents, beta in Polynomial.of(box.pipeline).in_si_units().items()
-        },
+        coefficients={monomial(k, names): tuple(beta.tolist()) for k, beta in coefficients.items()},
         predictor=tip.document.chosen if tip else "",
         servo_gains=plant.provenance.servo_gains[:dof],
         files={},
@@ -280,9 +261,5 @@ def _study_metrics(study: StudyDocument) -> dict[str, float]:
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
     """Monomial of features as text, like "1" or "angle_1_rad^2 di"."""
-    factors = [
-        name if power == 1 else f"{name}^{power}"
-        for name, power in zip(names, exponents, strict=True)
-        if power
-    ]
-    return " ".join(factors) or "1"
+    powers = zip(names, exponents, strict=True)
+    return " ".join(n if k == 1 else f"{n}^{k}" for n, k in powers if k) or "1"

@@ -2,7 +2,7 @@
 
 By default the robot gets the observer's tip with an interval that is calibrated on payloads and
 motions left out of training. --compare also trains the other candidates (polynomials, boosted
-trees, a perceptron), and the robot gets the best of them; --candidate adds one of your own. --study
+trees, a perceptron), and the robot gets the best of them; --candidate adds yours. --study
 writes study.json: the paper's tables and findings on these trials.
 
 Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)
@@ -73,7 +73,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add(
         "--candidate", type=Path, action="append", default=[], metavar="FILE.py",
-        help="compare a candidate of one's own, too; the file is run; repeatable",
+        help="compare your candidate, too; the file is run; repeatable",
     )  # fmt: skip
     add("--study", action="store_true", help="write the paper's study of these trials, study.json")
     add(

@@ -1,8 +1,8 @@
-"""Candidates for the robot's tip predictor, and the interface of your own one.
+"""Candidates for the robot's tip predictor, and the interface of yours.
 
-Every candidate is the tip from what the observer and the servos tell. Two of them are polynomials
-of their inputs; the others are the observer's tip with a correction: none, a polynomial, boosted
-trees or a perceptron of the signed motion and the payload.
+Every candidate is the tip from the signals of the observer and the servos. Two of them are
+polynomials of their inputs; the others are the observer's tip with a correction: none, a
+polynomial, boosted trees or a perceptron of the signed motion and the payload.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPRegressor
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_text
 from firmware_py.signals import PAYLOAD, feature_names, tip_names
 from models.predictor.observed_trials import TipRows
 from models.predictor.onnx_graphs import Array, GraphWriter
-from models.predictor.polynomials import ClippedPolynomial
+from models.predictor.polynomials import ClippedPolynomial, predict
 
 
 class TipPredictor(Protocol):
@@ -155,7 +157,7 @@ class _Learned:
 
 class ObserverTip(_Learned):
     name: ClassVar = "observer"
-    summary: ClassVar = "the observer's own tip, without a correction"
+    summary: ClassVar = "the observer's tip, without a correction"
     variants: ClassVar[tuple[int, ...]] = (0,)
 
 
@@ -287,39 +289,36 @@ CORRECTION_M: Final = 1e-3
 """Unit of the fitted correction."""
 
 
-class _Net:
+class _Net(NamedTuple):
     """One hidden layer of tanh on standardised inputs, which are clipped to the training box."""
 
-    def __init__(self, width: int, features: Array) -> None:
-        self._lower, self._upper = features.min(axis=0), features.max(axis=0)
-        self._offset, self._scale = features.mean(axis=0), features.std(axis=0) + 1e-12
-        self._net = MLPRegressor(
-            hidden_layer_sizes=(width,), activation="tanh", solver="lbfgs", alpha=PENALTY,
-            max_iter=PERCEPTRON_ITERATIONS, random_state=0,
-        )  # fmt: skip
+    lower: Array
+    upper: Array
+    pipeline: Pipeline
 
     @classmethod
     def fit(cls, width: int, features: Array, target_m: Array) -> _Net:
         count = len(features)
         rows = np.linspace(0, count - 1, min(PERCEPTRON_ROWS, count)).round().astype(int)
-        fitted = cls(width, features[rows])
+        net = MLPRegressor(
+            hidden_layer_sizes=(width,), activation="tanh", solver="lbfgs", alpha=PENALTY,
+            max_iter=PERCEPTRON_ITERATIONS, random_state=0,
+        )  # fmt: skip
+        pipeline = make_pipeline(StandardScaler(), net)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)  # the limit is a regularisation
-            fitted._net.fit(fitted._scaled(features[rows]), target_m[rows] / CORRECTION_M)
-        return fitted
-
-    def _scaled(self, features: Array) -> Array:
-        clipped = np.clip(features, self._lower, self._upper)
-        return np.asarray((clipped - self._offset) / self._scale)
+            pipeline.fit(features[rows], target_m[rows] / CORRECTION_M)
+        return cls(features[rows].min(axis=0), features[rows].max(axis=0), pipeline)
 
     def predict(self, features: Array) -> Array:
-        return np.asarray(CORRECTION_M * self._net.predict(self._scaled(features)))
+        return CORRECTION_M * predict(self.pipeline, np.clip(features, self.lower, self.upper))
 
     def write(self, graph: GraphWriter, source: str, stem: str) -> str:
-        (first, second), (bias, last) = self._net.coefs_, self._net.intercepts_
-        rows = first / self._scale[:, None]
-        clipped = graph.clipped(source, self._lower, self._upper)
-        hidden = graph.temporary("Gemm", [clipped, rows, bias - self._offset @ rows], "hidden")
+        scaler, net = (step for _, step in self.pipeline.steps)
+        (first, second), (bias, last) = net.coefs_, net.intercepts_
+        rows = first / scaler.scale_[:, None]
+        clipped = graph.clipped(source, self.lower, self.upper)
+        hidden = graph.temporary("Gemm", [clipped, rows, bias - scaler.mean_ @ rows], "hidden")
         active = graph.temporary("Tanh", [hidden], "active")
         return graph.temporary("Gemm", [active, CORRECTION_M * second, CORRECTION_M * last], stem)
 
@@ -341,7 +340,7 @@ CANDIDATES: Final[tuple[type[TipPredictor], ...]] = (
 """What `train --compare` compares, simplest first."""
 
 MEMBERS: Final = ("name", "summary", "variants", "fit", "predict", "write")
-REMEDY: Final = 'write it as docs/predictor/choice.md shows, "A predictor of one\'s own"'
+REMEDY: Final = 'write it as docs/predictor/choice.md shows, "Your predictor"'
 
 
 def load_candidate(path: Path, others: Sequence[type[TipPredictor]]) -> type[TipPredictor]:
@@ -354,17 +353,17 @@ def load_candidate(path: Path, others: Sequence[type[TipPredictor]]) -> type[Tip
     except Exception as error:
         cause = f"{type(error).__name__}: {error}"
         raise InputError(path, f"does not run ({cause})", REMEDY) from error
-    missing = {
-        value: [member for member in MEMBERS if not hasattr(value, member)]
+    classes = [
+        value
         for value in vars(module).values()
-        if isinstance(value, type) and value.__module__ == module.__name__
-    }
-    complete = [c for c in missing if not missing[c]]
-    if len(complete) != 1:
-        lacking = [f"{c.__name__} lacks {', '.join(names)}" for c, names in missing.items()]
-        reason = "not one" if complete else "; ".join(lacking) or "no class at all"
-        raise InputError(path, f"has {len(complete)} candidates, {reason}", REMEDY)
-    candidate = cast(type[TipPredictor], complete[0])
+        if isinstance(value, type)
+        and value.__module__ == module.__name__
+        and all(hasattr(value, member) for member in MEMBERS)
+    ]
+    if len(classes) != 1:
+        reason = f"has {len(classes)} classes with the members {', '.join(MEMBERS)}, not one"
+        raise InputError(path, reason, REMEDY)
+    candidate = cast(type[TipPredictor], classes[0])
     if candidate.name in {other.name for other in others}:
         raise InputError(path, f"names its candidate {candidate.name!r} as another is", REMEDY)
     if not candidate.variants:

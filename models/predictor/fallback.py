@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,17 +19,18 @@ from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut
 
 from firmware_py.errors import InputError
+from firmware_py.signals import tip_names
 from models.plant.simulation.runner import CompiledModel
-from models.predictor.observed_trials import ObservedTrial, observe
-from models.predictor.onnx_graphs import Array
+from models.predictor.observed_trials import observe
+from models.predictor.onnx_graphs import Array, GraphWriter
 from models.predictor.polynomials import (
     DEGREES,
     ClippedPolynomial,
     Fold,
     GuardedPredictor,
-    predict_held_out,
+    held_out_errors,
 )
-from models.predictor.validation import euclidean_distance_m
+from models.shared.kinematics import rigid_tip_m
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
@@ -68,21 +69,19 @@ class Samples:
     predictors are compared on the same rows.
     """
 
-    runs: tuple[ObservedTrial, ...]
-    used: tuple[NDArray[np.bool_], ...]  # Rows of each trial that are used
+    trials: tuple[Trial, ...]
     run: NDArray[np.intp]  # (n,), index of the trial
     time_s: Array  # (n,), time in the trial
     payload_kg: Array
     signals: Array  # (n, 2 * dof), angles and currents
     tip_m: Array  # (n, 3), end effector by motion capture
+    observer_tip_m: Array
+    rigid_tip_m: Array  # Of a link that does not bend
     di: dict[str, Array]  # (n,) each, DI by source
+    payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
     def __len__(self) -> int:
         return len(self.run)
-
-    @property
-    def trials(self) -> tuple[Trial, ...]:
-        return tuple(run.trial for run in self.runs)
 
     def features(self, source: Source) -> Array:
         """Inputs of a predictor: angles, currents and DI.
@@ -94,52 +93,49 @@ class Samples:
             return self.signals
         return np.column_stack([self.signals, self.di[source]])
 
-    def rows_of(self, arrays: Iterable[Array]) -> Array:
-        """Used rows of arrays, stacked; one array per trial, with one row per row of the trial."""
-        return _stack(arrays, self.used)
-
-
-def collect_samples(
-    trials: TrialSet, observer: CompiledModel, lagged: ClippedPolynomial
-) -> Samples:
-    """Moving rows of trials with the DI of every source, by payload, phase of joint 2 and name."""
-    runs = observe(observer, by_payload(trials))
-    used, true = [], [deformation_index(run.trial) for run in runs]
-    for (trial, _), di in zip(runs, true, strict=True):
-        rows = np.isfinite(di)
-        rows[: trial.meta.rest_samples] = False
-        if not rows.any():
-            raise InputError(
-                trial.path, "shows no marker while the link moves", "record the trial again"
-            )
-        used.append(rows)
-
-    def stacked(column: Callable[[Trial], Array]) -> Array:
-        return _stack((column(run.trial) for run in runs), used)
-
-    return Samples(
-        runs=tuple(runs),
-        used=tuple(used),
-        run=np.repeat(np.arange(len(runs)), [rows.sum() for rows in used]),
-        time_s=stacked(lambda t: t.time_s),
-        payload_kg=stacked(lambda t: np.full(len(t), t.meta.payload_kg)),
-        signals=stacked(lambda t: np.hstack([t.angle_rad, t.current_a])),
-        tip_m=stacked(lambda t: t.tip_m),
-        di={
-            "true": _stack(true, used),
-            "observer": _stack((run.signals["di"] for run in runs), used),
-            "lagged": stacked(lambda t: lagged.predict(lagged_features(t))[:, 0]),
-        },
-    )
-
 
 def by_payload(trials: Iterable[Trial]) -> tuple[Trial, ...]:
     """Trials in the order of tables and figures: by payload, phase of joint 2 and name."""
     return tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
 
 
-def _stack(arrays: Iterable[Array], used: Sequence[NDArray[np.bool_]]) -> Array:
-    return np.concatenate([a[rows] for a, rows in zip(arrays, used, strict=True)])
+def collect_samples(
+    trials: TrialSet, observer: CompiledModel, lagged: ClippedPolynomial
+) -> Samples:
+    """Moving rows of trials with the DI of every source."""
+    ordered, parts = by_payload(trials), []
+    runs = observe(observer, ordered)
+    for number, (t, observed) in enumerate(zip(ordered, runs, strict=True)):
+        di = deformation_index(t)
+        rows = np.isfinite(di)
+        rows[: t.meta.rest_samples] = False
+        if not rows.any():
+            raise InputError(
+                t.path, "shows no marker while the link moves", "record the trial again"
+            )
+        columns: dict[str, Array] = {
+            "run": np.full(len(t), number),
+            "time_s": t.time_s,
+            "payload_kg": np.full(len(t), t.meta.payload_kg),
+            "signals": np.hstack([t.angle_rad, t.current_a]),
+            "tip_m": t.tip_m,
+            "observer_tip_m": np.column_stack([observed[name] for name in tip_names()]),
+            "rigid_tip_m": rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m),
+            "true": di,
+            "observer": observed["di"],
+            "lagged": lagged.predict(lagged_features(t))[:, 0],
+        }
+        parts.append({name: column[rows] for name, column in columns.items()})
+    stacked: dict[str, Any] = {k: np.concatenate([part[k] for part in parts]) for k in parts[0]}
+    return Samples(
+        trials=ordered,
+        di={source: stacked.pop(source) for source in ("true", "observer", "lagged")},
+        payload_error_kg={
+            t.name: float(observed["payload_kg"][-1] - t.meta.payload_kg)
+            for t, observed in zip(ordered, runs, strict=True)
+        },
+        **stacked,
+    )
 
 
 Folds = dict[str, list[Fold]]
@@ -156,6 +152,10 @@ class Fallback:
     samples: Samples
     folds: Folds
     observer: CompiledModel  # Observer that estimated the DI
+
+    def write_lagged(self, graph: GraphWriter, source: str) -> None:
+        """Write `di`, the result of `lagged.onnx`."""
+        self.lagged.write(graph, source, "di_of", "di")
 
     def r2_of_di(self, tests: Mapping[str, TrialSet]) -> dict[str, float]:
         """R² of the observer's DI on each test; negative if worse than the mean of the DI."""
@@ -195,23 +195,14 @@ def fit_fallback(
     chosen = folds.get("leave_one_payload_out", folds["blocks"])
     features, tip_m = samples.features("observer"), samples.tip_m
 
-    def error_m(degree: int) -> float:
-        return float(np.mean(np.concatenate(held_out_distances_m(degree, features, tip_m, chosen))))
+    def mean_distance_m(degree: int) -> float:
+        error_m = np.vstack(held_out_errors(degree, features, tip_m, chosen))
+        return float(np.linalg.norm(error_m, axis=1).mean())
 
-    degree = min(DEGREES, key=error_m)
+    degree = min(DEGREES, key=mean_distance_m)
     predictor = GuardedPredictor.fit(degree, features, tip_m, chosen)
     progress("fallback")
     return Fallback(predictor, lagged, degree, samples, folds, observer)
-
-
-def held_out_distances_m(
-    degree: int, features: Array, tip_m: Array, folds: Sequence[Fold]
-) -> list[Array]:
-    """Distance of every row that a fold leaves out, by fold."""
-    return [
-        euclidean_distance_m(tip_m[fold[1]], predict_held_out(degree, features, tip_m, fold))
-        for fold in folds
-    ]
 
 
 def _folds(samples: Samples) -> Folds:

@@ -175,10 +175,15 @@ class ClippedPolynomial:
         return Polynomial.of(self.pipeline).write(graph, clipped, stem, output)
 
 
-def predict_held_out(degree: int, features: Array, targets: Array, fold: Fold) -> Array:
-    """Fit on a fold's training rows and predict its test rows, (test rows, outputs)."""
-    train, test = fold
-    return ClippedPolynomial.fit(degree, features[train], targets[train]).predict(features[test])
+def held_out_errors(
+    degree: int, features: Array, targets: Array, folds: Iterable[Fold]
+) -> list[Array]:
+    """Error of every row that a fold leaves out, by fold, (test rows, outputs) each."""
+    return [
+        targets[test]
+        - ClippedPolynomial.fit(degree, features[train], targets[train]).predict(features[test])
+        for train, test in folds
+    ]
 
 
 @dataclass(frozen=True)
@@ -205,13 +210,10 @@ class GuardedPredictor:
 
         The folds must leave out whole runs, because rows of one run are correlated.
         """
-        leverage = _leverage(features)
-        scores = []
-        for fold in folds:
-            test = fold[1]
-            residual = np.abs(targets[test] - predict_held_out(degree, features, targets, fold))
-            scores.append(residual / np.sqrt(1.0 + leverage(features[test])))
-        score = np.concatenate(scores)
+        folds, leverage = list(folds), _leverage(features)
+        error = np.vstack(held_out_errors(degree, features, targets, folds))
+        tested = features[np.concatenate([test for _, test in folds])]
+        score = np.abs(error) / np.sqrt(1.0 + leverage(tested))
         level = min(1.0, COVERAGE * (1.0 + 1.0 / len(score)))
         quantile = np.quantile(score, level, axis=0, method="higher")
         return cls(ClippedPolynomial.fit(degree, features, targets), leverage, quantile)

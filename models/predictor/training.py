@@ -9,7 +9,7 @@ robot: at another payload or motion than any used for training or choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.signals import AGE
 from firmware_py.summary import RangeReasons
 from models.plant.simulation.runner import CompiledModel
-from models.predictor.candidates import DEFAULT_CANDIDATES, TipPredictor
+from models.predictor.candidates import TipPredictor
 from models.predictor.document import (
     CandidateEntry,
     PredictorsDocument,
@@ -30,15 +30,7 @@ from models.predictor.document import (
 )
 from models.predictor.guarded_tip import GuardedTip
 from models.predictor.interval import TipInterval
-from models.predictor.observed_trials import (
-    ASKEW_RAD,
-    WRONG_STIFFNESS,
-    TipRows,
-    askew_shifts_m,
-    collect_rows,
-    observe,
-    wrong_stiffness,
-)
+from models.predictor.observed_trials import TipRows, collect_rows, wrong_plants
 from models.predictor.onnx_graphs import Array, to_onnx
 from models.predictor.polynomials import Fold
 from models.predictor.validation import axis_coverage, euclidean_distance_m
@@ -67,29 +59,24 @@ def train_tip(
     training: Sequence[Trial],
     tests: Mapping[str, TrialSet],
     observer: CompiledModel,
-    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
-    progress: Callable[[str], None] = lambda detail: None,
-    askew_rad: float = ASKEW_RAD,
+    candidates: Sequence[type[TipPredictor]],
+    progress: Callable[[str], None],
+    askew_rad: float,
 ) -> TipTraining:
     """Choose among candidates, fit and test the robot's tip predictor.
 
     `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
     """
-
-    def rows_of(trials: Sequence[Trial], changes: Mapping[str, float] | None = None) -> TipRows:
-        return collect_rows(observe(observer, trials, changes))
-
-    rows = rows_of(training)
-    wrong = {
-        f"stiffness_x_{factor:g}": changes
-        for factor in WRONG_STIFFNESS
-        if (changes := wrong_stiffness(observer.model, factor))
-    }
-    disturbed = [rows_of(training, changes) for changes in wrong.values()]
-    chosen, results = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
-    tested = {name: rows_of(trials) for name, trials in tests.items()}
+    wrong = wrong_plants(observer.model)
+    wrong_rows = [collect_rows(observer, training, changes) for changes in wrong.values()]
+    rows = collect_rows(observer, training).with_askew_mount(askew_rad)
+    rows = replace(rows, wrong_inputs=tuple(of_plant.inputs for of_plant in wrong_rows))
+    chosen, results = choose_tip_predictor(rows, candidates, progress)
+    tested = {name: collect_rows(observer, trials) for name, trials in tests.items()}
     if together := [trial for trials in tests.values() for trial in trials]:
-        tested |= {name: rows_of(together, changes) for name, changes in wrong.items()}
+        tested |= {
+            name: collect_rows(observer, together, changes) for name, changes in wrong.items()
+        }
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
         dof=rows.dof,
@@ -122,24 +109,17 @@ class CandidateResult(NamedTuple):
 
 def choose_tip_predictor(
     rows: TipRows,
-    disturbed: Sequence[TipRows],
-    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
+    candidates: Sequence[type[TipPredictor]],
     progress: Callable[[str], None] = lambda detail: None,
-    askew_rad: float = ASKEW_RAD,
 ) -> tuple[CandidateResult, list[CandidateResult]]:
-    """Compare candidates, simplest first, and fit each on all rows; return the best, and all.
-
-    `disturbed`: the same rows with observers of wrong plants, for the interval.
-    """
-    few = rows.take(slice(None, None, STRIDE))
-    others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
-    results = []
+    """Compare candidates, simplest first, and fit each on all rows; return the best, and all."""
+    few, results = rows.take(slice(None, None, STRIDE)), []
     for candidate in candidates:
-        nested, left_out_m = _nested(candidate, few, others, askew_rad)
+        nested, left_out_m = _nested(candidate, few)
         variant = _best_variant(candidate, few)
         fitted = candidate(variant).fit(rows)
-        interval = _interval(fitted, few, left_out_m, others, askew_rad)
-        results.append(CandidateResult(variant, nested, GuardedTip.of(rows, fitted, interval)))
+        guarded = GuardedTip.of(rows, fitted, _interval(fitted, few, left_out_m))
+        results.append(CandidateResult(variant, nested, guarded))
         progress(candidate.name)
     chosen = results[0]
     for result in results[1:]:
@@ -168,9 +148,7 @@ def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
     return folds or [(np.arange(len(rows)),) * 2]
 
 
-def _nested(
-    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows], askew_rad: float
-) -> tuple[TipScore, Array]:
+def _nested(candidate: type[TipPredictor], rows: TipRows) -> tuple[TipScore, Array]:
     """Score on the rows that outer folds leave out, and the mean error of each row there.
 
     The interval of a fold is calibrated on the errors of the other folds on its training rows
@@ -183,15 +161,12 @@ def _nested(
         fitted.append(candidate(_best_variant(candidate, trained)).fit(trained))
         total[test] += rows.tip_m[test] - fitted[-1].predict(rows.inputs[test])
         count[test] += 1
-    left_out_m = total / count
-    parts = []
+    left_out_m, tested = total / count, []
     for (train, test), predictor in zip(folds, fitted, strict=True):
         trained = rows.take(train)
-        wrong = [other.take(train) for other in disturbed]
-        interval = _interval(predictor, trained, left_out_m[train], wrong, askew_rad)
-        parts.append(_answers(GuardedTip.of(trained, predictor, interval), rows.take(test)))
-    answers = [np.concatenate(of_folds) for of_folds in zip(*parts, strict=True)]
-    return _score(rows.dof, *answers), left_out_m
+        interval = _interval(predictor, trained, left_out_m[train])
+        tested.append((GuardedTip.of(trained, predictor, interval), rows.take(test)))
+    return _score(tested), left_out_m
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
@@ -218,26 +193,18 @@ def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
     return best
 
 
-def _interval(
-    fitted: TipPredictor,
-    rows: TipRows,
-    left_out_m: Array,
-    disturbed: Sequence[TipRows],
-    askew_rad: float,
-) -> TipInterval:
-    wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
-    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows, askew_rad)]
+def _interval(fitted: TipPredictor, rows: TipRows, left_out_m: Array) -> TipInterval:
+    wrong = [(inputs, rows.tip_m - fitted.predict(inputs)) for inputs in rows.wrong_inputs]
+    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in rows.askew_m]
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)
 
 
-def _answers(predictor: GuardedTip, rows: TipRows) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Error, half width and range of each row."""
-    error_m = rows.tip_m - predictor.predict(rows.inputs)
-    return error_m, predictor.half_width(rows.inputs), predictor.in_range(rows.inputs)
-
-
-def _score(dof: int, error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_]) -> TipScore:
-    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
+def _score(tested: Sequence[tuple[GuardedTip, TipRows]]) -> TipScore:
+    """Score of predictors on rows each, over all of these."""
+    error_m = np.vstack([rows.tip_m - tip.predict(rows.inputs) for tip, rows in tested])
+    half_width_m = np.vstack([tip.half_width(rows.inputs) for tip, rows in tested])
+    in_range = np.concatenate([tip.in_range(rows.inputs) for tip, rows in tested])
+    coverage = axis_coverage(np.abs(error_m) <= half_width_m, tested[0][1].dof)
     distance_m = np.linalg.norm(error_m, axis=1)
     return TipScore(
         rows=len(error_m),
@@ -258,7 +225,7 @@ def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEn
 
     def scores(rows: TipRows) -> dict[str, TipScore]:
         parts = {"all": rows} | {k: rows.take(rows.part == k) for k in ("rest", "motion")}
-        return {k: _score(rows.dof, *_answers(predictor, v)) for k, v in parts.items() if len(v)}
+        return {k: _score([(predictor, part)]) for k, part in parts.items() if len(part)}
 
     return CandidateEntry(
         summary=result.candidate.summary,

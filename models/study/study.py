@@ -24,12 +24,17 @@ from models.predictor.fallback import (
     Samples,
     Source,
     collect_samples,
-    held_out_distances_m,
 )
 from models.predictor.onnx_graphs import Array
-from models.predictor.polynomials import DEGREES, GuardedPredictor, polynomial_pipeline, predict
+from models.predictor.polynomials import (
+    DEGREES,
+    GuardedPredictor,
+    held_out_errors,
+    polynomial_pipeline,
+    predict,
+)
 from models.predictor.validation import axis_coverage, euclidean_distance_m
-from models.shared.kinematics import base_rotation, rigid_tip_m
+from models.shared.kinematics import base_rotation
 from models.study.document import (
     BaselineErrors,
     Curve,
@@ -127,22 +132,22 @@ def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str
     payloads than the trained ones. Blocks of time are reported too: if one block holds the only
     start of a motion, that block alone would decide.
     """
-    errors = {}
+    table, features = {}, samples.features(source)
     for degree in DEGREES:
         mean_m, std_m = {}, {}
         for kind, parts in folds.items():
-            features = samples.features(source)
-            distances = held_out_distances_m(degree, features, samples.tip_m, parts)
-            mean_m[kind] = float(np.mean(np.concatenate(distances)))
-            std_m[kind] = float(np.std([float(d.mean()) for d in distances]))
-        errors[str(degree)] = FoldErrors(
+            errors_m = held_out_errors(degree, features, samples.tip_m, parts)
+            distances_m = [np.linalg.norm(error_m, axis=1) for error_m in errors_m]
+            mean_m[kind] = float(np.concatenate(distances_m).mean())
+            std_m[kind] = float(np.std([d.mean() for d in distances_m]))
+        table[str(degree)] = FoldErrors(
             blocks_m=mean_m["blocks"],
             blocks_fold_std_m=std_m["blocks"],
             leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
             leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
             selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
         )
-    return errors
+    return table
 
 
 TABLES: Final = (
@@ -214,22 +219,14 @@ def _estimator(samples: Samples, distances: Distances, source: Source) -> Estima
 def _baselines(samples: Samples, parts: Parts) -> BaselineErrors:
     """Distances without a polynomial: the observer's tip, and a link that does not bend."""
 
-    def by_part(tips_m: Iterable[Array]) -> dict[str, float]:
-        distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
+    def by_part(tip_m: Array) -> dict[str, float]:
+        distance_m = euclidean_distance_m(samples.tip_m, tip_m)
         return {key: float(distance_m[rows].mean()) for key, rows in parts.items()}
 
     return BaselineErrors(
-        observer_tip=by_part(
-            np.column_stack([run.signals[f"tip_{a}_m"] for a in "xyz"]) for run in samples.runs
-        ),
-        rigid_kinematics=by_part(
-            rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m)
-            for t in samples.trials
-        ),
-        final_payload_error_kg={
-            trial.name: float(signals["payload_kg"][-1] - trial.meta.payload_kg)
-            for trial, signals in samples.runs
-        },
+        observer_tip=by_part(samples.observer_tip_m),
+        rigid_kinematics=by_part(samples.rigid_tip_m),
+        final_payload_error_kg=samples.payload_error_kg,
     )
 
 

@@ -1,7 +1,6 @@
 """Bundle on disk: directory, parity gate, contents, reproducibility."""
 
 import json
-import shutil
 
 import numpy as np
 import onnx
@@ -162,15 +161,3 @@ def test_the_model_card_has_a_complete_row_for_everything(toy_bundle, toy_study)
         assert len({line.count(" | ") for line in table}) == 1
     assert all(finding.text in card for finding in toy_study.findings)
     assert "None" not in card and "{" not in card
-
-
-def test_a_bundle_that_fails_half_way_leaves_the_old_one(
-    toy_bundle, toy_fallback, tmp_path, monkeypatch
-):
-    old = tmp_path / "bundle"
-    shutil.copytree(toy_bundle, old)
-    before = {file.name: file.read_bytes() for file in old.iterdir()}
-    monkeypatch.setattr("models.bundle.files.write_model_card", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        write_bundle(old, read_plant(), toy_fallback)
-    assert {file.name: file.read_bytes() for file in old.iterdir()} == before

@@ -65,7 +65,7 @@ def test_the_class_of_the_documentation_is_compared_chosen_and_exported(tmp_path
     mine = load_candidate(tmp_path / "mine.py", CANDIDATES)
     rows = made_up_rows()
     rows.tip_m[:] += [0.01, 0.0, -0.01]
-    chosen, _ = choose_tip_predictor(rows, [], (CANDIDATES[0], mine))
+    chosen, _ = choose_tip_predictor(rows, (CANDIDATES[0], mine))
     assert chosen.candidate.name == "shifted observer" and chosen.variant == 1
     path = saved_graph(chosen.predictor, rows.inputs, tmp_path / "predictor.onnx")
     tip_m, *_ = graph_outputs(path, rows.inputs[:5])
@@ -77,9 +77,9 @@ def test_the_class_of_the_documentation_is_compared_chosen_and_exported(tmp_path
     [
         ("class A:\n", "does not run (IndentationError"),
         ("1 / 0\n", "does not run (ZeroDivisionError"),
-        ("x = 1\n", "has 0 candidates, no class at all"),
-        (CODE.replace("def write", "def save"), "ShiftedObserver lacks write"),
-        (CODE + CODE.replace("ShiftedObserver", "Other"), "has 2 candidates, not one"),
+        ("x = 1\n", "has 0 classes with the members name, summary"),
+        (CODE.replace("def write", "def save"), "has 0 classes with the members"),
+        (CODE + CODE.replace("ShiftedObserver", "Other"), "has 2 classes"),
         (CODE.replace("shifted observer", "observer"), "'observer' as another is"),
         (CODE.replace("(1,)", "()"), "no variant"),
     ],

@@ -4,7 +4,6 @@ import msgspec
 import numpy as np
 
 from models.predictor.candidates import CANDIDATES, CorrectedTip, ObserverTip
-from models.predictor.observed_trials import askew_shifts_m
 from models.predictor.training import choose_tip_predictor, group_folds
 from tests.models.predictor.cases import made_up_rows
 
@@ -27,17 +26,17 @@ def test_rows_of_one_payload_and_motion_leave_out_trials():
 
 def test_a_correction_is_chosen_where_it_helps_and_none_where_it_does_not():
     rows = made_up_rows()
-    corrected, _ = choose_tip_predictor(rows, [], (ObserverTip, CorrectedTip))
+    corrected, _ = choose_tip_predictor(rows, (ObserverTip, CorrectedTip))
     assert (corrected.candidate.name, corrected.variant) == ("corrected observer", 2)
     exact = rows.take(np.arange(len(rows)))
     exact.tip_m[:] = exact.observer_tip_m + 1e-4 * np.random.default_rng(1).normal(size=(1200, 3))
-    plain, (_, other) = choose_tip_predictor(exact, [], (ObserverTip, CorrectedTip))
+    plain, (_, other) = choose_tip_predictor(exact, (ObserverTip, CorrectedTip))
     assert plain.candidate.name == "observer"
     assert other.variant == 0
 
 
 def test_every_candidate_is_scored():
-    _, results = choose_tip_predictor(made_up_rows(), [], CANDIDATES)
+    _, results = choose_tip_predictor(made_up_rows(), CANDIDATES)
     assert [r.candidate.name for r in results] == [c.name for c in CANDIDATES]
     for result in results:
         score = msgspec.structs.asdict(result.nested)
@@ -49,7 +48,7 @@ def test_a_larger_angle_of_mounting_widens_the_interval():
     rows = made_up_rows()
     widths_m = []
     for askew_rad in (0.0, 0.005, 0.01):
-        chosen, _ = choose_tip_predictor(rows, [], askew_rad=askew_rad)
+        chosen, _ = choose_tip_predictor(rows.with_askew_mount(askew_rad), [ObserverTip])
         widths_m.append(chosen.predictor.half_width(rows.inputs)[:, 0].mean())
     assert widths_m[0] < widths_m[1] < widths_m[2]
 
@@ -59,9 +58,9 @@ def test_a_link_mounted_askew_shifts_the_tip_in_the_plane_of_a_joint():
     angles = [rows.names.index(f"angle_{j}_rad") for j in (1, 2)]
     rows.inputs[:, angles] = 0.0
     rows.tip_m[:] = [0.0, 0.0, 1.0]
-    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows, a)]
+    shifts_m = [shift_m[0] for shift_m in rows.with_askew_mount(a).askew_m]
     assert np.allclose(shifts_m, [[-a, 0, 0], [a, 0, 0], [0, -a, 0], [0, a, 0]])
     rows.inputs[:, angles[0]] = np.pi / 2  # the link points along x; plane 1 is x and z
     rows.tip_m[:] = [1.0, 0.0, 0.0]
-    shifts_m = [shift_m[0] for shift_m in askew_shifts_m(rows, a)]
+    shifts_m = [shift_m[0] for shift_m in rows.with_askew_mount(a).askew_m]
     assert np.allclose(shifts_m, [[0, 0, a], [0, 0, -a], [0, -a, 0], [0, a, 0]])
