@@ -77,13 +77,11 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
                 (directory / name).unlink(missing_ok=True)
 
 
-GATE_POINTS: Final = 10_000
-"""Points of the parity gate."""
+GATE_POINTS: Final = 10_000  # Points of the parity gate
 GATE_M: Final = 1e-9
 """Largest difference at the parity gate: rounding of float64 gives up to 3e-14 m
 (docs/sources.md, "ONNX")."""
-GOLDEN_TICKS: Final = 256
-"""Golden ticks after the rest rows: one cycle of the study's motion."""
+GOLDEN_TICKS: Final = 256  # Golden ticks after the rest rows: one cycle of the study's motion
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnx", "onnxruntime", "casadi")
 """Libraries whose versions the manifest records."""
 

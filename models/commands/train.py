@@ -59,18 +59,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="BUNDLE",
         help="directory of the bundle; the files of an old bundle there are replaced, others kept",
     )  # fmt: skip
-    add(
-        "--unseen", type=Path, nargs="+", default=[], metavar="DIR",
-        help="trials of motions that neither training nor identification used",
-    )  # fmt: skip
-    add(
-        "--motions", type=Path, nargs="+", default=[], metavar="DIR",
-        help="trials of further motions to train the robot's predictor on, not the study",
-    )  # fmt: skip
-    add(
-        "--compare", action="store_true",
-        help="compare all candidates; the robot gets the best",
-    )  # fmt: skip
+    for option, help_text in (
+        ("--unseen", "trials of motions that neither training nor identification used"),
+        ("--motions", "trials of further motions to train the robot's predictor on, not the study"),
+    ):
+        add(option, type=Path, nargs="+", default=[], metavar="DIR", help=help_text)
+    add("--compare", action="store_true", help="compare all candidates; the robot gets the best")
     add(
         "--candidate", type=Path, action="append", default=[], metavar="FILE.py",
         help="compare your candidate, too; the file is run; repeatable",
@@ -200,19 +194,17 @@ def select_trials(args: argparse.Namespace) -> SelectedTrials:
 
 
 def tip_lines(document: PredictorsDocument) -> list[str]:
-    """The robot's predictor: reason for the choice, and each test with the rows out of range."""
+    """The robot's predictor: reason for the choice, and each test with the right plant."""
     from models.bundle.model_card import range_texts  # loads scikit-learn
 
-    tests = document.candidates[document.chosen].tests
+    tests, outside = document.candidates[document.chosen].tests, range_texts(document)
     lines = [f"the robot gets: {document.reason}"]
-    for name, outside in range_texts(document).items():
-        if name not in document.data:  # with a wrong plant: in the model card
-            continue
+    for name in sorted(document.data.keys() & tests.keys()):
         score = tests[name]["all"]
         lines.append(
             f"{name}: {LENGTH.number(score.mean_m, 2)} mm on average, "
             f"{LENGTH.number(score.max_m)} mm at most; the interval covers "
-            f"{FRACTION.text(score.coverage)}; {outside}"
+            f"{FRACTION.text(score.coverage)}; {outside[name]}"
         )
     return lines
 
@@ -222,14 +214,11 @@ def study_lines(study: StudyDocument) -> list[str]:
     degree = str(study.chosen_degree)
     lines = [f"the paper's polynomial: degree {degree} by cross-validation on trial 1"]
     for name, table in study.mean_euclidean_distance_m.items():
-        with_di, without_di, estimated_di = (
-            LENGTH.number(table["pooled"][variant][degree], 2)
-            for variant in ("with_di", "without_di", "estimated_di")
-        )
-        r2 = study.estimators[name]["observer"].r2_di
+        mm = {k: LENGTH.number(by_degree[degree], 2) for k, by_degree in table["pooled"].items()}
         lines.append(
-            f"{name}: mean Euclidean distance {estimated_di} mm with estimated DI ({with_di} with "
-            f"true DI, {without_di} without), R² of DI {r2:.3f}"
+            f"{name}: mean Euclidean distance {mm['estimated_di']} mm with estimated DI "
+            f"({mm['with_di']} with true DI, {mm['without_di']} without), "
+            f"R² of DI {study.estimators[name]['observer'].r2_di:.3f}"
         )
     return lines
 

@@ -238,7 +238,7 @@ class _Trees(NamedTuple):
             for (tree,) in trees._predictors
             for leaf in _leaves(tree.nodes)
         ]
-        depth = max(len(path) for _, _, path in leaves)
+        depth = max(1, *(len(path) for _, _, path in leaves))
         columns = np.zeros((depth, self.axes[0].n_features_in_, len(leaves)))
         thresholds, signs = np.zeros((2, depth, len(leaves)))
         values = np.zeros((len(leaves), 3))
@@ -283,10 +283,8 @@ class BoostedTrees(_Learned):
 PERCEPTRON_ROWS: Final = 1500
 """Most rows to fit on, equally spaced, because neighbours are nearly equal."""
 PERCEPTRON_ITERATIONS: Final = 80
-PENALTY: Final = 0.1
-"""L2 penalty of scikit-learn, against overfitting to few trials [assumed]."""
-CORRECTION_M: Final = 1e-3
-"""Unit of the fitted correction."""
+PENALTY: Final = 0.1  # L2 penalty of scikit-learn, against overfitting to few trials [assumed]
+CORRECTION_M: Final = 1e-3  # Unit of the fitted correction
 
 
 class _Net(NamedTuple):

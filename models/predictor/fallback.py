@@ -34,10 +34,8 @@ from models.shared.kinematics import rigid_tip_m
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
-LAG_TICKS: Final = (0, 4, 8, 16)
-"""Lags in ticks, up to 0.27 s [assumed]."""
-LAGGED_DEGREE: Final = 2
-"""Degree of the polynomial in the lagged features."""
+LAG_TICKS: Final = (0, 4, 8, 16)  # Lags in ticks, up to 0.27 s [assumed]
+LAGGED_DEGREE: Final = 2  # Degree of the polynomial in the lagged features
 
 Source = Literal["true", "observer", "lagged", "none"]
 """Source of DI: motion capture, the plant observer, the lagged regressor, or none."""
@@ -104,8 +102,9 @@ def collect_samples(
 ) -> Samples:
     """Moving rows of trials with the DI of every source."""
     ordered, parts = by_payload(trials), []
-    runs = observe(observer, ordered)
-    for number, (t, observed) in enumerate(zip(ordered, runs, strict=True)):
+    payload_error_kg: dict[str, float] = {}
+    for number, (t, observed) in enumerate(zip(ordered, observe(observer, ordered), strict=True)):
+        payload_error_kg[t.name] = float(observed["payload_kg"][-1] - t.meta.payload_kg)
         di = deformation_index(t)
         rows = np.isfinite(di)
         rows[: t.meta.rest_samples] = False
@@ -130,10 +129,7 @@ def collect_samples(
     return Samples(
         trials=ordered,
         di={source: stacked.pop(source) for source in ("true", "observer", "lagged")},
-        payload_error_kg={
-            t.name: float(observed["payload_kg"][-1] - t.meta.payload_kg)
-            for t, observed in zip(ordered, runs, strict=True)
-        },
+        payload_error_kg=payload_error_kg,
         **stacked,
     )
 
@@ -221,8 +217,7 @@ def _folds(samples: Samples) -> Folds:
     return folds
 
 
-BLOCKS: Final = 5
-"""Number of blocks of each run."""
+BLOCKS: Final = 5  # Number of blocks of each run
 GAP_S: Final = 1.0
 """Time around a block left out whose rows are not used in training [assumed]. Rows 17 ms apart are
 nearly equal, so without a gap a block would be tested on its own training data."""

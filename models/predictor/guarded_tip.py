@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from firmware_py.inference.predictor import TRUSTED_M, InputRange
 from firmware_py.signals import AGE
 from models.predictor.candidates import TipPredictor
-from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, sums_of_squares
+from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, write_sums
 from models.predictor.observed_trials import TipRows
 from models.predictor.onnx_graphs import Array, GraphWriter, evaluate
 
@@ -74,7 +74,11 @@ class GuardedTip:
 
     def in_range(self, inputs: Array) -> NDArray[np.bool_]:
         """Whether the prediction may be trusted, shape (n,)."""
-        return evaluate(self._write_in_range, inputs)[:, 0] > 0.5
+
+        def write(graph: GraphWriter, source: str) -> str:
+            return self._write_in_range(graph, source, self._write_half_width(graph, source))
+
+        return evaluate(write, inputs)[:, 0] > 0.5
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds outside which an input is out of range, (inputs,) each.
@@ -96,27 +100,23 @@ class GuardedTip:
         innovations = joint_inputs(self.names, "innovation")
         innovation_a = dict(zip(innovations, self.innovation_a.tolist(), strict=True))
         rows = np.column_stack([self.lower, self.upper, *self.bounds()]).tolist()
-        return [
-            InputRange(
-                name,
-                low,
-                high,
-                (None, innovation_a.get(name)) if most == NO_BOUND else (least, most),
-            )
-            for name, (low, high, least, most) in zip(self.names, rows, strict=True)
-        ]
+        ranges = []
+        for name, (low, high, least, most) in zip(self.names, rows, strict=True):
+            bounds = (None, innovation_a.get(name)) if most == NO_BOUND else (least, most)
+            ranges.append(InputRange(name, low, high, bounds))
+        return ranges
 
     def write_graph(self, graph: GraphWriter, source: str) -> None:
         """Write `tip_m`, `half_width_m` and `in_range`."""
         self.predictor.write(graph, source, "tip_m")
-        self._write_in_range(graph, source, ("half_width_m", "in_range"))
+        half_width = self._write_half_width(graph, source, "half_width_m")
+        self._write_in_range(graph, source, half_width, "in_range")
 
     def _write_half_width(self, graph: GraphWriter, source: str, output: str | None = None) -> str:
         """Write the interval, wider by 15 mm where joints move and an innovation is too large."""
         innovations = joint_inputs(self.names, "innovation")
         groups = [*([name] for name in innovations), joint_inputs(self.names, "joint_rate")]
-        square = graph.temporary("Mul", [source, source], "square")
-        total = graph.temporary("MatMul", [square, sums_of_squares(self.names, groups)], "total")
+        total = write_sums(graph, source, self.names, groups)
         above = graph.bits(total, np.append(self.innovation_a, STANDING_RAD_S) ** 2, "above")
         # The sum exceeds dof only with the moving bit and at least one other.
         dof = len(innovations)
@@ -128,15 +128,10 @@ class GuardedTip:
         return graph.node("Add", [usual, widening], output or graph.unique("half_width"))
 
     def _write_in_range(
-        self,
-        graph: GraphWriter,
-        source: str,
-        outputs: tuple[str, str] | tuple[None, None] = (None, None),
+        self, graph: GraphWriter, source: str, half_width: str, output: str | None = None
     ) -> str:
-        """Write the half width and, from it, whether the prediction is in range."""
-        half_width = self._write_half_width(graph, source, outputs[0])
         _, inside = graph.inside(source, *self.bounds())
         wide = graph.bits(half_width, np.full(3, TRUSTED_M), "wide")
         doubts = graph.temporary("MatMul", [wide, -np.ones((3, 1))], "doubts")
         votes = graph.temporary("Add", [inside, doubts], "votes")
-        return graph.bits(votes, np.array([len(self.names) - 0.5]), "trusted", outputs[1])
+        return graph.bits(votes, np.array([len(self.names) - 0.5]), "trusted", output)

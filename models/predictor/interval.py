@@ -59,8 +59,7 @@ from models.predictor.polynomials import COVERAGE
 
 STANDING_RAD_S: Final = 0.05
 """Joint rate below which a joint counts as standing [assumed]: 7 % of the study's peak rate."""
-LEVER_M: Final = 1.0
-"""Lever L from the joint to the tip: the link with its base plate."""
+LEVER_M: Final = 1.0  # Lever L from the joint to the tip: the link with its base plate
 SMALLEST_M: Final = 2e-4
 """Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
 USUAL, LARGEST = 0.75, 0.95
@@ -72,14 +71,10 @@ WRONG_TRIAL_LEVEL: Final = 0.9
 TRIALS: Final = 0.9
 """Fraction of the trials whose own quantile counts. Chosen on seven rigs for tuning and on the
 default rig with two joints, where the largest of 13 trials halves the range."""
-FEWEST_ROWS: Final = 8
-"""Fewest rows of a class in a trial that have a quantile of their own."""
-HIGHEST_LEVEL: Final = 0.98
-"""Highest level of the quantile, which rises with few trials."""
-NORMAL: Final = 1.96
-"""Quantile of the normal distribution for `COVERAGE`."""
-REWEIGHTINGS: Final = 5
-"""Fits of the variance, each weighted by the previous one."""
+FEWEST_ROWS: Final = 8  # Fewest rows of a class in a trial that have a quantile of their own
+HIGHEST_LEVEL: Final = 0.98  # Highest level of the quantile, which rises with few trials
+NORMAL: Final = 1.96  # Quantile of the normal distribution for `COVERAGE`
+REWEIGHTINGS: Final = 5  # Fits of the variance, each weighted by the previous one
 AXES: Final = "xyz"
 STANDING, MOVING = [0, 2], [1, 3]
 """Classes of rows by the joints; the second of each has an excess of the innovation."""
@@ -90,9 +85,13 @@ def joint_inputs(names: Sequence[str], stem: str) -> list[str]:
     return [name for name in names if name.startswith(stem) and name[len(stem) + 1].isdigit()]
 
 
-def sums_of_squares(names: Sequence[str], groups: Sequence[Sequence[str]]) -> Array:
-    """Matrix from squared inputs to the sum of each group, (inputs, groups)."""
-    return np.array([[float(name in group) for group in groups] for name in names])
+def write_sums(
+    graph: GraphWriter, source: str, names: Sequence[str], groups: Sequence[Sequence[str]]
+) -> str:
+    """Write the sum of the squares of each group of inputs, shape (1, groups)."""
+    square = graph.temporary("Mul", [source, source], "square")
+    of_groups = np.array([[float(name in group) for group in groups] for name in names])
+    return graph.temporary("MatMul", [square, of_groups], "sums")
 
 
 @dataclass(frozen=True)
@@ -125,9 +124,8 @@ class VarianceTerms:
         constants, most = np.zeros(len(factors)), np.full(len(factors), np.finfo(float).max)
         constants[one], constants[excess] = 1.0, -self.usual
         most[excess] = self.largest - self.usual
-        square = graph.temporary("Mul", [source, source], "square")
-        sums = sums_of_squares(self.names, groups)
-        base = graph.temporary("Gemm", [square, sums, constants[None]], "sum")
+        sums = write_sums(graph, source, self.names, groups)
+        base = graph.temporary("Add", [sums, constants[None]], "factors")
         base = graph.clipped(base, np.zeros(len(factors)), most)
         left, right = (
             graph.columns(base, len(factors), [factors.index(name) for name in side], "factor")
@@ -138,8 +136,7 @@ class VarianceTerms:
     def write_class(self, graph: GraphWriter, source: str) -> str:
         """Write four bits, shape (1, 4), of which one is 1: the class of the row."""
         groups = [joint_inputs(self.names, stem) for stem in ("joint_rate", "innovation")]
-        square = graph.temporary("Mul", [source, source], "square")
-        total = graph.temporary("MatMul", [square, sums_of_squares(self.names, groups)], "total")
+        total = write_sums(graph, source, self.names, groups)
         bits = graph.bits(total, np.array([STANDING_RAD_S**2, self.usual]), "moving_excess")
         # 1 - m - e, m - e, e - m, m + e - 1 of the bits m and e; the negative ones become 0.
         signs = np.array([[-1.0, 1.0, -1.0, 1.0], [-1.0, -1.0, 1.0, 1.0]])
@@ -168,7 +165,8 @@ class TipInterval:
         inputs and errors of the same rows with a wrong plant, one entry per kind.
         """
         first, first_m, run = calibration
-        squares = first**2 @ sums_of_squares(names, [joint_inputs(names, "innovation")])
+        columns = [names.index(name) for name in joint_inputs(names, "innovation")]
+        squares = (first[:, columns] ** 2).sum(axis=1)
         usual, largest = (float(np.quantile(squares, level)) for level in (USUAL, LARGEST))
         terms = VarianceTerms(names, usual, largest)
         plants = ((first, first_m), *disturbed)

@@ -31,11 +31,8 @@ def observe(
     """
     model = observer.model
     p: Array = model.parameter_values(changes)
-    return [
-        dict(zip(names(model.outputs), y[1:].T, strict=True))
-        for t in trials
-        for y in [observer.simulate(model_inputs(model, t), t.step_s, p)]
-    ]
+    runs = [observer.simulate(model_inputs(model, t), t.step_s, p)[1:] for t in trials]
+    return [dict(zip(names(model.outputs), y.T, strict=True)) for y in runs]
 
 
 def wrong_plants(model: StepModel) -> dict[str, dict[str, float]]:

@@ -27,8 +27,7 @@ Array = NDArray[np.float64]
 
 OPSET, IR_VERSION = 13, 7
 """Versions of operators and file format that onnxruntime 1.16 and later load."""
-ROW: Final = "features"
-"""Name of the input row of a predictor."""
+ROW: Final = "features"  # Name of the input row of a predictor
 OUTPUTS: Final = {"tip_m": 3, "in_range": 1, "half_width_m": 3}
 """Results of a predictor's graph with their widths; `in_range` is 1.0 or 0.0."""
 

@@ -24,10 +24,8 @@ from models.predictor.onnx_graphs import Array, GraphWriter
 Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Row numbers to train on and to test on."""
 
-DEGREES: Final = (1, 2, 3, 4, 5, 6)
-"""Degrees that are compared (paper, Figs. 12 to 15)."""
-COVERAGE: Final = 0.95
-"""Nominal coverage of the prediction interval."""
+DEGREES: Final = (1, 2, 3, 4, 5, 6)  # Degrees that are compared (paper, Figs. 12 to 15)
+COVERAGE: Final = 0.95  # Nominal coverage of the prediction interval
 OVERSAMPLING: Final = 1.3
 """Linear forms per monomial: with more than 1 the weights stay small (docs/sources.md, "ONNX")."""
 LEVERAGE_RIDGE: Final = 1e-6

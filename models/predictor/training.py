@@ -40,10 +40,8 @@ STRIDE: Final = 8
 """Distance between the rows of a cross-validation: 0.14 s, because neighbours are nearly equal."""
 TOLERANCE: Final = 0.03
 """Relative gain in mean error that a candidate needs over a simpler one [assumed]."""
-INNER_GROUPS: Final = 3
-"""Number of groups of payloads in an inner cross-validation."""
-WORSE: Final = 1.1
-"""Ratio of mean errors above which further, less simple variants are not tried."""
+INNER_GROUPS: Final = 3  # Number of groups of payloads in an inner cross-validation
+WORSE: Final = 1.1  # Ratio of mean errors above which further, less simple variants are not tried
 
 
 @dataclass(frozen=True)

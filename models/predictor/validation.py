@@ -14,8 +14,7 @@ MOVING_AXES: Final = {1: (0, 2), 2: (0, 1, 2)}
 """World axes along which the tip moves, by number of joints. Joint 1 alone turns the link in the
 plane of x and z: y is always covered, and a mean over three axes would hide a third of the misses.
 """
-COVERS: Final = "interval covers in %, mean / worst axis"
-"""Heading of a column of `coverage_text`."""
+COVERS: Final = "interval covers in %, mean / worst axis"  # Heading of a column of `coverage_text`
 
 
 def euclidean_distance_m(actual_m: Array, predicted_m: Array) -> Array:

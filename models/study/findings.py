@@ -23,8 +23,7 @@ NOISE_FACTOR: Final = 3.0
 hysteresis [assumed]."""
 MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
-ANGLE_BINS: Final = 12
-"""Number of bins of the angle over a DI loop."""
+ANGLE_BINS: Final = 12  # Number of bins of the angle over a DI loop
 
 
 def payload_key(payload_kg: float) -> str:

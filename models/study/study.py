@@ -94,9 +94,12 @@ def run_study(
     }
     tested: dict[str, Samples] = {}
     tables: dict[str, dict[str, Any]] = {}
+    error: dict[str, ErrorCurves] = {}
     for name, trials in tests.items():
         tested[name] = collect_samples(trials, fallback.observer, fallback.lagged)
-        tables[name] = _tables(tested[name], fitted, fallback.predictor)
+        distances = _distances(tested[name], fitted)
+        tables[name] = _tables(tested[name], distances, fallback.predictor)
+        error[name] = _error(tested[name], distances)
         progress(name)
     document = StudyDocument(
         schema=StudyDocument.VERSION,
@@ -108,7 +111,13 @@ def run_study(
         mean_di_other_dof=_mean_di(others or ()),
         chosen_degree=fallback.degree,
         tests={name: summary_of(of_test.trials) for name, of_test in tested.items()},
-        series=_curves(samples, tested, fitted),
+        series=StudyCurves(
+            path=_by_trial(samples, _path),
+            poses=_poses(samples, _heaviest(samples)),
+            di=_by_trial(samples, _di_curve),
+            error=error,
+            estimates={name: _estimates(of_test) for name, of_test in tested.items()},
+        ),
         findings=(),
         **{key: {name: tables[name][key] for name in tests} for key in TABLES},
     )
@@ -134,20 +143,24 @@ def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str
     """
     table, features = {}, samples.features(source)
     for degree in DEGREES:
-        mean_m, std_m = {}, {}
+        entry = {}
         for kind, parts in folds.items():
             errors_m = held_out_errors(degree, features, samples.tip_m, parts)
             distances_m = [np.linalg.norm(error_m, axis=1) for error_m in errors_m]
-            mean_m[kind] = float(np.concatenate(distances_m).mean())
-            std_m[kind] = float(np.std([d.mean() for d in distances_m]))
-        table[str(degree)] = FoldErrors(
-            blocks_m=mean_m["blocks"],
-            blocks_fold_std_m=std_m["blocks"],
-            leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
-            leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
-            selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
-        )
+            entry[f"{kind}_m"] = float(np.concatenate(distances_m).mean())
+            entry[f"{kind}_fold_std_m"] = float(np.std([d.mean() for d in distances_m]))
+        selection_m = entry.get("leave_one_payload_out_m", entry["blocks_m"])
+        table[str(degree)] = FoldErrors(**entry, selection_m=selection_m)
     return table
+
+
+def _distances(samples: Samples, fitted: Fitted) -> Distances:
+    return {
+        (source, degree): euclidean_distance_m(
+            samples.tip_m, predict(pipeline, samples.features(source))
+        )
+        for (source, degree), pipeline in fitted.items()
+    }
 
 
 TABLES: Final = (
@@ -156,15 +169,9 @@ TABLES: Final = (
 """Tables of the document with one entry per test."""
 
 
-def _tables(samples: Samples, fitted: Fitted, predictor: GuardedPredictor) -> dict[str, Any]:
+def _tables(samples: Samples, distances: Distances, predictor: GuardedPredictor) -> dict[str, Any]:
     """Tables of one set of held-out trials, by their keys in the document."""
     parts = _parts(samples)
-    distances = {
-        (source, degree): euclidean_distance_m(
-            samples.tip_m, predict(pipeline, samples.features(source))
-        )
-        for (source, degree), pipeline in fitted.items()
-    }
     return {
         "mean_euclidean_distance_m": _distance_table(parts, distances, np.mean),
         "std_euclidean_distance_m": _distance_table(parts, distances, np.std),
@@ -248,27 +255,17 @@ def _deployed(samples: Samples, parts: Parts, predictor: GuardedPredictor) -> De
     )
 
 
-POINTS: Final = 128
-"""Largest number of points of a curve: every fourth row of the study's 512."""
-POSES: Final = 9
-"""Shapes of the link in one cycle: every eighth of it."""
+POINTS: Final = 128  # Largest number of points of a curve: every fourth row of the study's 512
+POSES: Final = 9  # Shapes of the link in one cycle: every eighth of it
 
 
-def _curves(training: Samples, tests: Mapping[str, Samples], fitted: Fitted) -> StudyCurves:
-    """Curves that the report draws and no table contains."""
-    phases = {t.meta.phase_2_rad for t in training.trials}
-    labels = [
-        payload_key(t.meta.payload_kg)
-        + (f" phase {np.degrees(t.meta.phase_2_rad):.0f}deg" if len(phases) > 1 else "")
-        for t in training.trials
-    ]
-    return StudyCurves(
-        path=dict(zip(labels, map(_path, training.trials), strict=True)),
-        poses=_poses(training, _heaviest(training)),
-        di={label: _di_curve(training, run) for run, label in enumerate(labels)},
-        error={name: _error(samples, fitted) for name, samples in tests.items()},
-        estimates={name: _estimates(samples) for name, samples in tests.items()},
-    )
+def _by_trial(samples: Samples, curve: Callable[[Samples, int], Any]) -> dict[str, Any]:
+    """Curve of each trial by payload, and by phase of joint 2 where the trials differ in it."""
+    several, curves = len({t.meta.phase_2_rad for t in samples.trials}) > 1, {}
+    for run, t in enumerate(samples.trials):
+        phase = f" phase {np.degrees(t.meta.phase_2_rad):.0f}deg" if several else ""
+        curves[payload_key(t.meta.payload_kg) + phase] = curve(samples, run)
+    return curves
 
 
 def _heaviest(samples: Samples) -> int:
@@ -285,7 +282,8 @@ def _rounded(values: Array) -> Curve:
     return tuple(float(f"{v:.5g}") for v in values)
 
 
-def _path(trial: Trial) -> TipPath:
+def _path(samples: Samples, run: int) -> TipPath:
+    trial = samples.trials[run]
     tip_m = trial.tip_m[trial.moving]
     rows = _thin(np.flatnonzero(np.isfinite(tip_m).all(axis=1)))
     return TipPath(*map(_rounded, tip_m[rows].T))
@@ -326,7 +324,7 @@ def _di_curve(samples: Samples, run: int) -> DiCurve:
     )
 
 
-def _error(samples: Samples, fitted: Fitted) -> ErrorCurves:
+def _error(samples: Samples, distances: Distances) -> ErrorCurves:
     runs = [np.flatnonzero(samples.run == run) for run in np.unique(samples.run)]
     grid_s = np.linspace(
         max(samples.time_s[rows[0]] for rows in runs),
@@ -335,9 +333,7 @@ def _error(samples: Samples, fitted: Fitted) -> ErrorCurves:
     )
     curves = {}
     for degree in DEGREES:
-        distance_m = euclidean_distance_m(
-            samples.tip_m, predict(fitted["true", degree], samples.features("true"))
-        )
+        distance_m = distances["true", degree]
         over_runs = [np.interp(grid_s, samples.time_s[rows], distance_m[rows]) for rows in runs]
         curves[str(degree)] = _rounded(np.mean(over_runs, axis=0))
     return ErrorCurves(time_s=_rounded(grid_s - grid_s[0]), euclidean_distance_m=curves)
