@@ -1,7 +1,7 @@
 """Bundle on disk: ONNX graphs, parity gate, golden ticks, manifest and model card.
 
 An old bundle is replaced file by file, its manifest last: until then a reader detects that a hash
-differs. Other files in the directory are kept.
+differs. Other files in the directory stay.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--plant", type=Path, required=True, metavar="PLANT", help="identified plant")
     add(
         "--out", type=Path, required=True, metavar="BUNDLE",
-        help="directory of the bundle; the files of an old bundle there are replaced, others kept",
+        help="directory of the bundle; the files of an old bundle there are replaced, others stay",
     )  # fmt: skip
     for option, help_text in (
         ("--unseen", "trials of motions that neither training nor identification used"),

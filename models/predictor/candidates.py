@@ -32,7 +32,7 @@ from models.predictor.polynomials import ClippedPolynomial, predict
 class TipPredictor(Protocol):
     """Tip predictor: fitted in Python, written as operators of an ONNX graph.
 
-    Your own candidate is one class with these members (docs/predictor/choice.md). Its graph may use
+    Your candidate is one class with these members (docs/predictor/choice.md). Its graph may use
     the operators Gemm, MatMul, Add, Sub, Mul, Max, Min, Greater, Cast, Sqrt and Tanh: CasADi
     imports these, so that the FMU evaluates the same graph.
 

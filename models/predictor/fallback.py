@@ -220,7 +220,7 @@ def _folds(samples: Samples) -> Folds:
 BLOCKS: Final = 5  # Number of blocks of each run
 GAP_S: Final = 1.0
 """Time around a block left out whose rows are not used in training [assumed]. Rows 17 ms apart are
-nearly equal, so without a gap a block would be tested on its own training data."""
+nearly equal, so without a gap a block would be tested on its training data."""
 
 
 def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:

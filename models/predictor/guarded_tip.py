@@ -7,7 +7,7 @@ A prediction is in range if
 - the half width of the interval is at most 15 mm on every axis.
 
 **Bound on the innovation.** The interval follows the present bend. A plant with a wrong stiffness
-is out of phase with the link, and where its own bend passes zero the interval is narrow although
+is out of phase with the link, and where its bend passes zero the interval is narrow although
 the tip is far away. The root mean square innovation, taken over about a second of motion, is then a
 multiple of that in the training motions. If joints move and an innovation exceeds its bound, the
 interval is therefore 15 mm wider, so the row is out of range. Standing joints are not tested: a
@@ -83,7 +83,7 @@ class GuardedTip:
     def bounds(self) -> tuple[Array, Array]:
         """Bounds outside which an input is out of range, (inputs,) each.
 
-        Signals of the observer's own error have none: they widen the interval.
+        Signals of the observer's error have none: they widen the interval.
         """
         margin = MARGIN * (self.upper - self.lower)
         free = [

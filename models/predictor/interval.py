@@ -1,4 +1,4 @@
-"""Prediction interval whose width follows the observer's estimate of its own error.
+"""Prediction interval whose width follows the observer's estimate of its error.
 
 The half width on each axis is q σ. The variance σ² is a sum of non-negative terms: a constant, the
 variance D² due to the payload estimate, the squares of bend, of its rate and of the joint's rate,
@@ -69,9 +69,9 @@ WRONG_LEVEL: Final = 0.93
 WRONG_TRIAL_LEVEL: Final = 0.9
 """Quantile of the errors with each kind of wrong plant, within one trial."""
 TRIALS: Final = 0.9
-"""Fraction of the trials whose own quantile counts. Chosen on seven rigs for tuning and on the
+"""Fraction of the trials whose quantile counts. Chosen on seven rigs for tuning and on the
 default rig with two joints, where the largest of 13 trials halves the range."""
-FEWEST_ROWS: Final = 8  # Fewest rows of a class in a trial that have a quantile of their own
+FEWEST_ROWS: Final = 8  # Fewest rows of a class in a trial for a quantile of that trial
 HIGHEST_LEVEL: Final = 0.98  # Highest level of the quantile, which rises with few trials
 NORMAL: Final = 1.96  # Quantile of the normal distribution for `COVERAGE`
 REWEIGHTINGS: Final = 5  # Fits of the variance, each weighted by the previous one
@@ -127,11 +127,11 @@ class VarianceTerms:
         sums = write_sums(graph, source, self.names, groups)
         base = graph.temporary("Add", [sums, constants[None]], "factors")
         base = graph.clipped(base, np.zeros(len(factors)), most)
-        left, right = (
+        first, second = (
             graph.columns(base, len(factors), [factors.index(name) for name in side], "factor")
             for side in zip(*pairs, strict=True)
         )
-        return graph.temporary("Mul", [left, right], "terms")
+        return graph.temporary("Mul", [first, second], "terms")
 
     def write_class(self, graph: GraphWriter, source: str) -> str:
         """Write four bits, shape (1, 4), of which one is 1: the class of the row."""
@@ -204,7 +204,7 @@ class TipInterval:
 def _fit_variance(
     terms: Array, error_m: Array, pairs: Sequence[tuple[str, str]], axis: int
 ) -> Array:
-    """Non-negative least squares of squared errors, weighted by their own variance."""
+    """Non-negative least squares of squared errors, weighted by their variance."""
     other = {f"tip_{a}_deviation_m" for a in AXES if a != AXES[axis]}
     aged = [k for k, pair in enumerate(pairs) if pair[1] == AGE.name]
     free = [k for k, pair in enumerate(pairs) if k not in aged and pair[0] not in other]

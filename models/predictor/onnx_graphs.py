@@ -173,7 +173,7 @@ def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
     """
     try:
         metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
-    except Exception:  # protobuf raises types of its own
+    except Exception:  # protobuf raises other types
         raise InputError(path, "is not an ONNX graph", "train the bundle again") from None
     return named_inputs(metadata, path) or feature_names(dof)
 
@@ -188,7 +188,7 @@ def predictor_function(path: Path | str) -> ca.Function:
     try:
         graph = onnx.load(path).graph
         imported = ca.GraphBuilder(str(path)).create("imported", {"symbolic": True})
-    except Exception as error:  # protobuf and CasADi raise types of their own
+    except Exception as error:  # protobuf and CasADi raise other types
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "damaged"
         raise InputError(path, f"is not an ONNX graph that CasADi can import ({reason})",
                          "train the bundle again") from None  # fmt: skip
