@@ -22,7 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import onnx
@@ -32,7 +32,7 @@ from skl2onnx.common.data_types import DoubleTensorType
 
 from firmware_py.console import DONE, Progress
 from firmware_py.inference.predictor import OnnxGraph, OnnxPredictor
-from models.predictor.onnx_graphs import GraphWriter, to_onnx
+from models.predictor.onnx_graphs import to_onnx
 from models.predictor.polynomials import DEGREES, GuardedPredictor, Polynomial
 
 CONTENDERS = ("bare", "deployed", "default", "sklearn")
@@ -113,22 +113,17 @@ def measure(inputs: int, degree: int, calls: int) -> dict[str, Any]:
     return quantiles | {"largest_difference_m": difference_m}
 
 
-class _Bare(NamedTuple):
-    """Polynomial without guard and interval."""
-
-    polynomial: Polynomial
-
-    def write_graph(self, graph: GraphWriter, source: str) -> None:
-        self.polynomial.write(graph, source, "tip", "tip_m")
-
-
 def _contenders(
     predictor: GuardedPredictor, inputs: int, scratch: Path
 ) -> dict[str, Callable[[Any], Any]]:
-    pipeline, dof = predictor.pipeline, inputs // 2
-    bare_graph = to_onnx(_Bare(Polynomial.of(pipeline)), inputs, outputs={"tip_m": 3})
+    pipeline, dof = predictor.polynomial.pipeline, inputs // 2
+    polynomial = Polynomial.of(pipeline)
+    bare_graph = to_onnx(
+        lambda graph, source: polynomial.write(graph, source, "tip", "tip_m"),
+        inputs, outputs={"tip_m": 3},
+    )  # fmt: skip
     onnx.save(bare_graph, scratch / "bare.onnx")
-    onnx.save(to_onnx(predictor, inputs), scratch / "deployed.onnx")
+    onnx.save(to_onnx(predictor.write_graph, inputs), scratch / "deployed.onnx")
     default = ort.InferenceSession(
         convert_sklearn(
             pipeline, initial_types=[("features", DoubleTensorType([None, inputs]))]

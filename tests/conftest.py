@@ -178,7 +178,7 @@ def toy_study(toy_trials, toy_fallback):
     from models.study.study import run_study
 
     training, held_out = toy_trials(1).split()
-    return run_study(training, name_tests(training, tuple(held_out)), toy_fallback)
+    return run_study(toy_fallback, name_tests(training, tuple(held_out)))
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,13 @@
 """Bundle on disk: ONNX graphs, parity gate, golden ticks, manifest and model card.
 
 An old bundle is replaced file by file, its manifest last: until then a reader detects that a hash
-differs. Other files in the directory are kept.
+differs. Other files in the directory stay.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,14 +24,14 @@ from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
 from firmware_py.inference.manifest import FILES, MANIFEST, Manifest, Quantity, write_manifest
-from firmware_py.inference.predictor import InputRange, OnnxPredictor
+from firmware_py.inference.predictor import InputRange, OnnxGraph, OnnxPredictor
 from firmware_py.signals import feature_names, tip_names, unit_of
 from models.bundle.model_card import write_model_card
 from models.plant.plant import Plant
 from models.predictor.document import PredictorsDocument, summary_of, write_predictors
 from models.predictor.fallback import LAG_TICKS, Fallback
 from models.predictor.guarded_tip import GuardedTip
-from models.predictor.onnx_graphs import Array, to_onnx
+from models.predictor.onnx_graphs import OUTPUTS, Array, to_onnx
 from models.predictor.polynomials import GuardedPredictor, Polynomial
 from models.predictor.training import TipTraining
 from models.study.document import StudyDocument, write_study
@@ -45,30 +44,23 @@ _KEYS: Final = frozenset({"training_data_sha256", "plant_sha256", "files"})
 
 def check_bundle_directory(directory: Path) -> None:
     """Refuse a directory that is not empty and holds no bundle."""
-    occupied = directory.exists() and (not directory.is_dir() or any(directory.iterdir()))
-    if occupied and not _holds_bundle(directory):
-        raise InputError(directory, "exists and is not a bundle", "choose another --out")
-
-
-def _holds_bundle(directory: Path) -> bool:
+    if not directory.exists() or (directory.is_dir() and not any(directory.iterdir())):
+        return
     try:
         manifest = read_json(directory / MANIFEST, "train the bundle again")
     except InputError:
-        return False
-    return isinstance(manifest, dict) and manifest.keys() >= _KEYS
+        manifest = None
+    if not isinstance(manifest, dict) or not manifest.keys() >= _KEYS:
+        raise InputError(directory, "exists and is not a bundle", "choose another --out")
 
 
 @contextlib.contextmanager
 def replaced_bundle(directory: Path) -> Iterator[Path]:
-    """Directory to write a bundle to; it replaces an old one if the body succeeds.
-
-    If the body fails, nothing changes. Yields an empty directory on the same file system, which
-    only this process uses.
-    """
+    """Empty directory whose files replace those of an old bundle if the body succeeds."""
     check_bundle_directory(directory)
     directory = directory.resolve()
     directory.parent.mkdir(parents=True, exist_ok=True)
-    place = directory if directory.exists() and not _is_beside(directory) else directory.parent
+    place = directory if directory.exists() else directory.parent  # on the same file system
     with tempfile.TemporaryDirectory(
         prefix=f".{directory.name}.", dir=place, ignore_cleanup_errors=True
     ) as scratch:
@@ -85,19 +77,11 @@ def replaced_bundle(directory: Path) -> Iterator[Path]:
                 (directory / name).unlink(missing_ok=True)
 
 
-def _is_beside(directory: Path) -> bool:
-    """Whether files next to a directory can be moved into it, because it is not a mount."""
-    parent = directory.parent
-    return os.access(parent, os.W_OK) and parent.stat().st_dev == directory.stat().st_dev
-
-
-GATE_POINTS: Final = 10_000
-"""Points of the parity gate."""
+GATE_POINTS: Final = 10_000  # Points of the parity gate
 GATE_M: Final = 1e-9
 """Largest difference at the parity gate: rounding of float64 gives up to 3e-14 m
 (docs/sources.md, "ONNX")."""
-GOLDEN_TICKS: Final = 256
-"""Golden ticks after the rest rows: one cycle of the study's motion."""
+GOLDEN_TICKS: Final = 256  # Golden ticks after the rest rows: one cycle of the study's motion
 LIBRARIES: Final = ("numpy", "scikit-learn", "onnx", "onnxruntime", "casadi")
 """Libraries whose versions the manifest records."""
 
@@ -116,45 +100,36 @@ def write_bundle(
     """Write a bundle, complete or not at all; the same results give the same bytes.
 
     Its estimator is the lagged regressor, until `dropstitch fmu build --unit observer` adds the
-    observer that the predictor was trained with. The files of an old bundle in `directory` are
-    replaced, others are kept; a directory of anything else is refused.
-
-    `fallback`: predictor for a robot without the observer. `tip`: the robot's predictor; without
-    it the fallback's polynomial is the robot's predictor, too. `study`: written as `study.json`.
-
-    Returns the largest differences at the parity gate: `tip_m`, `half_width_m`.
+    observer that the predictor was trained with. Without `tip` the fallback's polynomial is the
+    robot's predictor, too. Returns the largest differences at the parity gate.
     """
     with replaced_bundle(directory) as fresh:
         manifest = _manifest(plant, fallback, tip, study)
+        box, names = fallback.predictor.polynomial, feature_names(manifest.dof)
+        ranges = list(map(InputRange, names, box.lower.tolist(), box.upper.tolist()))
         polynomial = fresh / (POLYNOMIAL if tip else PREDICTOR)
-        names = feature_names(manifest.dof)
-        lower, upper = fallback.predictor.lower.tolist(), fallback.predictor.upper.tolist()
-        ranges = list(map(InputRange, names, lower, upper))
-        features = fallback.samples.features("observer")
         facts = _facts(manifest, ranges) | {"degree": manifest.degree}
-        onnx.save(to_onnx(fallback.predictor, len(names), facts), polynomial)
-        parity = check_parity(polynomial, fallback.predictor, features, manifest.dof)
+        onnx.save(to_onnx(fallback.predictor.write_graph, len(names), facts), polynomial)
+        features = fallback.samples.features("observer")
+        parity = check_parity(polynomial, fallback.predictor, features)
         if tip:
             facts = _facts(manifest, tip.predictor.ranges()) | {"predictor": manifest.predictor}
-            onnx.save(to_onnx(tip.predictor, len(tip.rows.names), facts), fresh / PREDICTOR)
-            inputs = tip.rows.inputs
-            parity = check_parity(fresh / PREDICTOR, tip.predictor, inputs, manifest.dof)
+            graph = to_onnx(tip.predictor.write_graph, len(tip.rows.names), facts)
+            onnx.save(graph, fresh / PREDICTOR)
+            parity = check_parity(fresh / PREDICTOR, tip.predictor, tip.rows.inputs)
             write_predictors(fresh / "predictors.json", tip.document)
         if study:
             write_study(fresh / "study.json", study)
         plant.for_robot().write(fresh / "plant.json")
-        lagged = _write_lagged(fresh / "lagged.onnx", fallback, manifest)
+        facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
+        width = len(fallback.lagged.lower)
+        graph = to_onnx(fallback.write_lagged, width, facts, "lagged", {"di": 1})
+        onnx.save(graph, fresh / "lagged.onnx")
+        lagged = LaggedEstimator(fresh / "lagged.onnx", LAG_TICKS, manifest.dof)
         _write_golden(fresh / GOLDEN, fallback, lagged, OnnxPredictor(polynomial, manifest.dof))
         write_model_card(fresh, manifest, tip.document if tip else None)
         write_manifest(fresh, manifest)
         return parity
-
-
-def _write_lagged(path: Path, fallback: Fallback, manifest: Manifest) -> LaggedEstimator:
-    facts = {"lag_ticks": list(LAG_TICKS), "period_s": manifest.period_s, "dof": manifest.dof}
-    inputs = len(fallback.lagged.lower)
-    onnx.save(to_onnx(fallback.lagged, inputs, facts, "lagged", {"di": 1}), path)
-    return LaggedEstimator(path, LAG_TICKS, manifest.dof)
 
 
 def _write_golden(
@@ -170,32 +145,29 @@ def _write_golden(
 
 
 def check_parity(
-    path: Path, predictor: GuardedPredictor | GuardedTip, features: Array, dof: int
+    path: Path, predictor: GuardedPredictor | GuardedTip, features: Array
 ) -> dict[str, float]:
     """Compare the graph with scikit-learn on 10,000 points of the training hull.
 
     A point of the hull is a random convex combination of n + 1 training rows, with n the number of
     features. Returns the largest absolute difference of `tip_m` and `half_width_m`, in m.
-
-    Shapes: `features` (rows, n).
     """
     rng = np.random.default_rng(0)
     corners = rng.integers(len(features), size=(GATE_POINTS, features.shape[1] + 1))
     weights = rng.dirichlet(np.ones(corners.shape[1]), size=GATE_POINTS)
     points = np.einsum("kc,kcn->kn", weights, features[corners])
-    graph = OnnxPredictor(path, dof)
-    tip_m, half_width_m = np.empty((GATE_POINTS, 3)), np.empty((GATE_POINTS, 3))
-    in_range = np.empty(GATE_POINTS, dtype=bool)
-    for k, point in enumerate(points):
-        measured, observed = point[: 2 * dof + 1], point[2 * dof + 1 :]
-        age_s, signals = observed[:1].sum(), observed[1:]
-        answer = graph.predict(measured[:dof], measured[dof:-1], measured[-1], signals, age_s)
-        tip_m[k], half_width_m[k], in_range[k] = answer.tip_m, answer.half_width_m, answer.in_range
+    graph, answers = OnnxGraph(path, features.shape[1], tuple(OUTPUTS.items())), []
+    for point in points:
+        graph.row[:] = point
+        graph.run()
+        answers.append(np.concatenate(graph.results))
+    tip_m, in_range, half_width_m = np.split(np.array(answers), [3, 4], axis=1)
     worst = {
         "tip_m": float(np.abs(tip_m - predictor.predict(points)).max()),
         "half_width_m": float(np.abs(half_width_m - predictor.half_width(points)).max()),
     }
-    if max(worst.values()) > GATE_M or not np.array_equal(in_range, predictor.in_range(points)):
+    alike = np.array_equal(in_range[:, 0] > 0.5, predictor.in_range(points))
+    if max(worst.values()) > GATE_M or not alike:
         raise ParityError(
             f"the graph differs from scikit-learn by {worst['tip_m']:.1e} m (tip) and "
             f"{worst['half_width_m']:.1e} m (half width), more than {GATE_M:g} m: no bundle written"
@@ -206,21 +178,19 @@ def check_parity(
 def _manifest(
     plant: Plant, fallback: Fallback, tip: TipTraining | None, study: StudyDocument | None
 ) -> Manifest:
-    samples, predictor = fallback.samples, fallback.predictor
+    samples, box = fallback.samples, fallback.predictor.polynomial
     data = summary_of(samples.trials)
     dof = samples.trials[0].meta.dof
     names = feature_names(dof)
-    features = (
-        _quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
-        if tip
-        else _quantities(names, predictor.lower, predictor.upper)
-    )
+    coefficients = Polynomial.of(box.pipeline).in_si_units()
     return Manifest(
         dof=dof,
         period_s=data.step_s,
         degree=fallback.degree,
         estimator="lagged",
-        features=features,
+        features=_quantities(tip.rows.names, tip.predictor.lower, tip.predictor.upper)
+        if tip
+        else _quantities(names, box.lower, box.upper),
         outputs=_quantities(tip_names(), samples.tip_m.min(axis=0), samples.tip_m.max(axis=0)),
         lag_ticks=LAG_TICKS,
         training_data_sha256=data.sha256,
@@ -228,10 +198,7 @@ def _manifest(
         libraries={name: importlib.metadata.version(name) for name in LIBRARIES},
         metrics=(_study_metrics(study) if study else {})
         | (_tip_metrics(tip.document) if tip else {}),
-        coefficients={
-            monomial(exponents, names): tuple(float(v) for v in beta)
-            for exponents, beta in Polynomial.of(predictor.pipeline).in_si_units().items()
-        },
+        coefficients={monomial(k, names): tuple(beta.tolist()) for k, beta in coefficients.items()},
         predictor=tip.document.chosen if tip else "",
         servo_gains=plant.provenance.servo_gains[:dof],
         files={},
@@ -247,11 +214,11 @@ def _quantities(names: Sequence[str], low: Array, high: Array) -> tuple[Quantity
 
 def _facts(manifest: Manifest, ranges: Sequence[InputRange]) -> dict[str, Any]:
     """Facts that a predictor's graph stores about itself."""
-    features = [
-        {"name": r.name, "unit": unit_of(r.name) or "1"} | msgspec.to_builtins(r) for r in ranges
-    ]
     return {
-        "features": features,
+        "features": [
+            {"name": r.name, "unit": unit_of(r.name) or "1"} | msgspec.to_builtins(r)
+            for r in ranges
+        ],
         "outputs": msgspec.to_builtins(manifest.outputs),
         "in_range": "1 where the prediction may be trusted, else 0 (also where an input is NaN)",
         "half_width_m": "half width of the 95 % prediction interval, world x, y, z, in m",
@@ -266,31 +233,31 @@ def _tip_metrics(document: PredictorsDocument) -> dict[str, float]:
     chosen = document.candidates[document.chosen]
     metrics = {"predictor_left_out_mean_euclidean_distance_m": chosen.nested.mean_m}
     for name, parts in chosen.tests.items():
-        metrics[f"predictor_{name}_mean_euclidean_distance_m"] = parts["all"].mean_m
-        metrics[f"predictor_{name}_interval_coverage"] = parts["all"].coverage
-        metrics[f"predictor_{name}_interval_coverage_least_axis"] = parts["all"].coverage_least
+        metrics |= {
+            f"predictor_{name}_mean_euclidean_distance_m": parts["all"].mean_m,
+            f"predictor_{name}_interval_coverage": parts["all"].coverage,
+            f"predictor_{name}_interval_coverage_least_axis": parts["all"].coverage_least,
+        }
     return metrics
 
 
 def _study_metrics(study: StudyDocument) -> dict[str, float]:
     """Held-out figures of the fallback, by test."""
     degree = str(study.chosen_degree)
-    metrics = {}
+    metrics: dict[str, float] = {}
     for name, table in study.mean_euclidean_distance_m.items():
         pooled, deployed = table["pooled"], study.deployed[name]
-        metrics[f"{name}_mean_euclidean_distance_m"] = deployed.mean_euclidean_distance_m
-        metrics[f"{name}_with_true_di_m"] = pooled["with_di"][degree]
-        metrics[f"{name}_without_di_m"] = pooled["without_di"][degree]
-        metrics[f"{name}_r2_di"] = study.estimators[name]["observer"].r2_di
-        metrics[f"{name}_interval_coverage"] = deployed.interval_coverage_mean
+        metrics |= {
+            f"{name}_mean_euclidean_distance_m": deployed.mean_euclidean_distance_m,
+            f"{name}_with_true_di_m": pooled["with_di"][degree],
+            f"{name}_without_di_m": pooled["without_di"][degree],
+            f"{name}_r2_di": study.estimators[name]["observer"].r2_di,
+            f"{name}_interval_coverage": deployed.interval_coverage_mean,
+        }
     return metrics
 
 
 def monomial(exponents: tuple[int, ...], names: tuple[str, ...]) -> str:
     """Monomial of features as text, like "1" or "angle_1_rad^2 di"."""
-    factors = [
-        name if power == 1 else f"{name}^{power}"
-        for name, power in zip(names, exponents, strict=True)
-        if power
-    ]
-    return " ".join(factors) or "1"
+    powers = zip(names, exponents, strict=True)
+    return " ".join(n if k == 1 else f"{n}^{k}" for n, k in powers if k) or "1"

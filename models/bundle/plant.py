@@ -23,8 +23,8 @@ def compare_with_bundle(plant: Plant, path: Path, files: BundleFiles, product: s
     theirs = files.manifest.plant_sha256
     if not theirs or theirs == plant.for_robot().sha256():
         return
-    own, there = facts_of_plant(plain_plant(plant.document())), _facts_in(files)
-    if own is not None and there is not None and (fact := other_link(own, there)):
+    link, bundle_link = facts_of_plant(plain_plant(plant.document())), _facts_in(files)
+    if link and bundle_link and (fact := other_link(link, bundle_link)):
         raise InputError(
             path, f"is a plant of another link than {files.directory / PLANT}: {fact}",
             "name a plant of the bundle's link, or the bundle of this link",

@@ -2,7 +2,7 @@
 
 By default the robot gets the observer's tip with an interval that is calibrated on payloads and
 motions left out of training. --compare also trains the other candidates (polynomials, boosted
-trees, a perceptron), and the robot gets the best of them; --candidate adds one of your own. --study
+trees, a perceptron), and the robot gets the best of them; --candidate adds yours. --study
 writes study.json: the paper's tables and findings on these trials.
 
 Predictors are trained on trial 1 of the largest amplitude and tested on its repetitions (trial_2)
@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
-import numpy as np
 
 from firmware_py.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.display_units import FRACTION, LENGTH
@@ -40,7 +39,6 @@ from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
 
 if TYPE_CHECKING:
-    from models.plant.plant import Plant
     from models.predictor.document import PredictorsDocument
     from models.study.document import StudyDocument
 
@@ -59,23 +57,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--plant", type=Path, required=True, metavar="PLANT", help="identified plant")
     add(
         "--out", type=Path, required=True, metavar="BUNDLE",
-        help="directory of the bundle; the files of an old bundle there are replaced, others kept",
+        help="directory of the bundle; the files of an old bundle there are replaced, others stay",
     )  # fmt: skip
-    add(
-        "--unseen", type=Path, nargs="+", default=[], metavar="DIR",
-        help="trials of motions that neither training nor identification used",
-    )  # fmt: skip
-    add(
-        "--motions", type=Path, nargs="+", default=[], metavar="DIR",
-        help="trials of further motions to train the robot's predictor on, not the study",
-    )  # fmt: skip
-    add(
-        "--compare", action="store_true",
-        help="compare all candidates; the robot gets the best",
-    )  # fmt: skip
+    for option, help_text in (
+        ("--unseen", "trials of motions that neither training nor identification used"),
+        ("--motions", "trials of further motions to train the robot's predictor on, not the study"),
+    ):
+        add(option, type=Path, nargs="+", default=[], metavar="DIR", help=help_text)
+    add("--compare", action="store_true", help="compare all candidates; the robot gets the best")
     add(
         "--candidate", type=Path, action="append", default=[], metavar="FILE.py",
-        help="compare a candidate of one's own, too; the file is run; repeatable",
+        help="compare your candidate, too; the file is run; repeatable",
     )  # fmt: skip
     add("--study", action="store_true", help="write the paper's study of these trials, study.json")
     add(
@@ -83,7 +75,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="the study alone: the bundle holds the paper's polynomial",
     )  # fmt: skip
     add(
-        "--phase-deg", type=float, action="append", metavar="DEG",
+        "--phase-deg", type=float, action="append", default=[], metavar="DEG",
         help="only 2DOF trials with this lead of joint 2; repeatable (default: all)",
     )  # fmt: skip
     add(
@@ -104,9 +96,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(option, "changes nothing with --study-only", "leave out one")
 
     from models.bundle.files import ParityError, check_bundle_directory, write_bundle
+    from models.plant.identification.doubts import refuse_other_links
     from models.plant.plant import read_plant
     from models.plant.simulation.runner import CompiledModel
-    from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, own_candidate
+    from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, load_candidate
     from models.predictor.fallback import doubts_of_di, fit_fallback
     from models.predictor.training import train_tip
     from models.study.study import run_study
@@ -115,10 +108,12 @@ def run(args: argparse.Namespace) -> int:
     check_bundle_directory(args.out)
     trials = select_trials(args)
     plant = read_plant(args.plant)
-    refuse_plant(plant, args.plant, trials)
+    held_out = [t for of_test in trials.tests.values() for t in of_test]
+    refuse_other_links(plant, args.plant, (*trials.everything, *held_out, *trials.further))
+    refuse_fitted(plant.provenance, args.plant, trials.tests)
     candidates = CANDIDATES if args.compare else DEFAULT_CANDIDATES
     for path in args.candidate:
-        candidates = (*candidates, own_candidate(path, candidates))
+        candidates = (*candidates, load_candidate(path, candidates))
 
     with_tip, with_study = not args.study_only, args.study or args.study_only
     steps = 2 + with_tip * len(candidates) + with_study * (1 + len(trials.tests))
@@ -130,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         together, askew_rad = (*trials.training, *trials.further), math.radians(args.askew_deg)
         tip = train_tip(together, trials.tests, observer, candidates, progress, askew_rad)
     if with_study:
-        study = run_study(trials.training, trials.tests, fallback, trials.other_dof, progress)
+        study = run_study(fallback, trials.tests, trials.other_dof, progress)
     try:
         parity = write_bundle(args.out, plant, fallback, tip, study)
     except ParityError as error:
@@ -138,7 +133,12 @@ def run(args: argparse.Namespace) -> int:
         return NEGATIVE
 
     r2_of_di = fallback.r2_of_di(trials.tests)
-    doubts = [*doubts_of_di(r2_of_di), *trials.doubts()]
+    judged = [
+        *judge_pressures((*trials.training, *trials.further)),
+        *judge_doubled((*trials.training, *held_out, *trials.further)),
+        *judge_not_fitted(trials.everything.where(lambda t: t.meta.dof == args.dof)),
+    ]
+    doubts = [*doubts_of_di(r2_of_di), *(f"{doubt.text}; {doubt.remedy}" for doubt in judged)]
     data: dict[str, Any] = {
         "bundle": str(args.out), "parity": parity, "warnings": doubts, "degree": fallback.degree,
         "r2_of_di": r2_of_di,
@@ -149,9 +149,8 @@ def run(args: argparse.Namespace) -> int:
         data["out_of_range"] = msgspec.to_builtins(tip.document.out_of_range)
         lines += tip_lines(tip.document)
     if study:
-        data["mean_euclidean_distance_m"] = {
-            name: of["pooled"] for name, of in study.mean_euclidean_distance_m.items()
-        }
+        distances = study.mean_euclidean_distance_m
+        data["mean_euclidean_distance_m"] = {k: v["pooled"] for k, v in distances.items()}
         lines += study_lines(study)
     lines += advice(trials.tests, bool(study))
     emit(args, data, "\n  ".join(lines))
@@ -169,20 +168,6 @@ class SelectedTrials(NamedTuple):
     tests: dict[str, TrialSet]
     other_dof: TrialSet  # For the study's comparison of mean DI
 
-    @property
-    def held_out(self) -> tuple[Trial, ...]:
-        return tuple(t for trials in self.tests.values() for t in trials)
-
-    def doubts(self) -> list[str]:
-        """Warnings about the trials."""
-        dof = self.training[0].meta.dof
-        doubts = [
-            *judge_pressures((*self.training, *self.further)),
-            *judge_doubled((*self.training, *self.held_out, *self.further)),
-            *judge_not_fitted(self.everything.where(lambda t: t.meta.dof == dof)),
-        ]
-        return [f"{doubt.text}; {doubt.remedy}" for doubt in doubts]
-
 
 def select_trials(args: argparse.Namespace) -> SelectedTrials:
     """Read the trials of the command line, and refuse those that do not fit together."""
@@ -197,34 +182,29 @@ def select_trials(args: argparse.Namespace) -> SelectedTrials:
         for places in (args.unseen, args.motions)
     )
     refuse_mixed_steps((*training, *held_out, *unseen, *further))
-    refuse_trained(further, (*held_out, *unseen))
+    trained = {t.sha256() for t in further}
+    for t in (*held_out, *unseen):
+        if t.sha256() in trained:
+            raise InputError(
+                t.path, "is a trial of --motions and a test", "name it in one of the two"
+            )
     tests = name_tests(training, (*held_out, *unseen))
     other_dof, _ = everything.where(lambda t: t.meta.dof != args.dof).split()
     return SelectedTrials(everything, training, further, tests, other_dof)
 
 
-def refuse_plant(plant: Plant, where: Path, trials: SelectedTrials) -> None:
-    """Refuse a plant of another link, or one that was fitted to an unseen trial."""
-    from models.plant.identification.doubts import refuse_other_links
-
-    refuse_other_links(plant, where, (*trials.everything, *trials.held_out, *trials.further))
-    refuse_fitted(plant.provenance, where, trials.tests)
-
-
 def tip_lines(document: PredictorsDocument) -> list[str]:
-    """The robot's predictor: reason for the choice, and each test with the rows out of range."""
+    """The robot's predictor: reason for the choice, and each test with the right plant."""
     from models.bundle.model_card import range_texts  # loads scikit-learn
 
-    tests = document.candidates[document.chosen].tests
+    tests, outside = document.candidates[document.chosen].tests, range_texts(document)
     lines = [f"the robot gets: {document.reason}"]
-    for name, outside in range_texts(document).items():
-        if name not in document.data:  # with a wrong plant: in the model card
-            continue
+    for name in sorted(document.data.keys() & tests.keys()):
         score = tests[name]["all"]
         lines.append(
             f"{name}: {LENGTH.number(score.mean_m, 2)} mm on average, "
             f"{LENGTH.number(score.max_m)} mm at most; the interval covers "
-            f"{FRACTION.text(score.coverage)}; {outside}"
+            f"{FRACTION.text(score.coverage)}; {outside[name]}"
         )
     return lines
 
@@ -234,17 +214,11 @@ def study_lines(study: StudyDocument) -> list[str]:
     degree = str(study.chosen_degree)
     lines = [f"the paper's polynomial: degree {degree} by cross-validation on trial 1"]
     for name, table in study.mean_euclidean_distance_m.items():
-        pooled, guarded = table["pooled"], study.deployed[name]
-        r2 = study.estimators[name]["observer"].r2_di
+        mm = {k: LENGTH.number(by_degree[degree], 2) for k, by_degree in table["pooled"].items()}
         lines.append(
-            f"{name}: mean Euclidean distance "
-            f"{LENGTH.number(pooled['estimated_di'][degree], 2)} mm with "
-            f"estimated DI ({LENGTH.number(pooled['with_di'][degree], 2)} with true DI, "
-            f"{LENGTH.number(pooled['without_di'][degree], 2)} without), R² of DI {r2:.3f}; "
-            f"with inputs kept within the training range "
-            f"{LENGTH.number(guarded.mean_euclidean_distance_m, 2)} mm: "
-            f"{FRACTION.text(guarded.in_range_fraction)} of the rows are within it, the interval "
-            f"covers {FRACTION.text(guarded.interval_coverage_mean)}"
+            f"{name}: mean Euclidean distance {mm['estimated_di']} mm with estimated DI "
+            f"({mm['with_di']} with true DI, {mm['without_di']} without), "
+            f"R² of DI {study.estimators[name]['observer'].r2_di:.3f}"
         )
     return lines
 
@@ -264,16 +238,6 @@ def advice(tests: Mapping[str, TrialSet], has_study: bool) -> list[str]:
     return lines
 
 
-def refuse_trained(training: Sequence[Trial], tests: Sequence[Trial]) -> None:
-    """Refuse a test trial that the robot's predictor is trained on."""
-    trained = {t.sha256() for t in training}
-    for t in tests:
-        if t.sha256() in trained:
-            raise InputError(
-                t.path, "is a trial of --motions and a test", "name it in one of the two"
-            )
-
-
 def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
     chosen = trials.where(lambda t: t.meta.dof == dof)
     if not chosen:
@@ -281,20 +245,16 @@ def of_dof(trials: TrialSet, dof: int, where: Path) -> TrialSet:
     return chosen
 
 
-def of_phases(trials: TrialSet, phases_deg: Sequence[float] | None, where: Path) -> TrialSet:
-    """All 1DOF trials, and the 2DOF trials at some phases of joint 2 in degrees; None keeps every
-    trial.
-    """
-    if not phases_deg:
-        return trials
+def of_phases(trials: TrialSet, phases_deg: Sequence[float], where: Path) -> TrialSet:
+    """All 1DOF trials, and the 2DOF trials at some phases of joint 2 in degrees, or at all."""
     for wanted in phases_deg:
         if not any(t.meta.dof == 2 and phase_deg(t) == round(wanted) for t in trials):
             raise InputError(
                 where, f"holds no 2DOF trial at phase {wanted:g} degrees",
                 f"simulate with --dof 2 --phase-deg {wanted:g}",
             )  # fmt: skip
-    kept = {round(wanted) for wanted in phases_deg}
-    return trials.where(lambda t: t.meta.dof != 2 or phase_deg(t) in kept)
+    chosen = {round(wanted) for wanted in phases_deg}
+    return trials.where(lambda t: not chosen or t.meta.dof != 2 or phase_deg(t) in chosen)
 
 
 def phase_deg(trial: Trial) -> int:
@@ -332,16 +292,13 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
         else:
             motion = "" if t.meta.motion in motions else f"{t.meta.motion}_"
             phase = "" if phase_deg(t) in phases else f"phase_{phase_deg(t)}deg_"
-            name = f"unseen_{motion}{phase}{np.degrees(t.meta.amplitude_rad):.0f}deg"
+            name = f"unseen_{motion}{phase}{math.degrees(t.meta.amplitude_rad):.0f}deg"
         named.setdefault(name, []).append(t)
     return {name: TrialSet(tuple(named[name])) for name in sorted(named)}
 
 
 def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str, TrialSet]) -> None:
-    """Refuse an unseen trial that the plant, or one of its parents, was fitted to.
-
-    `tests`: as sorted by `name_tests`; those whose name begins with "unseen" are checked.
-    """
+    """Refuse an unseen trial that the plant, or one of its parents, was fitted to."""
     for name, trials in tests.items():
         for t in trials if name.startswith("unseen") else ():
             if provenance.was_fitted_to(t):

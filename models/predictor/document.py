@@ -126,18 +126,17 @@ COLD_CALLS: Final = 25
 
 def measure_latency(call: Callable[[], object]) -> Latency:
     """Median duration of a call in a hot loop, and with a control period before each call."""
-    return Latency(_median_s(call, WARM_CALLS, 0.0), _median_s(call, COLD_CALLS, PERIOD_S))
-
-
-def _median_s(call: Callable[[], object], count: int, pause_s: float) -> float:
-    taken_ns = []
-    for _ in range(count):
-        if pause_s:
-            time.sleep(pause_s)
-        start_ns = time.perf_counter_ns()
-        call()
-        taken_ns.append(time.perf_counter_ns() - start_ns)
-    return float(np.median(taken_ns)) * 1e-9
+    medians_s = []
+    for count, pause_s in ((WARM_CALLS, 0.0), (COLD_CALLS, PERIOD_S)):
+        taken_ns = []
+        for _ in range(count):
+            if pause_s:
+                time.sleep(pause_s)
+            start_ns = time.perf_counter_ns()
+            call()
+            taken_ns.append(time.perf_counter_ns() - start_ns)
+        medians_s.append(float(np.median(taken_ns)) * 1e-9)
+    return Latency(*medians_s)
 
 
 def graph_latency(data: bytes) -> Latency:

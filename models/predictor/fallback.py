@@ -11,88 +11,52 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.pipeline import Pipeline
+from sklearn.metrics import r2_score
+from sklearn.model_selection import LeaveOneGroupOut
 
 from firmware_py.errors import InputError
+from firmware_py.signals import tip_names
 from models.plant.simulation.runner import CompiledModel
-from models.predictor.observed_trials import ObservedTrial, observe
+from models.predictor.observed_trials import observe
 from models.predictor.onnx_graphs import Array, GraphWriter
 from models.predictor.polynomials import (
     DEGREES,
+    ClippedPolynomial,
     Fold,
     GuardedPredictor,
-    Polynomial,
-    polynomial_pipeline,
-    predict,
-    predict_held_out,
+    held_out_errors,
 )
-from models.predictor.validation import (
-    block_folds,
-    euclidean_distance_m,
-    payload_folds,
-    r_squared,
-)
+from models.shared.kinematics import rigid_tip_m
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial, TrialSet
 
-LAG_TICKS: Final = (0, 4, 8, 16)
-"""Lags in ticks, up to 0.27 s [assumed]."""
-LAGGED_DEGREE: Final = 2
-"""Degree of the polynomial in the lagged features."""
+LAG_TICKS: Final = (0, 4, 8, 16)  # Lags in ticks, up to 0.27 s [assumed]
+LAGGED_DEGREE: Final = 2  # Degree of the polynomial in the lagged features
 
 Source = Literal["true", "observer", "lagged", "none"]
 """Source of DI: motion capture, the plant observer, the lagged regressor, or none."""
 
 
-def lagged_features(
-    angle_rad: Array, current_a: Array, lag_ticks: Sequence[int] = LAG_TICKS
-) -> Array:
-    """Angles and currents at several lags as columns, the input of `lagged.onnx`.
+def lagged_features(trial: Trial) -> Array:
+    """Angles, then currents at each lag, (n, lags * 2 * dof): the input of `lagged.onnx`.
 
-    The run must begin with its first sample, which also stands for the time before it. Returns
-    shape (n, len(lag_ticks) * 2 * dof): for each lag angles, then currents.
-
-    Shapes: `angle_rad`, `current_a` (n, dof).
+    The first sample also stands for the time before it.
     """
-    signals = np.hstack([angle_rad, current_a])
+    signals = np.hstack([trial.angle_rad, trial.current_a])
     row = np.arange(len(signals))
-    return np.hstack([signals[np.maximum(row - lag, 0)] for lag in lag_ticks])
+    return np.hstack([signals[np.maximum(row - lag, 0)] for lag in LAG_TICKS])
 
 
-@dataclass(frozen=True)
-class LaggedRegressor:
-    """Fitted lagged regressor."""
-
-    pipeline: Pipeline  # Quadratic in the lagged features, with the output DI
-    lower: Array  # Training box in SI units; inputs are clipped to it
-    upper: Array
-
-    @classmethod
-    def fit(cls, trials: Sequence[Trial], di: Sequence[Array]) -> LaggedRegressor:
-        """Fit on the moving rows of trials whose DI is known; rows whose `di` is NaN are left out.
-
-        `di`: measured DI of every row of each trial.
-        """
-        features = np.vstack([lagged_features(t.angle_rad, t.current_a)[t.moving] for t in trials])
-        target = np.concatenate([d[t.moving] for t, d in zip(trials, di, strict=True)])
-        seen = np.isfinite(target)
-        features, target = features[seen], target[seen, None]
-        pipeline = polynomial_pipeline(LAGGED_DEGREE).fit(features, target)
-        return cls(pipeline, features.min(axis=0), features.max(axis=0))
-
-    def estimate(self, trial: Trial) -> Array:
-        """Estimated DI of every row of a trial, shape (n,)."""
-        features = lagged_features(trial.angle_rad, trial.current_a)
-        return predict(self.pipeline, np.clip(features, self.lower, self.upper))[:, 0]
-
-    def write_graph(self, graph: GraphWriter, source: str) -> None:
-        """Write `di`, the result of `lagged.onnx`."""
-        clipped = graph.clipped(source, self.lower, self.upper)
-        Polynomial.of(self.pipeline).write(graph, clipped, "di_of", "di")
+def fit_lagged(trials: Sequence[Trial]) -> ClippedPolynomial:
+    """Fit the lagged regressor to the moving rows whose DI was measured."""
+    features = np.vstack([lagged_features(t)[t.moving] for t in trials])
+    target = np.concatenate([deformation_index(t)[t.moving] for t in trials])
+    measured = np.isfinite(target)
+    return ClippedPolynomial.fit(LAGGED_DEGREE, features[measured], target[measured, None])
 
 
 @dataclass(frozen=True)
@@ -104,13 +68,15 @@ class Samples:
     """
 
     trials: tuple[Trial, ...]
-    used: tuple[NDArray[np.bool_], ...]  # Rows of each trial that are used
-    run: NDArray[np.intp]  # (n,), index of the trial in `trials`
+    run: NDArray[np.intp]  # (n,), index of the trial
     time_s: Array  # (n,), time in the trial
     payload_kg: Array
     signals: Array  # (n, 2 * dof), angles and currents
     tip_m: Array  # (n, 3), end effector by motion capture
+    observer_tip_m: Array
+    rigid_tip_m: Array  # Of a link that does not bend
     di: dict[str, Array]  # (n,) each, DI by source
+    payload_error_kg: dict[str, float]  # Estimated less true payload at the end of each trial
 
     def __len__(self) -> int:
         return len(self.run)
@@ -125,44 +91,47 @@ class Samples:
             return self.signals
         return np.column_stack([self.signals, self.di[source]])
 
-    def rows_of(self, arrays: Sequence[Array]) -> Array:
-        """Used rows of arrays, stacked; one array per trial, with one row per row of the trial."""
-        return _stack(arrays, self.used)
 
-    @property
-    def angle_rad(self) -> Array:
-        """Joint angles, shape (n, dof)."""
-        return self.signals[:, : self.signals.shape[1] // 2]
+def by_payload(trials: Iterable[Trial]) -> tuple[Trial, ...]:
+    """Trials in the order of tables and figures: by payload, phase of joint 2 and name."""
+    return tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
 
 
-def collect_samples(trials: Sequence[Trial], di: Mapping[str, Sequence[Array]]) -> Samples:
-    """Stack the moving rows of trials.
-
-    `di`: by source, DI of every row of each trial, rest rows included; must contain "true".
-    """
-    used = []
-    for trial, true in zip(trials, di["true"], strict=True):
-        rows = np.isfinite(true)
-        rows[: trial.meta.rest_samples] = False
+def collect_samples(
+    trials: TrialSet, observer: CompiledModel, lagged: ClippedPolynomial
+) -> Samples:
+    """Moving rows of trials with the DI of every source."""
+    ordered, parts = by_payload(trials), []
+    payload_error_kg: dict[str, float] = {}
+    for number, (t, observed) in enumerate(zip(ordered, observe(observer, ordered), strict=True)):
+        payload_error_kg[t.name] = float(observed["payload_kg"][-1] - t.meta.payload_kg)
+        di = deformation_index(t)
+        rows = np.isfinite(di)
+        rows[: t.meta.rest_samples] = False
         if not rows.any():
             raise InputError(
-                trial.path, "shows no marker while the link moves", "record the trial again"
+                t.path, "shows no marker while the link moves", "record the trial again"
             )
-        used.append(rows)
+        columns: dict[str, Array] = {
+            "run": np.full(len(t), number),
+            "time_s": t.time_s,
+            "payload_kg": np.full(len(t), t.meta.payload_kg),
+            "signals": np.hstack([t.angle_rad, t.current_a]),
+            "tip_m": t.tip_m,
+            "observer_tip_m": np.column_stack([observed[name] for name in tip_names()]),
+            "rigid_tip_m": rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m),
+            "true": di,
+            "observer": observed["di"],
+            "lagged": lagged.predict(lagged_features(t))[:, 0],
+        }
+        parts.append({name: column[rows] for name, column in columns.items()})
+    stacked: dict[str, Any] = {k: np.concatenate([part[k] for part in parts]) for k in parts[0]}
     return Samples(
-        tuple(trials),
-        tuple(used),
-        np.concatenate([np.full(int(rows.sum()), i) for i, rows in enumerate(used)]),
-        _stack([t.time_s for t in trials], used),
-        _stack([np.full(len(t), t.meta.payload_kg) for t in trials], used),
-        _stack([np.hstack([t.angle_rad, t.current_a]) for t in trials], used),
-        _stack([t.tip_m for t in trials], used),
-        {source: _stack(arrays, used) for source, arrays in di.items()},
+        trials=ordered,
+        di={source: stacked.pop(source) for source in ("true", "observer", "lagged")},
+        payload_error_kg=payload_error_kg,
+        **stacked,
     )
-
-
-def _stack(arrays: Sequence[Array], used: Sequence[NDArray[np.bool_]]) -> Array:
-    return np.concatenate([a[rows] for a, rows in zip(arrays, used, strict=True)])
 
 
 Folds = dict[str, list[Fold]]
@@ -174,19 +143,23 @@ class Fallback:
     """Fitted polynomial and lagged regressor, and what they were fitted on."""
 
     predictor: GuardedPredictor
-    lagged: LaggedRegressor
+    lagged: ClippedPolynomial
     degree: int
     samples: Samples
     folds: Folds
     observer: CompiledModel  # Observer that estimated the DI
 
+    def write_lagged(self, graph: GraphWriter, source: str) -> None:
+        """Write `di`, the result of `lagged.onnx`."""
+        self.lagged.write(graph, source, "di_of", "di")
+
     def r2_of_di(self, tests: Mapping[str, TrialSet]) -> dict[str, float]:
-        """R² of the observer's DI on each test."""
-        return {
-            name: r_squared(samples.di["true"], samples.di["observer"])
-            for name, trials in tests.items()
-            for samples, _ in [observed_samples(trials, self.observer, self.lagged)]
-        }
+        """R² of the observer's DI on each test; negative if worse than the mean of the DI."""
+        r2 = {}
+        for name, trials in tests.items():
+            di = collect_samples(trials, self.observer, self.lagged).di
+            r2[name] = float(r2_score(di["true"], di["observer"]))
+        return r2
 
 
 def doubts_of_di(r2: Mapping[str, float]) -> list[str]:
@@ -211,58 +184,29 @@ def fit_fallback(
     Blocks of time would be too optimistic: a predictor trained on the start of every motion never
     has to extrapolate to it. They are used if all trials have one payload.
     """
-    trials = by_payload(training)
-    lagged = LaggedRegressor.fit(tuple(trials), [deformation_index(t) for t in trials])
-    samples, _ = observed_samples(trials, observer, lagged)
+    lagged = fit_lagged(by_payload(training))
+    samples = collect_samples(training, observer, lagged)
     progress("DI")
     folds = _folds(samples)
     chosen = folds.get("leave_one_payload_out", folds["blocks"])
     features, tip_m = samples.features("observer"), samples.tip_m
 
-    def error_m(degree: int) -> float:
-        return float(np.mean(np.concatenate(held_out_distances_m(degree, features, tip_m, chosen))))
+    def mean_distance_m(degree: int) -> float:
+        error_m = np.vstack(held_out_errors(degree, features, tip_m, chosen))
+        return float(np.linalg.norm(error_m, axis=1).mean())
 
-    degree = min(DEGREES, key=error_m)
+    degree = min(DEGREES, key=mean_distance_m)
     predictor = GuardedPredictor.fit(degree, features, tip_m, chosen)
     progress("fallback")
     return Fallback(predictor, lagged, degree, samples, folds, observer)
 
 
-def by_payload(trials: TrialSet) -> TrialSet:
-    """Trials in the order of tables and figures: by payload, phase of joint 2 and name."""
-    return TrialSet(
-        tuple(sorted(trials, key=lambda t: (t.meta.payload_kg, t.meta.phase_2_rad, t.name)))
-    )
-
-
-def observed_samples(
-    trials: Iterable[Trial], observer: CompiledModel, lagged: LaggedRegressor
-) -> tuple[Samples, list[ObservedTrial]]:
-    """Rows of trials with the DI of every source, and the trials with the observer's output."""
-    trials = tuple(trials)
-    runs = observe(observer, trials)
-    di = {
-        "true": [deformation_index(t) for t in trials],
-        "observer": [run.signals["di"] for run in runs],
-        "lagged": [lagged.estimate(t) for t in trials],
-    }
-    return collect_samples(trials, di), runs
-
-
-def held_out_distances_m(
-    degree: int, features: Array, tip_m: Array, folds: Sequence[Fold]
-) -> list[Array]:
-    """Distance of every row that a fold leaves out, by fold."""
-    return [
-        euclidean_distance_m(tip_m[fold[1]], predict_held_out(degree, features, tip_m, fold))
-        for fold in folds
-    ]
-
-
 def _folds(samples: Samples) -> Folds:
     folds = {"blocks": block_folds(samples.run, samples.time_s)}
-    if len(np.unique(samples.payload_kg)) > 1:
-        folds["leave_one_payload_out"] = payload_folds(samples.payload_kg)
+    payload_kg = samples.payload_kg
+    if len(np.unique(payload_kg)) > 1:
+        splits = LeaveOneGroupOut().split(payload_kg, groups=payload_kg)
+        folds["leave_one_payload_out"] = list(splits)
     shortest = min(min(len(train), len(test)) for train, test in folds["blocks"])
     if shortest < samples.signals.shape[1] + 1:
         raise InputError(
@@ -270,4 +214,26 @@ def _folds(samples: Samples) -> Folds:
             f"{len(samples)} moving rows are too few to hold out five blocks with 1 s gaps",
             "train on runs of at least 4 s",
         )
+    return folds
+
+
+BLOCKS: Final = 5  # Number of blocks of each run
+GAP_S: Final = 1.0
+"""Time around a block left out whose rows are not used in training [assumed]. Rows 17 ms apart are
+nearly equal, so without a gap a block would be tested on its training data."""
+
+
+def block_folds(run: NDArray[np.intp], time_s: Array) -> list[Fold]:
+    """Folds of five contiguous blocks of each run; `run`, `time_s` (n,)."""
+    edges = np.zeros((len(run), BLOCKS + 1))
+    for number in np.unique(run):
+        rows = run == number
+        edges[rows] = np.linspace(time_s[rows].min(), time_s[rows].max(), BLOCKS + 1)
+    folds = []
+    for block in range(BLOCKS):
+        start_s, end_s = edges[:, block], edges[:, block + 1]
+        last = block == BLOCKS - 1
+        test = (time_s >= start_s) & ((time_s <= end_s) if last else (time_s < end_s))
+        train = (time_s <= start_s - GAP_S) | (time_s >= end_s + GAP_S)
+        folds.append((np.flatnonzero(train), np.flatnonzero(test)))
     return folds

@@ -7,7 +7,7 @@ A prediction is in range if
 - the half width of the interval is at most 15 mm on every axis.
 
 **Bound on the innovation.** The interval follows the present bend. A plant with a wrong stiffness
-is out of phase with the link, and where its own bend passes zero the interval is narrow although
+is out of phase with the link, and where its bend passes zero the interval is narrow although
 the tip is far away. The root mean square innovation, taken over about a second of motion, is then a
 multiple of that in the training motions. If joints move and an innovation exceeds its bound, the
 interval is therefore 15 mm wider, so the row is out of range. Standing joints are not tested: a
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from firmware_py.inference.predictor import TRUSTED_M, InputRange
 from firmware_py.signals import AGE
 from models.predictor.candidates import TipPredictor
-from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, sum_of_squares
+from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, write_sums
 from models.predictor.observed_trials import TipRows
 from models.predictor.onnx_graphs import Array, GraphWriter, evaluate
 
@@ -48,14 +48,11 @@ class GuardedTip:
     interval: TipInterval  # Calibrated on rows that were left out
     lower: Array  # (inputs,), range of every input in the training rows
     upper: Array
-    innovation_a: (
-        Array  # (dof,), innovation above which the interval of moving joints is too narrow
-    )
+    innovation_a: Array  # (dof,), bound above which the interval of moving joints is too narrow
 
     @classmethod
     def of(cls, rows: TipRows, predictor: TipPredictor, interval: TipInterval) -> GuardedTip:
         """Guard a fitted predictor by the range of its training rows."""
-        lower, upper = rows.inputs.min(axis=0), rows.inputs.max(axis=0)
         rates = rows.of(joint_inputs(rows.names, "joint_rate"))
         moving = (rates**2).sum(axis=1) > STANDING_RAD_S**2
         innovation_a = rows.of(joint_inputs(rows.names, "innovation"))[moving]
@@ -64,6 +61,7 @@ class GuardedTip:
             if moving.any()
             else np.full(rows.dof, np.sqrt(NO_BOUND))
         )
+        lower, upper = rows.inputs.min(axis=0), rows.inputs.max(axis=0)
         return cls(rows.names, predictor, interval, lower, upper, bound_a)
 
     def predict(self, inputs: Array) -> Array:
@@ -82,14 +80,10 @@ class GuardedTip:
 
         return evaluate(write, inputs)[:, 0] > 0.5
 
-    def innovation_exceeded(self, inputs: Array) -> NDArray[np.bool_]:
-        """Where joints move and an innovation exceeds its bound, shape (n,)."""
-        return evaluate(self._write_exceeded, inputs)[:, 0] > 0.5
-
     def bounds(self) -> tuple[Array, Array]:
         """Bounds outside which an input is out of range, (inputs,) each.
 
-        Signals of the observer's own error have none: they widen the interval.
+        Signals of the observer's error have none: they widen the interval.
         """
         margin = MARGIN * (self.upper - self.lower)
         free = [
@@ -104,16 +98,12 @@ class GuardedTip:
     def ranges(self) -> list[InputRange]:
         """Range of each input in the training rows, and the bounds of the guard, for the robot."""
         innovations = joint_inputs(self.names, "innovation")
+        innovation_a = dict(zip(innovations, self.innovation_a.tolist(), strict=True))
+        rows = np.column_stack([self.lower, self.upper, *self.bounds()]).tolist()
         ranges = []
-        for name, low, high, least, most in zip(
-            self.names, self.lower, self.upper, *self.bounds(), strict=True
-        ):
-            bounds: tuple[float | None, float | None] = (float(least), float(most))
-            if name in innovations:
-                bounds = (None, float(self.innovation_a[innovations.index(name)]))
-            elif most == NO_BOUND:
-                bounds = (None, None)
-            ranges.append(InputRange(name, float(low), float(high), bounds))
+        for name, (low, high, least, most) in zip(self.names, rows, strict=True):
+            bounds = (None, innovation_a.get(name)) if most == NO_BOUND else (least, most)
+            ranges.append(InputRange(name, low, high, bounds))
         return ranges
 
     def write_graph(self, graph: GraphWriter, source: str) -> None:
@@ -123,32 +113,25 @@ class GuardedTip:
         self._write_in_range(graph, source, half_width, "in_range")
 
     def _write_half_width(self, graph: GraphWriter, source: str, output: str | None = None) -> str:
-        usual = self.interval.write(graph, source)
-        exceeded = self._write_exceeded(graph, source)
-        widening = graph.constant("widening", np.full((1, 3), TRUSTED_M))
-        widening = graph.temporary("MatMul", [exceeded, widening], "widening")
-        return graph.node("Add", [usual, widening], output or graph.unique("half_width"))
-
-    def _write_exceeded(self, graph: GraphWriter, source: str) -> str:
-        """Write 1.0 where joints move and an innovation exceeds its bound, else 0.0."""
+        """Write the interval, wider by 15 mm where joints move and an innovation is too large."""
         innovations = joint_inputs(self.names, "innovation")
         groups = [*([name] for name in innovations), joint_inputs(self.names, "joint_rate")]
-        sums = graph.constant("bounded_sums", sum_of_squares(self.names, groups))
-        square = graph.temporary("Mul", [source, source], "bounded")
-        total = graph.temporary("MatMul", [square, sums], "bounded_total")
+        total = write_sums(graph, source, self.names, groups)
         above = graph.bits(total, np.append(self.innovation_a, STANDING_RAD_S) ** 2, "above")
         # The sum exceeds dof only with the moving bit and at least one other.
         dof = len(innovations)
-        votes = graph.constant("above_votes", np.array([[1.0]] * dof + [[float(dof)]]))
+        votes = np.array([[1.0]] * dof + [[float(dof)]])
         count = graph.temporary("MatMul", [above, votes], "above_count")
-        return graph.bits(count, np.array([dof + 0.5]), "exceeded")
+        exceeded = graph.bits(count, np.array([dof + 0.5]), "exceeded")
+        widening = graph.temporary("MatMul", [exceeded, np.full((1, 3), TRUSTED_M)], "widening")
+        usual = self.interval.write(graph, source)
+        return graph.node("Add", [usual, widening], output or graph.unique("half_width"))
 
     def _write_in_range(
         self, graph: GraphWriter, source: str, half_width: str, output: str | None = None
     ) -> str:
         _, inside = graph.inside(source, *self.bounds())
         wide = graph.bits(half_width, np.full(3, TRUSTED_M), "wide")
-        doubts = graph.constant("doubts", -np.ones((3, 1)))
-        doubts = graph.temporary("MatMul", [wide, doubts], "doubts")
+        doubts = graph.temporary("MatMul", [wide, -np.ones((3, 1))], "doubts")
         votes = graph.temporary("Add", [inside, doubts], "votes")
         return graph.bits(votes, np.array([len(self.names) - 0.5]), "trusted", output)

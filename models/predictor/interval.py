@@ -1,4 +1,4 @@
-"""Prediction interval whose width follows the observer's estimate of its own error.
+"""Prediction interval whose width follows the observer's estimate of its error.
 
 The half width on each axis is q σ. The variance σ² is a sum of non-negative terms: a constant, the
 variance D² due to the payload estimate, the squares of bend, of its rate and of the joint's rate,
@@ -59,29 +59,22 @@ from models.predictor.polynomials import COVERAGE
 
 STANDING_RAD_S: Final = 0.05
 """Joint rate below which a joint counts as standing [assumed]: 7 % of the study's peak rate."""
-LEVER_M: Final = 1.0
-"""Lever L from the joint to the tip: the link with its base plate."""
+LEVER_M: Final = 1.0  # Lever L from the joint to the tip: the link with its base plate
 SMALLEST_M: Final = 2e-4
 """Least standard deviation: the noise of a marker (docs/sources.md, "The link")."""
-USUAL: Final = 0.75
-"""Quantile of the mean square innovation above which there is an excess [assumed]."""
-LARGEST: Final = 0.95
-"""Quantile of the mean square innovation up to which the excess counts [assumed]."""
+USUAL, LARGEST = 0.75, 0.95
+"""Quantiles of the mean square innovation, above and up to which there is an excess [assumed]."""
 WRONG_LEVEL: Final = 0.93
 """Quantile of the errors with each kind of wrong plant, over all trials together."""
 WRONG_TRIAL_LEVEL: Final = 0.9
 """Quantile of the errors with each kind of wrong plant, within one trial."""
 TRIALS: Final = 0.9
-"""Fraction of the trials whose own quantile counts. Chosen on seven rigs for tuning and on the
+"""Fraction of the trials whose quantile counts. Chosen on seven rigs for tuning and on the
 default rig with two joints, where the largest of 13 trials halves the range."""
-FEWEST_ROWS: Final = 8
-"""Fewest rows of a class in a trial that have a quantile of their own."""
-HIGHEST_LEVEL: Final = 0.98
-"""Highest level of the quantile, which rises with few trials."""
-NORMAL: Final = 1.96
-"""Quantile of the normal distribution for `COVERAGE`."""
-REWEIGHTINGS: Final = 5
-"""Fits of the variance, each weighted by the previous one."""
+FEWEST_ROWS: Final = 8  # Fewest rows of a class in a trial for a quantile of that trial
+HIGHEST_LEVEL: Final = 0.98  # Highest level of the quantile, which rises with few trials
+NORMAL: Final = 1.96  # Quantile of the normal distribution for `COVERAGE`
+REWEIGHTINGS: Final = 5  # Fits of the variance, each weighted by the previous one
 AXES: Final = "xyz"
 STANDING, MOVING = [0, 2], [1, 3]
 """Classes of rows by the joints; the second of each has an excess of the innovation."""
@@ -92,9 +85,13 @@ def joint_inputs(names: Sequence[str], stem: str) -> list[str]:
     return [name for name in names if name.startswith(stem) and name[len(stem) + 1].isdigit()]
 
 
-def sum_of_squares(names: Sequence[str], groups: Sequence[Sequence[str]]) -> Array:
-    """Matrix from squared inputs to the sum of each group, (inputs, groups)."""
-    return np.array([[float(name in group) for group in groups] for name in names])
+def write_sums(
+    graph: GraphWriter, source: str, names: Sequence[str], groups: Sequence[Sequence[str]]
+) -> str:
+    """Write the sum of the squares of each group of inputs, shape (1, groups)."""
+    square = graph.temporary("Mul", [source, source], "square")
+    of_groups = np.array([[float(name in group) for group in groups] for name in names])
+    return graph.temporary("MatMul", [square, of_groups], "sums")
 
 
 @dataclass(frozen=True)
@@ -121,34 +118,30 @@ class VarianceTerms:
         """Write the terms, shape (1, terms)."""
         pairs = self.pairs()
         factors = list(dict.fromkeys(factor for pair in pairs for factor in pair))
-        groups = {name: [name] for name in factors}
-        groups |= {"1": [], "excess": joint_inputs(self.names, "innovation")}
-        sums = sum_of_squares(self.names, list(groups.values()))
-        constants, most = np.zeros((2, len(factors)))
-        most[:] = np.finfo(float).max
-        constants[factors.index("1")] = 1.0
-        constants[factors.index("excess")] = -self.usual
-        most[factors.index("excess")] = self.largest - self.usual
-        square = graph.temporary("Mul", [source, source], "square")
-        base = graph.temporary(
-            "Gemm",
-            [square, graph.constant("sums", sums), graph.constant("constants", constants[None])],
-            "sum",
-        )
+        one, excess = factors.index("1"), factors.index("excess")
+        groups = [[name] for name in factors]
+        groups[one], groups[excess] = [], joint_inputs(self.names, "innovation")
+        constants, most = np.zeros(len(factors)), np.full(len(factors), np.finfo(float).max)
+        constants[one], constants[excess] = 1.0, -self.usual
+        most[excess] = self.largest - self.usual
+        sums = write_sums(graph, source, self.names, groups)
+        base = graph.temporary("Add", [sums, constants[None]], "factors")
         base = graph.clipped(base, np.zeros(len(factors)), most)
-        left, right = (
-            graph.columns(base, len(factors), [factors.index(pair[k]) for pair in pairs], stem)
-            for k, stem in enumerate(("first", "second"))
+        first, second = (
+            graph.columns(base, len(factors), [factors.index(name) for name in side], "factor")
+            for side in zip(*pairs, strict=True)
         )
-        return graph.temporary("Mul", [left, right], "terms")
+        return graph.temporary("Mul", [first, second], "terms")
 
     def write_class(self, graph: GraphWriter, source: str) -> str:
-        """Write two bits, shape (1, 2): whether a joint moves, and whether there is an excess."""
+        """Write four bits, shape (1, 4), of which one is 1: the class of the row."""
         groups = [joint_inputs(self.names, stem) for stem in ("joint_rate", "innovation")]
-        sums = graph.constant("class_sums", sum_of_squares(self.names, groups))
-        square = graph.temporary("Mul", [source, source], "class_square")
-        total = graph.temporary("MatMul", [square, sums], "class_total")
-        return graph.bits(total, np.array([STANDING_RAD_S**2, self.usual]), "class")
+        total = write_sums(graph, source, self.names, groups)
+        bits = graph.bits(total, np.array([STANDING_RAD_S**2, self.usual]), "moving_excess")
+        # 1 - m - e, m - e, e - m, m + e - 1 of the bits m and e; the negative ones become 0.
+        signs = np.array([[-1.0, 1.0, -1.0, 1.0], [-1.0, -1.0, 1.0, 1.0]])
+        votes = graph.temporary("Gemm", [bits, signs, np.array([[1.0, 0.0, 0.0, -1.0]])], "votes")
+        return graph.temporary("Max", [votes, np.zeros((1, 4))], "class")
 
 
 @dataclass(frozen=True)
@@ -169,10 +162,11 @@ class TipInterval:
         """Fit on errors of rows that the predictor was not trained on.
 
         `calibration`: inputs (n, inputs), errors in m (n, 3) and trial of each row. `disturbed`:
-        the same rows with a wrong plant, one entry per kind.
+        inputs and errors of the same rows with a wrong plant, one entry per kind.
         """
         first, first_m, run = calibration
-        squares = first**2 @ sum_of_squares(names, [joint_inputs(names, "innovation")])
+        columns = [names.index(name) for name in joint_inputs(names, "innovation")]
+        squares = (first[:, columns] ** 2).sum(axis=1)
         usual, largest = (float(np.quantile(squares, level)) for level in (USUAL, LARGEST))
         terms = VarianceTerms(names, usual, largest)
         plants = ((first, first_m), *disturbed)
@@ -184,14 +178,11 @@ class TipInterval:
         quantile = np.zeros((4, 3))
         for number, (inputs, plant_m) in enumerate(plants):
             score = plant_m / np.sqrt(values[number] @ weights)
-            kind = evaluate(terms.write_class, inputs) @ [1, 2]
-            for k in range(4):
-                rows = kind == k
-                of_plant = (
-                    _wrong_quantiles(score, run, rows, by_trial=k in MOVING)
-                    if number
-                    else _quantiles(score, run, rows)
-                )
+            for k, rows in enumerate(evaluate(terms.write_class, inputs).T > 0.5):
+                if number == 0:
+                    of_plant = _quantiles(score, run, rows)
+                else:
+                    of_plant = _wrong_quantiles(score, run, rows, by_trial=k in MOVING)
                 quantile[k] = np.maximum(quantile[k], of_plant)
         quantile[STANDING] = np.maximum(quantile[STANDING], quantile[MOVING])
         return cls(terms, weights, quantile)
@@ -201,31 +192,19 @@ class TipInterval:
         return evaluate(self.write, inputs)
 
     def write(self, graph: GraphWriter, source: str) -> str:
-        """Write the half width of an input row, shape (1, 3).
-
-        q = q₀ + m (q₁ − q₀) + e (q₂ − q₀) + m e (q₃ − q₂ − q₁ + q₀) of the two bits m and e.
-        """
-        variance = graph.temporary(
-            "MatMul",
-            [self.terms.write(graph, source), graph.constant("variances", self.weights)],
-            "variance",
-        )
+        """Write the half width of an input row, shape (1, 3)."""
+        terms = self.terms.write(graph, source)
+        variance = graph.temporary("MatMul", [terms, self.weights], "variance")
         deviation = graph.temporary("Sqrt", [variance], "deviation")
-        q0, q1, q2, q3 = self.quantile
-        bits = self.terms.write_class(graph, source)
-        moving, excess = (graph.columns(bits, 2, [k], stem) for k, stem in enumerate("me"))
-        both = graph.temporary("Mul", [moving, excess], "both")
-        factor = graph.constant("quantile", q0[None])
-        for bit, change in ((moving, q1 - q0), (excess, q2 - q0), (both, q3 - q2 - q1 + q0)):
-            step = graph.temporary("MatMul", [bit, graph.constant("change", change[None])], "step")
-            factor = graph.temporary("Add", [factor, step], "factor")
+        of_class = self.terms.write_class(graph, source)
+        factor = graph.temporary("MatMul", [of_class, self.quantile], "quantile")
         return graph.temporary("Mul", [deviation, factor], "usual_width")
 
 
 def _fit_variance(
     terms: Array, error_m: Array, pairs: Sequence[tuple[str, str]], axis: int
 ) -> Array:
-    """Non-negative least squares of squared errors, weighted by their own variance."""
+    """Non-negative least squares of squared errors, weighted by their variance."""
     other = {f"tip_{a}_deviation_m" for a in AXES if a != AXES[axis]}
     aged = [k for k, pair in enumerate(pairs) if pair[1] == AGE.name]
     free = [k for k, pair in enumerate(pairs) if k not in aged and pair[0] not in other]
@@ -250,7 +229,7 @@ def _quantiles(score: Array, run: NDArray[np.intp], rows: NDArray[np.bool_]) -> 
     """Factor q of some rows left out, (3,), from their signed scores."""
     if not rows.any():
         rows = np.ones(len(run), dtype=bool)
-    trial, count, weight = _weights(run, rows)
+    trial, count, weight = _weights(run[rows])
     n = max(len(count), 2)
     level = min(HIGHEST_LEVEL, COVERAGE * (1.0 + 1.0 / n))
     lasting = float(student_t.ppf(0.5 + COVERAGE / 2, n - 1)) * np.sqrt(1 + 1 / n)
@@ -269,22 +248,19 @@ def _wrong_quantiles(
     """Factor q required for a wrong plant, (3,); 0 if there are no such rows."""
     if not rows.any():
         return np.zeros(3)
-    trial, count, weight = _weights(run, rows)
+    trial, count, weight = _weights(run[rows])
     sizes = np.abs(score[rows])
-    q = [[_weighted_quantile(size, weight, WRONG_LEVEL) for size in sizes.T]]
-    if by_trial:
-        long = np.flatnonzero(count >= FEWEST_ROWS)
+    q = np.array([_weighted_quantile(size, weight, WRONG_LEVEL) for size in sizes.T])
+    long = np.flatnonzero(count >= FEWEST_ROWS)
+    if by_trial and len(long):
         each = [np.quantile(sizes[trial == k], WRONG_TRIAL_LEVEL, axis=0) for k in long]
-        q += [np.quantile(each, TRIALS, axis=0)] if each else []
-    return np.asarray(np.max(q, axis=0))
+        q = np.maximum(q, np.quantile(each, TRIALS, axis=0))
+    return q
 
 
-def _weights(
-    run: NDArray[np.intp], rows: NDArray[np.bool_]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+def _weights(run: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Trial of each row, rows of each trial, and weights that are the same for every trial."""
-    trial = np.unique(run[rows], return_inverse=True)[1]
-    count = np.bincount(trial)
+    _, trial, count = np.unique(run, return_inverse=True, return_counts=True)
     return trial, count, 1.0 / count[trial] / len(count)
 
 

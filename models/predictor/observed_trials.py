@@ -7,8 +7,7 @@ interval it runs along the same trials with deliberately wrong plants, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,42 +20,33 @@ from models.predictor.onnx_graphs import Array
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial
 
-WRONG_STIFFNESS: Final = (0.8, 1.2)
-"""Factors on the stiffness of the observer's plant, for the calibration of the interval: the
-largest error of a plant that must be detected."""
-ASKEW_RAD: Final = 0.005
-"""Angle by which the link may be mounted askew, for the calibration of the interval: 0.3°, 5 mm at
-the tip [assumed] for a link that is taken off and mounted again by hand. `train --askew-deg`
-sets another; 0 ignores this error, which the servos cannot measure."""
-
-
-class ObservedTrial(NamedTuple):
-    """Trial with the outputs of the observer that ran along it."""
-
-    trial: Trial
-    signals: Mapping[str, Array]  # (n,), outputs of the observer after each sample
-
 
 def observe(
     observer: CompiledModel, trials: Sequence[Trial], changes: Mapping[str, float] | None = None
-) -> list[ObservedTrial]:
-    """Run the observer along trials, from their first row at rest on.
+) -> list[dict[str, Array]]:
+    """Outputs of the observer along each trial, from its first row at rest on.
 
     Row k is the output after the step that ends at sample k, as on the robot. The geometry is the
     plant's, not the trial's. `changes`: values of parameters of a wrong plant.
     """
-    model, observed = observer.model, []
+    model = observer.model
     p: Array = model.parameter_values(changes)
-    for trial in trials:
-        y = observer.simulate(model_inputs(model, trial), trial.step_s, p)[1:]
-        signals = dict(zip(names(model.outputs), np.ascontiguousarray(y.T), strict=True))
-        observed.append(ObservedTrial(trial, signals))
-    return observed
+    runs = [observer.simulate(model_inputs(model, t), t.step_s, p)[1:] for t in trials]
+    return [dict(zip(names(model.outputs), y.T, strict=True)) for y in runs]
 
 
-def wrong_stiffness(model: StepModel, factor: float) -> dict[str, float]:
-    """Values of all stiffness parameters times a factor."""
-    return {v.name: factor * v.start for v in model.parameters if "_stiffness_" in v.name}
+def wrong_plants(model: StepModel) -> dict[str, dict[str, float]]:
+    """Changed parameters of the wrong plants for which the interval is calibrated, by name.
+
+    A stiffness that is 20 % off is the largest error of a plant that must be detected.
+    """
+    stiffness = {v.name: v.start for v in model.parameters if "_stiffness_" in v.name}
+    if not stiffness:
+        return {}
+    return {
+        f"stiffness_x_{factor:g}": {name: factor * value for name, value in stiffness.items()}
+        for factor in (0.8, 1.2)
+    }
 
 
 def input_names(dof: int) -> tuple[str, ...]:
@@ -75,22 +65,23 @@ class TipRows:
     motion: NDArray[np.str_]  # (n,)
     run: NDArray[np.intp]  # (n,), index of the trial
     part: NDArray[np.str_]  # (n,), "rest" or "motion"
+    wrong_inputs: tuple[Array, ...] = ()  # Inputs with an observer of each wrong plant
+    askew_m: tuple[Array, ...] = ()  # (n, 3) each, shift of the tip of a link mounted askew
 
     def __len__(self) -> int:
         return len(self.run)
 
     def columns(self, names: Sequence[str]) -> list[int]:
-        """Indices of input columns by name."""
         return [self.names.index(name) for name in names]
 
     def of(self, names: Sequence[str]) -> Array:
-        """Input columns by name, shape (n, len(names))."""
         return self.inputs[:, self.columns(names)]
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> TipRows:
         return TipRows(
             self.names, self.inputs[rows], self.tip_m[rows], self.payload_kg[rows],
             self.motion[rows], self.run[rows], self.part[rows],
+            tuple(a[rows] for a in self.wrong_inputs), tuple(a[rows] for a in self.askew_m),
         )  # fmt: skip
 
     @property
@@ -99,15 +90,30 @@ class TipRows:
 
     @property
     def observer_tip_m(self) -> Array:
-        """Tip of the observer, shape (n, 3)."""
         return self.of(tip_names())
 
+    def with_askew_mount(self, askew_rad: float) -> TipRows:
+        """Rows with the shifts of the tip in both directions in the plane of each joint."""
+        if askew_rad == 0.0:
+            return self
+        joints = range(1, self.dof + 1)
+        turn = base_rotation(self.of([f"angle_{j}_rad" for j in joints]))
+        # Joint 1 turns about y, joint 2 about -x (docs/architecture.md, "Physics").
+        axes = {1: turn[:, :, 1], 2: -turn[:, :, 0]}
+        shifts_m = (
+            sign * askew_rad * np.cross(axes[j], self.tip_m) for j in joints for sign in (-1.0, 1.0)
+        )
+        return replace(self, askew_m=tuple(shifts_m))
 
-def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
-    """Stack the rows of trials, rest rows included; rows without a measured tip are left out."""
-    names = input_names(observed[0].trial.meta.dof)
-    parts = []
-    for number, (trial, signals) in enumerate(observed):
+
+def collect_rows(
+    observer: CompiledModel, trials: Sequence[Trial], changes: Mapping[str, float] | None = None
+) -> TipRows:
+    """Stack the rows of trials, rest rows included; rows without a measured tip are dropped."""
+    names, parts = input_names(trials[0].meta.dof), []
+    for number, (trial, signals) in enumerate(
+        zip(trials, observe(observer, trials, changes), strict=True)
+    ):
         columns = {**trial.columns, **signals, AGE.name: np.zeros(len(trial))}
         if missing := [name for name in names if name not in columns]:
             raise InputError(
@@ -115,28 +121,11 @@ def collect_rows(observed: Sequence[ObservedTrial]) -> TipRows:
                 "choose a plant of the link",
             )  # fmt: skip
         inputs = np.column_stack([columns[name] for name in names])
-        seen = np.isfinite(trial.tip_m).all(axis=1) & np.isfinite(inputs).all(axis=1)
-        count = int(seen.sum())
-        moving = np.arange(len(trial)) >= trial.meta.rest_samples
+        rows = np.flatnonzero(np.isfinite(np.hstack([trial.tip_m, inputs])).all(axis=1))
         parts.append((
-            inputs[seen], trial.tip_m[seen], np.full(count, trial.meta.payload_kg),
-            np.full(count, trial.meta.motion), np.full(count, number, dtype=np.intp),
-            np.where(moving, "motion", "rest")[seen],
+            inputs[rows], trial.tip_m[rows], np.full(len(rows), trial.meta.payload_kg),
+            np.full(len(rows), trial.meta.motion), np.full(len(rows), number, dtype=np.intp),
+            np.where(rows >= trial.meta.rest_samples, "motion", "rest"),
         ))  # fmt: skip
-    return TipRows(names, *map(np.concatenate, zip(*parts, strict=True)))
-
-
-def askew_shifts_m(rows: TipRows, askew_rad: float = ASKEW_RAD) -> list[Array]:
-    """Shift of the tip of a link that is mounted askew, (n, 3) each; empty for an angle of zero.
-
-    One shift for either direction in the plane of each joint.
-    """
-    if askew_rad == 0.0:
-        return []
-    joints = range(1, rows.dof + 1)
-    turn = base_rotation(rows.of([f"angle_{j}_rad" for j in joints]))
-    # Joint 1 turns about y, joint 2 about -x (docs/architecture.md, "Physics").
-    axes = {1: turn[:, :, 1], 2: -turn[:, :, 0]}
-    return [
-        sign * askew_rad * np.cross(axes[j], rows.tip_m) for j in joints for sign in (-1.0, 1.0)
-    ]
+    inputs, tip_m, payload_kg, motion, run, part = map(np.concatenate, zip(*parts, strict=True))
+    return TipRows(names, inputs, tip_m, payload_kg, motion, run, part)

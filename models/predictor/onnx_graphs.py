@@ -12,7 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -25,12 +25,11 @@ from firmware_py.signals import feature_names
 
 Array = NDArray[np.float64]
 
-OPSET: Final = 13
-"""Version of the operators that onnxruntime 1.16 and later load."""
-IR_VERSION: Final = 7
-"""Version of the file format that onnxruntime 1.16 and later load."""
-ROW: Final = "features"
-"""Name of the input row of a predictor."""
+OPSET, IR_VERSION = 13, 7
+"""Versions of operators and file format that onnxruntime 1.16 and later load."""
+ROW: Final = "features"  # Name of the input row of a predictor
+OUTPUTS: Final = {"tip_m": 3, "in_range": 1, "half_width_m": 3}
+"""Results of a predictor's graph with their widths; `in_range` is 1.0 or 0.0."""
 
 
 class GraphWriter:
@@ -47,25 +46,30 @@ class GraphWriter:
         return stem if self._names[stem] == 1 else f"{stem}_{self._names[stem] - 1}"
 
     def constant(self, stem: str, value: Array) -> str:
-        """Add a float64 constant; return its unique name."""
+        """Unique name of a new float64 constant."""
         name = self.unique(stem)
         self.constants.append(onnx.numpy_helper.from_array(np.asarray(value, dtype=float), name))
         return name
 
-    def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        """Add an operator whose result is called `output`; return that name."""
+    def node(self, op: str, inputs: Sequence[str | Array], output: str, **attributes: Any) -> str:
+        """Add an operator whose result is called `output`; an array as input becomes a constant."""
+        names = [
+            x if isinstance(x, str) else self.constant(f"{output}_constant", x) for x in inputs
+        ]
         name = self.unique(f"{output}_{op}")
-        self.nodes.append(onnx.helper.make_node(op, list(inputs), [output], name, **attributes))
+        self.nodes.append(onnx.helper.make_node(op, names, [output], name, **attributes))
         return output
 
-    def temporary(self, op: str, inputs: Sequence[str], stem: str, **attributes: Any) -> str:
-        """Add an operator; return the unique name of its result."""
+    def temporary(
+        self, op: str, inputs: Sequence[str | Array], stem: str, **attributes: Any
+    ) -> str:
+        """Add an operator whose result gets a unique name."""
         return self.node(op, inputs, self.unique(stem), **attributes)
 
     def clipped(self, source: str, lower: Array, upper: Array) -> str:
         """Clip a row into a box."""
-        raised = self.temporary("Max", [source, self.constant("lower", lower[None])], "raised")
-        return self.temporary("Min", [raised, self.constant("upper", upper[None])], "clipped")
+        raised = self.temporary("Max", [source, lower[None]], "raised")
+        return self.temporary("Min", [raised, upper[None]], "clipped")
 
     def inside(self, source: str, lower: Array, upper: Array) -> tuple[str, str]:
         """Clip a row into a box; return the clipped row and the number of inputs in the box.
@@ -76,14 +80,11 @@ class GraphWriter:
         clipped = self.clipped(source, lower, upper)
         same = self.temporary("Equal", [clipped, source], "same")
         same = self.temporary("Cast", [same], "same_number", to=onnx.TensorProto.DOUBLE)
-        ones = self.constant("ones", np.ones((len(lower), 1)))
-        return clipped, self.temporary("MatMul", [same, ones], "inside")
+        return clipped, self.temporary("MatMul", [same, np.ones((len(lower), 1))], "inside")
 
     def bits(self, source: str, thresholds: Array, stem: str, output: str | None = None) -> str:
         """1.0 where a row exceeds its thresholds, else 0.0; 0.0 for NaN."""
-        above = self.temporary(
-            "Greater", [source, self.constant(f"{stem}_threshold", thresholds[None])], stem
-        )
+        above = self.temporary("Greater", [source, thresholds[None]], stem)
         output = output or self.unique(f"{stem}_bit")
         return self.node("Cast", [above], output, to=onnx.TensorProto.DOUBLE)
 
@@ -92,37 +93,25 @@ class GraphWriter:
     ) -> str:
         """Select columns of a row by a product: CasADi imports no Gather."""
         selection = np.zeros((width, len(columns)))
-        selection[list(columns), range(len(columns))] = 1.0
-        chosen = self.constant(f"{stem}_columns", selection)
-        return self.node("MatMul", [source, chosen], output or self.unique(stem))
-
-
-class GraphModel(Protocol):
-    """Model that can be written as a graph."""
-
-    def write_graph(self, graph: GraphWriter, source: str) -> None:
-        """Write every result for the input row `source`, shape (1, inputs), under its name."""
-        ...
-
-
-OUTPUTS: Final = {"tip_m": 3, "in_range": 1, "half_width_m": 3}
-"""Results of a predictor's graph with their widths; `in_range` is 1.0 or 0.0."""
+        selection[columns, range(len(columns))] = 1.0
+        return self.node("MatMul", [source, selection], output or self.unique(stem))
 
 
 def to_onnx(
-    model: GraphModel,
+    write: Callable[[GraphWriter, str], Any],
     inputs: int,
     metadata: Mapping[str, Any] | None = None,
     input_name: str = ROW,
     outputs: Mapping[str, int] = OUTPUTS,
 ) -> onnx.ModelProto:
-    """Write a model as an ONNX file; the same model gives the same bytes.
+    """ONNX file of a model; the same model gives the same bytes.
 
-    `metadata` is written to `metadata_props`, each value as JSON. onnxruntime exposes names, units
-    and ranges in no other way.
+    `write` gets the name of the input row and writes each result under its name in `outputs`.
+    `metadata` goes to `metadata_props`, each value as JSON: onnxruntime exposes names, units and
+    ranges in no other way.
     """
     writer = GraphWriter()
-    model.write_graph(writer, writer.unique(input_name))
+    write(writer, writer.unique(input_name))
     described = [
         onnx.helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, [1, width])
         for name, width in ((input_name, inputs), *outputs.items())
@@ -130,10 +119,10 @@ def to_onnx(
     graph = onnx.helper.make_graph(
         writer.nodes, "dropstitch", described[:1], described[1:], writer.constants
     )
-    opset = [onnx.helper.make_opsetid("", OPSET)]
     file = onnx.helper.make_model(
-        graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="dropstitch"
-    )
+        graph, opset_imports=[onnx.helper.make_opsetid("", OPSET)], ir_version=IR_VERSION,
+        producer_name="dropstitch",
+    )  # fmt: skip
     texts = {k: v if isinstance(v, str) else json.dumps(v) for k, v in (metadata or {}).items()}
     onnx.helper.set_model_props(file, texts)
     onnx.checker.check_model(file)
@@ -144,7 +133,7 @@ _ON_ARRAYS: Final[Mapping[str, Callable[..., Array]]] = {
     "Add": np.add, "Sub": np.subtract, "Mul": np.multiply, "MatMul": np.matmul,
     "Gemm": lambda a, b, c: a @ b + c, "Max": np.maximum, "Min": np.minimum,
     "Equal": np.equal, "Greater": np.greater, "Cast": lambda a, to: a.astype(float),
-    "Sqrt": np.sqrt, "Tanh": np.tanh, "Identity": lambda a: a,
+    "Sqrt": np.sqrt, "Tanh": np.tanh,
 }  # fmt: skip
 """Operators that a graph may use, as functions of arrays."""
 
@@ -161,8 +150,8 @@ class _ArrayGraph(GraphWriter):
         self.values[name] = value
         return name
 
-    def node(self, op: str, inputs: Sequence[str], output: str, **attributes: Any) -> str:
-        arrays = (self.values[name] for name in inputs)
+    def node(self, op: str, inputs: Sequence[str | Array], output: str, **attributes: Any) -> str:
+        arrays = (self.values[x] if isinstance(x, str) else x for x in inputs)
         self.values[output] = _ON_ARRAYS[op](*arrays, **attributes)
         return output
 
@@ -184,7 +173,7 @@ def predictor_inputs(path: Path | str, dof: int) -> tuple[str, ...]:
     """
     try:
         metadata = {prop.key: prop.value for prop in onnx.load(path).metadata_props}
-    except Exception:  # protobuf raises types of its own
+    except Exception:  # protobuf raises other types
         raise InputError(path, "is not an ONNX graph", "train the bundle again") from None
     return named_inputs(metadata, path) or feature_names(dof)
 
@@ -199,7 +188,7 @@ def predictor_function(path: Path | str) -> ca.Function:
     try:
         graph = onnx.load(path).graph
         imported = ca.GraphBuilder(str(path)).create("imported", {"symbolic": True})
-    except Exception as error:  # protobuf and CasADi raise types of their own
+    except Exception as error:  # protobuf and CasADi raise other types
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "damaged"
         raise InputError(path, f"is not an ONNX graph that CasADi can import ({reason})",
                          "train the bundle again") from None  # fmt: skip

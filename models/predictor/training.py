@@ -9,8 +9,8 @@ robot: at another payload or motion than any used for training or choice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.signals import AGE
 from firmware_py.summary import RangeReasons
 from models.plant.simulation.runner import CompiledModel
-from models.predictor.candidates import DEFAULT_CANDIDATES, TipPredictor
+from models.predictor.candidates import TipPredictor
 from models.predictor.document import (
     CandidateEntry,
     PredictorsDocument,
@@ -30,15 +30,7 @@ from models.predictor.document import (
 )
 from models.predictor.guarded_tip import GuardedTip
 from models.predictor.interval import TipInterval
-from models.predictor.observed_trials import (
-    ASKEW_RAD,
-    WRONG_STIFFNESS,
-    TipRows,
-    askew_shifts_m,
-    collect_rows,
-    observe,
-    wrong_stiffness,
-)
+from models.predictor.observed_trials import TipRows, collect_rows, wrong_plants
 from models.predictor.onnx_graphs import Array, to_onnx
 from models.predictor.polynomials import Fold
 from models.predictor.validation import axis_coverage, euclidean_distance_m
@@ -48,10 +40,8 @@ STRIDE: Final = 8
 """Distance between the rows of a cross-validation: 0.14 s, because neighbours are nearly equal."""
 TOLERANCE: Final = 0.03
 """Relative gain in mean error that a candidate needs over a simpler one [assumed]."""
-INNER_GROUPS: Final = 3
-"""Number of groups of payloads in an inner cross-validation."""
-WORSE: Final = 1.1
-"""Ratio of mean errors above which further, less simple variants are not tried."""
+INNER_GROUPS: Final = 3  # Number of groups of payloads in an inner cross-validation
+WORSE: Final = 1.1  # Ratio of mean errors above which further, less simple variants are not tried
 
 
 @dataclass(frozen=True)
@@ -67,24 +57,23 @@ def train_tip(
     training: Sequence[Trial],
     tests: Mapping[str, TrialSet],
     observer: CompiledModel,
-    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
-    progress: Callable[[str], None] = lambda detail: None,
-    askew_rad: float = ASKEW_RAD,
+    candidates: Sequence[type[TipPredictor]],
+    progress: Callable[[str], None],
+    askew_rad: float,
 ) -> TipTraining:
     """Choose among candidates, fit and test the robot's tip predictor.
 
     `askew_rad`: angle by which the link may be mounted askew, which the interval covers.
     """
-    rows = collect_rows(observe(observer, training))
-    changed = {factor: wrong_stiffness(observer.model, factor) for factor in WRONG_STIFFNESS}
-    wrong = {factor: changes for factor, changes in changed.items() if changes}
-    disturbed = [collect_rows(observe(observer, training, changes)) for changes in wrong.values()]
-    chosen, results = choose_tip_predictor(rows, disturbed, candidates, progress, askew_rad)
-    tested = {name: collect_rows(observe(observer, trials)) for name, trials in tests.items()}
+    wrong = wrong_plants(observer.model)
+    wrong_rows = [collect_rows(observer, training, changes) for changes in wrong.values()]
+    rows = collect_rows(observer, training).with_askew_mount(askew_rad)
+    rows = replace(rows, wrong_inputs=tuple(of_plant.inputs for of_plant in wrong_rows))
+    chosen, results = choose_tip_predictor(rows, candidates, progress)
+    tested = {name: collect_rows(observer, trials) for name, trials in tests.items()}
     if together := [trial for trials in tests.values() for trial in trials]:
         tested |= {
-            f"stiffness_x_{factor:g}": collect_rows(observe(observer, together, changes))
-            for factor, changes in wrong.items()
+            name: collect_rows(observer, together, changes) for name, changes in wrong.items()
         }
     document = PredictorsDocument(
         schema=PredictorsDocument.VERSION,
@@ -96,8 +85,7 @@ def train_tip(
         payload_kg=tuple(sorted({t.meta.payload_kg for t in training})),
         askew_rad=askew_rad,
         candidates={result.candidate.name: _entry(result, tested) for result in results},
-        data={"training": summary_of(training)}
-        | {name: summary_of(trials) for name, trials in tests.items()},
+        data={name: summary_of(trials) for name, trials in {"training": training, **tests}.items()},
         out_of_range={
             name: range_reasons(chosen.predictor, rows.inputs) for name, rows in tested.items()
         },
@@ -119,25 +107,17 @@ class CandidateResult(NamedTuple):
 
 def choose_tip_predictor(
     rows: TipRows,
-    disturbed: Sequence[TipRows],
-    candidates: Sequence[type[TipPredictor]] = DEFAULT_CANDIDATES,
+    candidates: Sequence[type[TipPredictor]],
     progress: Callable[[str], None] = lambda detail: None,
-    askew_rad: float = ASKEW_RAD,
 ) -> tuple[CandidateResult, list[CandidateResult]]:
-    """Compare candidates, simplest first, and fit each on all rows; return the best, and all.
-
-    `disturbed`: the same rows with observers of wrong plants, for the interval. `askew_rad`: angle
-    by which the link may be mounted askew, which the interval covers.
-    """
-    few = rows.take(slice(None, None, STRIDE))
-    others = [wrong.take(slice(None, None, STRIDE)) for wrong in disturbed]
-    results = []
+    """Compare candidates, simplest first, and fit each on all rows; return the best, and all."""
+    few, results = rows.take(slice(None, None, STRIDE)), []
     for candidate in candidates:
-        nested, left_out_m = _nested(candidate, few, others, askew_rad)
+        nested, left_out_m = _nested(candidate, few)
         variant = _best_variant(candidate, few)
         fitted = candidate(variant).fit(rows)
-        interval = _interval(fitted, few, left_out_m, others, askew_rad)
-        results.append(CandidateResult(variant, nested, GuardedTip.of(rows, fitted, interval)))
+        guarded = GuardedTip.of(rows, fitted, _interval(fitted, few, left_out_m))
+        results.append(CandidateResult(variant, nested, guarded))
         progress(candidate.name)
     chosen = results[0]
     for result in results[1:]:
@@ -149,25 +129,24 @@ def choose_tip_predictor(
 def group_folds(rows: TipRows, most: int | None = None) -> list[Fold]:
     """One fold for each payload and each motion that it leaves out.
 
-    With one payload and one motion, trials are left out. `most`: largest number of groups of
-    payloads; neighbours are in different groups.
+    With one payload and one motion, trials are left out; one trial is trained and tested on whole.
+    `most`: largest number of groups of payloads; neighbours are in different groups.
     """
     payload = np.unique(rows.payload_kg, return_inverse=True)[1]
-    folds = [
-        (np.flatnonzero(groups != value), np.flatnonzero(groups == value))
-        for groups in (payload % most if most else payload, rows.motion)
-        for value in np.unique(groups)
-    ]
-    folds = [fold for fold in folds if len(fold[0])] or [
-        (np.flatnonzero(rows.run != run), np.flatnonzero(rows.run == run))
-        for run in np.unique(rows.run)
-    ]
-    return [fold for fold in folds if len(fold[0])] or [(np.arange(len(rows)),) * 2]
+
+    def left_out(*groupings: NDArray[Any]) -> list[Fold]:
+        return [
+            (np.flatnonzero(groups != value), np.flatnonzero(groups == value))
+            for groups in groupings
+            for value in np.unique(groups)
+            if (groups != value).any()
+        ]
+
+    folds = left_out(payload % most if most else payload, rows.motion) or left_out(rows.run)
+    return folds or [(np.arange(len(rows)),) * 2]
 
 
-def _nested(
-    candidate: type[TipPredictor], rows: TipRows, disturbed: Sequence[TipRows], askew_rad: float
-) -> tuple[TipScore, Array]:
+def _nested(candidate: type[TipPredictor], rows: TipRows) -> tuple[TipScore, Array]:
     """Score on the rows that outer folds leave out, and the mean error of each row there.
 
     The interval of a fold is calibrated on the errors of the other folds on its training rows
@@ -176,30 +155,35 @@ def _nested(
     folds, fitted = group_folds(rows), []
     total, count = np.zeros((len(rows), 3)), np.zeros((len(rows), 1))
     for train, test in folds:
-        seen = rows.take(train)
-        fitted.append(candidate(_best_variant(candidate, seen)).fit(seen))
+        trained = rows.take(train)
+        fitted.append(candidate(_best_variant(candidate, trained)).fit(trained))
         total[test] += rows.tip_m[test] - fitted[-1].predict(rows.inputs[test])
         count[test] += 1
-    left_out_m = total / count
-    parts = []
+    left_out_m, tested = total / count, []
     for (train, test), predictor in zip(folds, fitted, strict=True):
-        seen = rows.take(train)
-        wrong = [other.take(train) for other in disturbed]
-        interval = _interval(predictor, seen, left_out_m[train], wrong, askew_rad)
-        parts.append(_answers(GuardedTip.of(seen, predictor, interval), rows.take(test)))
-    error_m, half_width_m, in_range = (np.concatenate(a) for a in zip(*parts, strict=True))
-    return _score(error_m, half_width_m, in_range, rows.dof), left_out_m
+        trained = rows.take(train)
+        interval = _interval(predictor, trained, left_out_m[train])
+        tested.append((GuardedTip.of(trained, predictor, interval), rows.take(test)))
+    return _score(tested), left_out_m
 
 
 def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
-    """Variant with the least mean error on held-out rows; a simpler one if it hardly differs."""
-    first, *others = candidate.variants
+    """Variant with the least mean error on rows left out; a simpler one if it hardly differs."""
+    best, *others = candidate.variants
     if not others:
-        return first
+        return best
     folds = group_folds(rows, INNER_GROUPS)
-    best, least_m = first, _mean_error_m(candidate(first), rows, folds)
+
+    def mean_error_m(variant: int) -> float:
+        predictor, distances_m = candidate(variant), []
+        for train, test in folds:
+            predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
+            distances_m.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
+        return float(np.mean(np.concatenate(distances_m)))
+
+    least_m = mean_error_m(best)
     for variant in others:
-        mean_m = _mean_error_m(candidate(variant), rows, folds)
+        mean_m = mean_error_m(variant)
         if mean_m > WORSE * least_m:
             break
         if mean_m < (1.0 - TOLERANCE) * least_m:
@@ -207,34 +191,18 @@ def _best_variant(candidate: type[TipPredictor], rows: TipRows) -> int:
     return best
 
 
-def _mean_error_m(predictor: TipPredictor, rows: TipRows, folds: Sequence[Fold]) -> float:
-    distances = []
-    for train, test in folds:
-        predicted_m = predictor.fit(rows.take(train)).predict(rows.inputs[test])
-        distances.append(euclidean_distance_m(rows.tip_m[test], predicted_m))
-    return float(np.mean(np.concatenate(distances)))
-
-
-def _interval(
-    fitted: TipPredictor,
-    rows: TipRows,
-    left_out_m: Array,
-    disturbed: Sequence[TipRows],
-    askew_rad: float,
-) -> TipInterval:
-    wrong = [(other.inputs, other.tip_m - fitted.predict(other.inputs)) for other in disturbed]
-    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in askew_shifts_m(rows, askew_rad)]
+def _interval(fitted: TipPredictor, rows: TipRows, left_out_m: Array) -> TipInterval:
+    wrong = [(inputs, rows.tip_m - fitted.predict(inputs)) for inputs in rows.wrong_inputs]
+    wrong += [(rows.inputs, left_out_m + shift_m) for shift_m in rows.askew_m]
     return TipInterval.fit(rows.names, (rows.inputs, left_out_m, rows.run), wrong)
 
 
-def _answers(predictor: GuardedTip, rows: TipRows) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Error, half width and range of each row."""
-    error_m = rows.tip_m - predictor.predict(rows.inputs)
-    return error_m, predictor.half_width(rows.inputs), predictor.in_range(rows.inputs)
-
-
-def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof: int) -> TipScore:
-    coverage = axis_coverage(np.abs(error_m) <= half_width_m, dof)
+def _score(tested: Sequence[tuple[GuardedTip, TipRows]]) -> TipScore:
+    """Score of predictors on rows each, over all of these."""
+    error_m = np.vstack([rows.tip_m - tip.predict(rows.inputs) for tip, rows in tested])
+    half_width_m = np.vstack([tip.half_width(rows.inputs) for tip, rows in tested])
+    in_range = np.concatenate([tip.in_range(rows.inputs) for tip, rows in tested])
+    coverage = axis_coverage(np.abs(error_m) <= half_width_m, tested[0][1].dof)
     distance_m = np.linalg.norm(error_m, axis=1)
     return TipScore(
         rows=len(error_m),
@@ -250,23 +218,21 @@ def _score(error_m: Array, half_width_m: Array, in_range: NDArray[np.bool_], dof
 
 
 def _entry(result: CandidateResult, tests: Mapping[str, TipRows]) -> CandidateEntry:
-    graph = to_onnx(result.predictor, len(result.predictor.names)).SerializeToString()
+    predictor = result.predictor
+    graph = to_onnx(predictor.write_graph, len(predictor.names)).SerializeToString()
+
+    def scores(rows: TipRows) -> dict[str, TipScore]:
+        parts = {"all": rows} | {k: rows.take(rows.part == k) for k in ("rest", "motion")}
+        return {k: _score([(predictor, part)]) for k, part in parts.items() if len(part)}
+
     return CandidateEntry(
         summary=result.candidate.summary,
         variant=result.variant,
         nested=result.nested,
-        tests={name: _by_part(result.predictor, rows) for name, rows in tests.items()},
+        tests={name: scores(rows) for name, rows in tests.items()},
         graph_bytes=len(graph),
         latency=graph_latency(graph),
     )
-
-
-def _by_part(predictor: GuardedTip, rows: TipRows) -> dict[str, TipScore]:
-    (error_m, half_width_m, in_range), scores = _answers(predictor, rows), {}
-    for part in ("all", "rest", "motion"):
-        if (k := (rows.part == part) | (part == "all")).any():
-            scores[part] = _score(error_m[k], half_width_m[k], in_range[k], rows.dof)
-    return scores
 
 
 def range_reasons(predictor: GuardedTip, inputs: Array) -> RangeReasons:

@@ -6,26 +6,24 @@ motion that causes it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from firmware_py.display_units import FRACTION, LENGTH
-from models.predictor.onnx_graphs import Array
 from models.study.document import ByDegree, StudyDocument, StudyFinding
 from models.trials.deformation import deformation_index
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import Trial
 
-PAPER_BEST_DEGREE: Final = {1: 5, 2: 3}
+PAPER_BEST_DEGREE: Final = {1: "5", 2: "3"}
 """Degree of least distance by dof, as reported in the paper."""
 NOISE_FACTOR: Final = 3.0
 """Width of a DI loop, relative to the width from marker noise alone, above which it counts as
 hysteresis [assumed]."""
 MEAN_OF_ABSOLUTE: Final = 0.8
 """Mean absolute value of a normal variable in standard deviations: √(2/π), rounded."""
-ANGLE_BINS: Final = 12
-"""Number of bins of the angle over a DI loop."""
+ANGLE_BINS: Final = 12  # Number of bins of the angle over a DI loop
 
 
 def payload_key(payload_kg: float) -> str:
@@ -34,28 +32,24 @@ def payload_key(payload_kg: float) -> str:
 
 
 def judge_findings(
-    document: StudyDocument, training: TrialSet, tests: Mapping[str, TrialSet]
+    document: StudyDocument, training: Sequence[Trial], repeated: Sequence[Trial]
 ) -> tuple[StudyFinding, ...]:
-    """Test the paper's findings.
-
-    `tests`: held-out trials; the first set corresponds to the paper's trial 2.
-    """
-    name = next(iter(tests), None)
-    listed = [_rises_with_payload(document.mean_di)]
-    if name is not None:
-        table = document.mean_euclidean_distance_m[name]["pooled"]
-        listed += [
-            _degree_one_is_worst(table["with_di"], name),
-            _di_helps(table, name),
-            _best_degree(document, table["with_di"], name),
+    """Test the paper's findings; `repeated`: the first test, like the paper's trial 2, or none."""
+    findings = [_rises_with_payload(document.mean_di)]
+    if repeated:
+        name, of_test = next(iter(document.mean_euclidean_distance_m.items()))
+        with_di, without_di = of_test["pooled"]["with_di"], of_test["pooled"]["without_di"]
+        findings += [
+            _degree_one_is_worst(with_di, name),
+            _di_helps(with_di, without_di, name),
+            _best_degree(document, with_di, name),
         ]
-    repeated = tests[name] if name is not None else TrialSet(())
-    listed += [
-        _negative_angles(training, repeated),
+    findings += [
+        _negative_angles((*training, *repeated)),
         _hysteresis(training),
         _more_joints_deform_more(document),
     ]
-    return tuple(listed)
+    return tuple(findings)
 
 
 def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> StudyFinding:
@@ -63,34 +57,28 @@ def _finding(claim: str, holds: bool | None, text: str, depends_on: str) -> Stud
     return StudyFinding(claim, holds, f"{verdict}: {text}.", depends_on)
 
 
-def _percent(value: float) -> str:
-    return f"{FRACTION.number(value, 2)} %"
-
-
 def _rises_with_payload(mean_di: Mapping[str, float]) -> StudyFinding:
-    values = list(mean_di.values())
-    listed = ", ".join(f"{_percent(v)} at {k} kg" for k, v in mean_di.items())
-    holds = bool(np.all(np.diff(values) > 0)) if len(values) > 1 else None
+    listed = ", ".join(f"{FRACTION.number(v, 2)} % at {k} kg" for k, v in mean_di.items())
+    rises = bool(np.all(np.diff(list(mean_di.values())) > 0))
     return _finding(
-        "DI rises with payload", holds, f"mean DI {listed}",
+        "DI rises with payload", rises if len(mean_di) > 1 else None, f"mean DI {listed}",
         "the bending moment at the root: payload, amplitude and acceleration; at small payloads "
         "marker noise alone adds about 0.07 %",
     )  # fmt: skip
 
 
 def _degree_one_is_worst(by_degree: ByDegree, name: str) -> StudyFinding:
-    worst = max(by_degree, key=lambda d: by_degree[d])
     others = [v for d, v in by_degree.items() if d != "1"]
     return _finding(
-        "Degree 1 is worst", worst == "1",
+        "Degree 1 is worst", by_degree["1"] > max(others),
         f"mean Euclidean distance on {name} {LENGTH.number(by_degree['1'])} mm at degree 1, "
         f"{LENGTH.number(min(others))} to {LENGTH.number(max(others))} mm at the others",
         "the geometry: the tip moves on an arc, which no linear map of the angle follows",
     )  # fmt: skip
 
 
-def _di_helps(table: Mapping[str, ByDegree], name: str) -> StudyFinding:
-    gains = {d: table["without_di"][d] - v for d, v in table["with_di"].items()}
+def _di_helps(with_di: ByDegree, without_di: ByDegree, name: str) -> StudyFinding:
+    gains = {d: without_di[d] - v for d, v in with_di.items()}
     listed = ", ".join(f"{LENGTH.number(g)}" for g in gains.values())
     return _finding(
         "DI helps at every degree", all(g > 0 for g in gains.values()),
@@ -107,9 +95,9 @@ def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> Stu
     validated = document.cross_validation["with_di"]
     chosen = min(validated, key=lambda d: validated[d].selection_m)
     return _finding(
-        f"{document.dof}DOF predicts best at degree {paper}", best == str(paper),
+        f"{document.dof}DOF predicts best at degree {paper}", best == paper,
         f"on {name} degree {best} is best with {LENGTH.number(by_degree[best], 2)} mm "
-        f"(degree {paper}: {LENGTH.number(by_degree[str(paper)], 2)} mm, degree 6: "
+        f"(degree {paper}: {LENGTH.number(by_degree[paper], 2)} mm, degree 6: "
         f"{LENGTH.number(by_degree['6'], 2)} mm); cross-validation on the training trials, "
         f"without {name}, chooses {chosen}",
         "trial-to-trial variation: the minimum lies below degree 6 only if the second trial "
@@ -117,46 +105,42 @@ def _best_degree(document: StudyDocument, by_degree: ByDegree, name: str) -> Stu
     )  # fmt: skip
 
 
-def _negative_angles(training: TrialSet, repeated: TrialSet) -> StudyFinding:
+def _negative_angles(trials: Sequence[Trial]) -> StudyFinding:
     ratios: dict[str, list[float]] = {}
-    for trial in (*training, *repeated):
+    for trial in trials:
         di, angle_rad = deformation_index(trial), trial.angle_rad[:, 0]
         deep = 0.5 * np.abs(angle_rad).max()  # near zero the bend is small
-        if not (angle_rad.min() < -deep and angle_rad.max() > deep):
-            continue  # the joint moves to one side only
-        ratio = np.nanmean(di[angle_rad < -deep]) / np.nanmean(di[angle_rad > deep])
-        ratios.setdefault(payload_key(trial.meta.payload_kg), []).append(float(ratio))
-    every = [r for of_payload in ratios.values() for r in of_payload]
+        if angle_rad.min() < -deep and angle_rad.max() > deep:
+            ratio = np.nanmean(di[angle_rad < -deep]) / np.nanmean(di[angle_rad > deep])
+            ratios.setdefault(payload_key(trial.meta.payload_kg), []).append(float(ratio))
+    claim = "Negative angles deform more"
+    every = [ratio for by_trial in ratios.values() for ratio in by_trial]
     if not every:
-        return _finding(
-            "Negative angles deform more", None, "no trial moves to both sides",
-            "the motion of joint 1",
-        )  # fmt: skip
+        return _finding(claim, None, "no trial moves to both sides", "the motion of joint 1")
     listed = ", ".join(f"{np.mean(r):.2f} at {k} kg" for k, r in ratios.items())
     return _finding(
-        "Negative angles deform more", min(every) > 1.0,
+        claim, min(every) > 1.0,
         f"DI at negative over DI at positive angles of joint 1, beyond half the amplitude: "
         f"{listed}; over single trials {min(every):.2f} to {max(every):.2f}",
         "a link that is softer or pre-bent to one side, like the paper's; a symmetric link gives 1",
     )  # fmt: skip
 
 
-def _hysteresis(training: TrialSet) -> StudyFinding:
-    loops: dict[str, HysteresisLoop] = {}
-    for payload in sorted({t.meta.payload_kg for t in training}):
-        of_payload = [hysteresis_loop(t) for t in training if t.meta.payload_kg == payload]
-        loops[payload_key(payload)] = HysteresisLoop(*np.mean(of_payload, axis=0).tolist())
-    beyond = {k: found.width > NOISE_FACTOR * found.noise for k, found in loops.items()}
-    heaviest = max(loops, key=float)
+def _hysteresis(training: Sequence[Trial]) -> StudyFinding:
+    measured: dict[float, list[HysteresisLoop]] = {}
+    for t in sorted(training, key=lambda t: t.meta.payload_kg):
+        measured.setdefault(t.meta.payload_kg, []).append(hysteresis_loop(t))
+    loops = {k: HysteresisLoop(*np.mean(v, axis=0).tolist()) for k, v in measured.items()}
+    beyond = {k: loop.width > NOISE_FACTOR * loop.noise for k, loop in loops.items()}
     listed = ", ".join(
-        f"{FRACTION.number(found.width, 3)} % at {k} kg "
-        f"({FRACTION.number(found.width / found.span)} % of its range"
+        f"{FRACTION.number(loop.width, 3)} % at {payload_key(k)} kg "
+        f"({FRACTION.number(loop.width / loop.span)} % of its range"
         f"{'' if beyond[k] else ', within noise'})"
-        for k, found in loops.items()
+        for k, loop in loops.items()
     )
-    noise = max(found.noise for found in loops.values())
+    noise = max(loop.noise for loop in loops.values())
     return _finding(
-        "DI shows hysteresis at high payload", beyond[heaviest],
+        "DI shows hysteresis at high payload", beyond[max(loops)],
         f"DI at rising and at falling angle differs on average by {listed}; marker noise alone "
         f"gives up to {FRACTION.number(noise, 3)} %",
         "inertia and damping as well as hysteresis of the material: a loop at one speed does not "
@@ -176,7 +160,7 @@ def hysteresis_loop(trial: Trial) -> HysteresisLoop:
     """Measure the loop of DI over the angle of joint 1, in bins of the angle."""
     every = deformation_index(trial)
     di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]
-    scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
+    span = float(np.nanmax(di) - np.nanmin(di))
     rising = np.gradient(trial.goal_rad[trial.moving, 0]) > 0
     limit = 0.8 * np.abs(angle_rad).max()  # the branches meet at the turning points
     number = np.digitize(angle_rad, np.linspace(-limit, limit, ANGLE_BINS + 1))
@@ -186,35 +170,29 @@ def hysteresis_loop(trial: Trial) -> HysteresisLoop:
         if up.any() and down.any():
             branches.append([(angle_rad[b].mean(), np.nanmean(di[b]), b.sum()) for b in (up, down)])
     if not branches:
-        return HysteresisLoop(0.0, _range(di), 0.0)
-    (up_rad, up_di, up_count), (down_rad, down_di, down_count) = np.array(branches).transpose(
-        1, 2, 0
-    )
+        return HysteresisLoop(0.0, span, 0.0)
+    (up_rad, up_di, up_count), (down_rad, down_di, down_count) = np.transpose(branches, (1, 2, 0))
     # Samples of the branches lie at other angles within a bin: compare them at the same angle.
     width = float(np.mean(np.abs(np.interp(down_rad, up_rad, up_di) - down_di)))
+    scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
     noise = MEAN_OF_ABSOLUTE * scatter * float(np.mean(np.sqrt(1 / up_count + 1 / down_count)))
-    return HysteresisLoop(width, _range(di), noise)
-
-
-def _range(values: Array) -> float:
-    return float(np.nanmax(values) - np.nanmin(values))
+    return HysteresisLoop(width, span, noise)
 
 
 def _more_joints_deform_more(document: StudyDocument) -> StudyFinding:
-    own, other = document.mean_di, document.mean_di_other_dof
-    one, two = (own, other) if document.dof == 1 else (other, own)
-    shared = [k for k in own if k in other]
-    if not shared:
+    claim = "2DOF deforms more than 1DOF"
+    one, two = document.mean_di, document.mean_di_other_dof
+    if document.dof == 2:
+        one, two = two, one
+    ratios = {k: two[k] / one[k] for k in document.mean_di if k in document.mean_di_other_dof}
+    if not ratios:
         return _finding(
-            "2DOF deforms more than 1DOF", None,
-            "the directory holds trials of one dof only",
+            claim, None, "the directory holds trials of one dof only",
             "simulate with --dof 1 2 into one directory",
         )  # fmt: skip
-    ratios = {k: two[k] / one[k] for k in shared}
     listed = ", ".join(f"{v:.2f} at {k} kg" for k, v in ratios.items())
     return _finding(
-        "2DOF deforms more than 1DOF", min(ratios.values()) > 1.0,
-        f"mean DI of 2DOF over 1DOF: {listed}",
+        claim, min(ratios.values()) > 1.0, f"mean DI of 2DOF over 1DOF: {listed}",
         "the phase of joint 2, which the paper does not state: in phase the two planes bend "
         "together, a quarter period apart the link is bent at all times",
     )  # fmt: skip

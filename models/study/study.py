@@ -8,12 +8,13 @@ use the guard that clips inputs into the training box, like the fallback on the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.metrics import r2_score
 from sklearn.pipeline import Pipeline
 
 from models.predictor.document import summary_of
@@ -22,15 +23,18 @@ from models.predictor.fallback import (
     Folds,
     Samples,
     Source,
-    by_payload,
-    held_out_distances_m,
-    observed_samples,
+    collect_samples,
 )
-from models.predictor.observed_trials import ObservedTrial
 from models.predictor.onnx_graphs import Array
-from models.predictor.polynomials import DEGREES, GuardedPredictor, polynomial_pipeline, predict
-from models.predictor.validation import axis_coverage, euclidean_distance_m, r_squared
-from models.shared.kinematics import base_rotation, rigid_tip_m
+from models.predictor.polynomials import (
+    DEGREES,
+    GuardedPredictor,
+    held_out_errors,
+    polynomial_pipeline,
+    predict,
+)
+from models.predictor.validation import axis_coverage, euclidean_distance_m
+from models.shared.kinematics import base_rotation
 from models.study.document import (
     BaselineErrors,
     Curve,
@@ -58,29 +62,25 @@ VARIANTS: Final[dict[str, Source]] = {
 """The study's three predictors, and the source of DI for the training and tests of each."""
 ESTIMATORS: Final[tuple[Source, ...]] = ("observer", "lagged", "none")
 ROWS: Final = "moving rows only; the observer also runs through the rest rows in front"
-TABLES: Final = (
-    "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators", "baselines", "deployed",
-)  # fmt: skip
-"""Tables of the document with one entry per test."""
 Fitted = Mapping[tuple[Source, int], Pipeline]
 """Fitted pipelines by source of DI and degree."""
 Distances = Mapping[tuple[Source, int], Array]
 """Euclidean distance of every row in m, by source of DI and degree."""
+Parts = Mapping[str, NDArray[np.bool_]]
+"""Rows of each part of a table."""
 
 
 def run_study(
-    training: TrialSet,
-    tests: Mapping[str, TrialSet],
     fallback: Fallback,
+    tests: Mapping[str, TrialSet],
     others: TrialSet | None = None,
     progress: Callable[[str], None] = lambda detail: None,
 ) -> StudyDocument:
     """Train, cross-validate and test every predictor of the study.
 
-    `fallback`: as fitted to the same training trials. `others`: trials of the other dof, for the
-    comparison of mean DI.
+    `fallback`: its training trials are those of the study. `others`: trials of the other dof, for
+    the comparison of mean DI.
     """
-    training, tests = by_payload(training), {k: by_payload(v) for k, v in tests.items()}
     samples = fallback.samples
     cross_validation = {
         variant: _cross_validated(samples, source, fallback.folds)
@@ -92,41 +92,46 @@ def run_study(
         for source in ("true", *ESTIMATORS)
         for degree in DEGREES
     }
-    tables: dict[str, dict[str, Any]] = {key: {} for key in TABLES}
     tested: dict[str, Samples] = {}
+    tables: dict[str, dict[str, Any]] = {}
+    error: dict[str, ErrorCurves] = {}
     for name, trials in tests.items():
-        tested[name], runs = observed_samples(trials, fallback.observer, fallback.lagged)
-        for key, table in _tables(tested[name], runs, fitted, fallback.predictor).items():
-            tables[key][name] = table
+        tested[name] = collect_samples(trials, fallback.observer, fallback.lagged)
+        distances = _distances(tested[name], fitted)
+        tables[name] = _tables(tested[name], distances, fallback.predictor)
+        error[name] = _error(tested[name], distances)
         progress(name)
     document = StudyDocument(
         schema=StudyDocument.VERSION,
-        dof=training[0].meta.dof,
+        dof=samples.trials[0].meta.dof,
         rows=ROWS,
-        training=summary_of(training),
+        training=summary_of(samples.trials),
         cross_validation=cross_validation,
-        mean_di=_mean_di(training),
-        mean_di_other_dof=_mean_di(others) if others else {},
+        mean_di=_mean_di(samples.trials),
+        mean_di_other_dof=_mean_di(others or ()),
         chosen_degree=fallback.degree,
-        tests={name: summary_of(trials) for name, trials in tests.items()},
-        series=_curves(samples, tested, fitted),
+        tests={name: summary_of(of_test.trials) for name, of_test in tested.items()},
+        series=StudyCurves(
+            path=_by_trial(samples, _path),
+            poses=_poses(samples, _heaviest(samples)),
+            di=_by_trial(samples, _di_curve),
+            error=error,
+            estimates={name: _estimates(of_test) for name, of_test in tested.items()},
+        ),
         findings=(),
-        **tables,
+        **{key: {name: tables[name][key] for name in tests} for key in TABLES},
     )
-    findings = judge_findings(document, training, tests)
+    repeated = next((of_test.trials for of_test in tested.values()), ())
+    findings = judge_findings(document, samples.trials, repeated)
     return msgspec.structs.replace(document, findings=findings)
 
 
-def _mean_di(trials: TrialSet) -> dict[str, float]:
+def _mean_di(trials: Iterable[Trial]) -> dict[str, float]:
     """Mean DI over the moving rows by payload (paper, Fig. 11)."""
-    of_payload: dict[str, list[Array]] = {}
-    for t in trials:
-        moving = deformation_index(t)[t.moving]
-        of_payload.setdefault(payload_key(t.meta.payload_kg), []).append(moving)
-    return {
-        key: float(np.nanmean(np.concatenate(of_payload[key])))
-        for key in sorted(of_payload, key=float)
-    }
+    by_key: dict[str, list[Array]] = {}
+    for t in sorted(trials, key=lambda t: t.meta.payload_kg):
+        by_key.setdefault(payload_key(t.meta.payload_kg), []).append(deformation_index(t)[t.moving])
+    return {key: float(np.nanmean(np.concatenate(di))) for key, di in by_key.items()}
 
 
 def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str, FoldErrors]:
@@ -136,50 +141,48 @@ def _cross_validated(samples: Samples, source: Source, folds: Folds) -> dict[str
     payloads than the trained ones. Blocks of time are reported too: if one block holds the only
     start of a motion, that block alone would decide.
     """
-    errors = {}
+    table, features = {}, samples.features(source)
     for degree in DEGREES:
-        mean_m, std_m = {}, {}
+        entry = {}
         for kind, parts in folds.items():
-            features = samples.features(source)
-            distances = held_out_distances_m(degree, features, samples.tip_m, parts)
-            mean_m[kind] = float(np.mean(np.concatenate(distances)))
-            std_m[kind] = float(np.std([float(d.mean()) for d in distances]))
-        errors[str(degree)] = FoldErrors(
-            blocks_m=mean_m["blocks"],
-            blocks_fold_std_m=std_m["blocks"],
-            leave_one_payload_out_m=mean_m.get("leave_one_payload_out"),
-            leave_one_payload_out_fold_std_m=std_m.get("leave_one_payload_out"),
-            selection_m=mean_m.get("leave_one_payload_out", mean_m["blocks"]),
-        )
-    return errors
+            errors_m = held_out_errors(degree, features, samples.tip_m, parts)
+            distances_m = [np.linalg.norm(error_m, axis=1) for error_m in errors_m]
+            entry[f"{kind}_m"] = float(np.concatenate(distances_m).mean())
+            entry[f"{kind}_fold_std_m"] = float(np.std([d.mean() for d in distances_m]))
+        selection_m = entry.get("leave_one_payload_out_m", entry["blocks_m"])
+        table[str(degree)] = FoldErrors(**entry, selection_m=selection_m)
+    return table
 
 
-def _tables(
-    samples: Samples, runs: list[ObservedTrial], fitted: Fitted, predictor: GuardedPredictor
-) -> dict[str, Any]:
-    """Tables of one set of held-out trials, by their keys in the document."""
-    parts = split_rows(samples)
-    distances = {
+def _distances(samples: Samples, fitted: Fitted) -> Distances:
+    return {
         (source, degree): euclidean_distance_m(
             samples.tip_m, predict(pipeline, samples.features(source))
         )
         for (source, degree), pipeline in fitted.items()
     }
+
+
+TABLES: Final = (
+    "mean_euclidean_distance_m", "std_euclidean_distance_m", "estimators", "baselines", "deployed",
+)  # fmt: skip
+"""Tables of the document with one entry per test."""
+
+
+def _tables(samples: Samples, distances: Distances, predictor: GuardedPredictor) -> dict[str, Any]:
+    """Tables of one set of held-out trials, by their keys in the document."""
+    parts = _parts(samples)
     return {
         "mean_euclidean_distance_m": _distance_table(parts, distances, np.mean),
         "std_euclidean_distance_m": _distance_table(parts, distances, np.std),
-        "estimators": _estimator_table(samples, distances),
-        "baselines": _baselines(samples, parts, runs),
+        "estimators": {source: _estimator(samples, distances, source) for source in ESTIMATORS},
+        "baselines": _baselines(samples, parts),
         "deployed": _deployed(samples, parts, predictor),
     }
 
 
-def split_rows(samples: Samples) -> dict[str, NDArray[np.bool_]]:
-    """Rows of each part of a table, shape (n,) each.
-
-    The parts are "pooled" for all rows; "0", "0.5", … for one payload in kg; "phase_90deg", … for
-    one phase of joint 2 if the rows have several.
-    """
+def _parts(samples: Samples) -> Parts:
+    """Rows that are "pooled" (all), of one payload ("0.5"), of one of several phases of joint 2."""
     parts = {"pooled": np.ones(len(samples), dtype=bool)}
     for kg in np.unique(samples.payload_kg):
         parts[payload_key(float(kg))] = samples.payload_kg == kg
@@ -191,9 +194,7 @@ def split_rows(samples: Samples) -> dict[str, NDArray[np.bool_]]:
 
 
 def _distance_table(
-    parts: Mapping[str, NDArray[np.bool_]],
-    distances: Distances,
-    statistic: Callable[[Array], Any],
+    parts: Parts, distances: Distances, statistic: Callable[[Array], Any]
 ) -> DistanceTable:
     """Statistic of the distances by part, variant and degree (paper, eq. 8)."""
     return {
@@ -205,121 +206,87 @@ def _distance_table(
     }
 
 
-def _estimator_table(samples: Samples, distances: Distances) -> dict[str, EstimatorScores]:
-    table: dict[str, EstimatorScores] = {}
+def _estimator(samples: Samples, distances: Distances, source: Source) -> EstimatorScores:
     true = samples.di["true"]
-    for source in ESTIMATORS:
-        estimate = samples.di.get(source, np.zeros_like(true))
-        errors_m = {str(d): float(distances[source, d].mean()) for d in DEGREES}
-        fractions: dict[str, float | None] = {}
-        for degree in DEGREES:
-            without_m = distances["none", degree].mean()
-            benefit_m = without_m - distances["true", degree].mean()
-            gained_m = without_m - errors_m[str(degree)]
-            fractions[str(degree)] = float(gained_m / benefit_m) if benefit_m > 0 else None
-        table[source] = EstimatorScores(
-            r2_di=r_squared(true, estimate),
-            rms_error_di=float(np.sqrt(np.mean((estimate - true) ** 2))),
-            mean_euclidean_distance_m=errors_m,
-            benefit_recovered=fractions,
-        )
-    return table
-
-
-def _baselines(
-    samples: Samples, parts: Mapping[str, NDArray[np.bool_]], runs: Sequence[ObservedTrial]
-) -> BaselineErrors:
-    """Distances without a polynomial: the observer's tip, and a link that does not bend."""
-    rigid = [
-        rigid_tip_m(t.angle_rad, t.meta.base_offset_m, t.meta.link_length_m) for t in samples.trials
-    ]
-    observed = [np.column_stack([run.signals[f"tip_{a}_m"] for a in "xyz"]) for run in runs]
-
-    def by_part(tips_m: list[Array]) -> dict[str, float]:
-        distance_m = euclidean_distance_m(samples.tip_m, samples.rows_of(tips_m))
-        return {key: float(distance_m[rows].mean()) for key, rows in parts.items()}
-
-    return BaselineErrors(
-        observer_tip=by_part(observed),
-        rigid_kinematics=by_part(rigid),
-        final_payload_error_kg={
-            run.trial.name: float(run.signals["payload_kg"][-1] - run.trial.meta.payload_kg)
-            for run in runs
-        },
+    estimate = samples.di.get(source, np.zeros_like(true))
+    mean_m = {key: float(distance_m.mean()) for key, distance_m in distances.items()}
+    fractions: dict[str, float | None] = {}
+    for d in DEGREES:
+        benefit_m = mean_m["none", d] - mean_m["true", d]
+        gained_m = mean_m["none", d] - mean_m[source, d]
+        fractions[str(d)] = gained_m / benefit_m if benefit_m > 0 else None
+    return EstimatorScores(
+        r2_di=float(r2_score(true, estimate)),
+        rms_error_di=float(np.sqrt(np.mean((estimate - true) ** 2))),
+        mean_euclidean_distance_m={str(d): mean_m[source, d] for d in DEGREES},
+        benefit_recovered=fractions,
     )
 
 
-def _deployed(
-    samples: Samples, parts: Mapping[str, NDArray[np.bool_]], predictor: GuardedPredictor
-) -> DeployedScores:
+def _baselines(samples: Samples, parts: Parts) -> BaselineErrors:
+    """Distances without a polynomial: the observer's tip, and a link that does not bend."""
+
+    def by_part(tip_m: Array) -> dict[str, float]:
+        distance_m = euclidean_distance_m(samples.tip_m, tip_m)
+        return {key: float(distance_m[rows].mean()) for key, rows in parts.items()}
+
+    return BaselineErrors(
+        observer_tip=by_part(samples.observer_tip_m),
+        rigid_kinematics=by_part(samples.rigid_tip_m),
+        final_payload_error_kg=samples.payload_error_kg,
+    )
+
+
+def _deployed(samples: Samples, parts: Parts, predictor: GuardedPredictor) -> DeployedScores:
     """Scores of the fallback with the observer's DI, with guard and 95 % interval."""
     features = samples.features("observer")
     predicted_m, half_width_m = predictor.predict(features), predictor.half_width(features)
     inside = np.abs(samples.tip_m - predicted_m) <= half_width_m
     dof = samples.trials[0].meta.dof
-    axes = list(enumerate("xyz"))
     return DeployedScores(
         mean_euclidean_distance_m=float(euclidean_distance_m(samples.tip_m, predicted_m).mean()),
-        interval_coverage={axis: float(inside[:, k].mean()) for k, axis in axes},
+        interval_coverage=dict(zip("xyz", inside.mean(axis=0).tolist(), strict=True)),
         interval_coverage_mean=axis_coverage(inside, dof).mean,
         interval_coverage_by_part={
             key: axis_coverage(inside[rows], dof).mean for key, rows in parts.items()
         },
-        mean_half_width_m={axis: float(half_width_m[:, k].mean()) for k, axis in axes},
+        mean_half_width_m=dict(zip("xyz", half_width_m.mean(axis=0).tolist(), strict=True)),
         in_range_fraction=float(predictor.in_range(features).mean()),
     )
 
 
-POINTS: Final = 128
-"""Largest number of points of a curve: every fourth row of the study's 512."""
-POSES: Final = 9
-"""Shapes of the link in one cycle: every eighth of it."""
+POINTS: Final = 128  # Largest number of points of a curve: every fourth row of the study's 512
+POSES: Final = 9  # Shapes of the link in one cycle: every eighth of it
 
 
-def _curves(
-    training: Samples,
-    tests: Mapping[str, Samples],
-    fitted: Fitted,
-) -> StudyCurves:
-    """Curves that the report draws and no table contains."""
-    labels = _labels(training.trials)
-    return StudyCurves(
-        path=dict(zip(labels, map(_path, training.trials), strict=True)),
-        poses=_poses(training, _heaviest(training)),
-        di={label: _di_curve(training, run) for run, label in enumerate(labels)},
-        error={name: _error(samples, fitted) for name, samples in tests.items()},
-        estimates={name: _estimates(samples) for name, samples in tests.items()},
-    )
-
-
-def _labels(trials: Sequence[Trial]) -> list[str]:
-    """Label of each trial: payload, and the phase of joint 2 where the trials differ in it."""
-    phases = {t.meta.phase_2_rad for t in trials}
-    return [
-        payload_key(t.meta.payload_kg)
-        + (f" phase {np.degrees(t.meta.phase_2_rad):.0f}deg" if len(phases) > 1 else "")
-        for t in trials
-    ]
+def _by_trial(samples: Samples, curve: Callable[[Samples, int], Any]) -> dict[str, Any]:
+    """Curve of each trial by payload, and by phase of joint 2 where the trials differ in it."""
+    several, curves = len({t.meta.phase_2_rad for t in samples.trials}) > 1, {}
+    for run, t in enumerate(samples.trials):
+        phase = f" phase {np.degrees(t.meta.phase_2_rad):.0f}deg" if several else ""
+        curves[payload_key(t.meta.payload_kg) + phase] = curve(samples, run)
+    return curves
 
 
 def _heaviest(samples: Samples) -> int:
-    return max(range(len(samples.trials)), key=lambda i: samples.trials[i].meta.payload_kg)
+    return int(np.argmax([t.meta.payload_kg for t in samples.trials]))
 
 
-def _thin(count: int) -> NDArray[np.intp]:
-    """At most `POINTS` rows, equally spaced."""
-    return np.unique(np.linspace(0, count - 1, min(count, POINTS)).round().astype(int))
+def _thin(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """At most `POINTS` of the rows, equally spaced."""
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), POINTS)).round().astype(int)
+    return np.asarray(rows[np.unique(chosen)])
 
 
 def _rounded(values: Array) -> Curve:
     return tuple(float(f"{v:.5g}") for v in values)
 
 
-def _path(trial: Trial) -> TipPath:
+def _path(samples: Samples, run: int) -> TipPath:
+    trial = samples.trials[run]
     tip_m = trial.tip_m[trial.moving]
-    tip_m = tip_m[np.isfinite(tip_m).all(axis=1)]
-    rows = _thin(len(tip_m))
-    return TipPath(*(_rounded(tip_m[rows, k]) for k in range(3)))
+    rows = _thin(np.flatnonzero(np.isfinite(tip_m).all(axis=1)))
+    return TipPath(*map(_rounded, tip_m[rows].T))
 
 
 def _poses(samples: Samples, run: int) -> LinkPoses:
@@ -338,28 +305,26 @@ def _poses(samples: Samples, run: int) -> LinkPoses:
     return LinkPoses(
         payload_kg=trial.meta.payload_kg,
         time_s=_rounded(trial.time_s[rows] - trial.time_s[start]),
-        angle_rad=tuple(_rounded(row) for row in trial.angle_rad[rows]),
+        angle_rad=tuple(map(_rounded, trial.angle_rad[rows])),
         di=_rounded(di),
-        centre_line_m=tuple(tuple(_point(point) for point in line) for line in line_m),
+        centre_line_m=tuple(
+            tuple(tuple(v if np.isfinite(v) else None for v in _rounded(point)) for point in line)
+            for line in line_m
+        ),
     )
 
 
-def _point(coordinates_m: Array) -> tuple[float | None, ...]:
-    return tuple(v if np.isfinite(v) else None for v in _rounded(coordinates_m))
-
-
 def _di_curve(samples: Samples, run: int) -> DiCurve:
-    rows = np.flatnonzero(samples.run == run)
-    rows = rows[_thin(len(rows))]
-    angles = [_rounded(angle_rad) for angle_rad in samples.angle_rad[rows].T]
+    rows = _thin(np.flatnonzero(samples.run == run))
+    angle_1, *angle_2 = map(_rounded, samples.signals[rows, : samples.trials[run].meta.dof].T)
     return DiCurve(
-        angle_1_rad=angles[0],
-        angle_2_rad=angles[1] if len(angles) > 1 else None,
+        angle_1_rad=angle_1,
+        angle_2_rad=angle_2[0] if angle_2 else None,
         di=_rounded(samples.di["true"][rows]),
     )
 
 
-def _error(samples: Samples, fitted: Fitted) -> ErrorCurves:
+def _error(samples: Samples, distances: Distances) -> ErrorCurves:
     runs = [np.flatnonzero(samples.run == run) for run in np.unique(samples.run)]
     grid_s = np.linspace(
         max(samples.time_s[rows[0]] for rows in runs),
@@ -368,21 +333,14 @@ def _error(samples: Samples, fitted: Fitted) -> ErrorCurves:
     )
     curves = {}
     for degree in DEGREES:
-        distance_m = euclidean_distance_m(
-            samples.tip_m, predict(fitted["true", degree], samples.features("true"))
-        )
+        distance_m = distances["true", degree]
         over_runs = [np.interp(grid_s, samples.time_s[rows], distance_m[rows]) for rows in runs]
         curves[str(degree)] = _rounded(np.mean(over_runs, axis=0))
     return ErrorCurves(time_s=_rounded(grid_s - grid_s[0]), euclidean_distance_m=curves)
 
 
 def _estimates(samples: Samples) -> DiEstimates:
-    rows = np.flatnonzero(samples.run == _heaviest(samples))
-    rows = rows[_thin(len(rows))]
+    rows = _thin(np.flatnonzero(samples.run == _heaviest(samples)))
     time_s = samples.time_s[rows]
-    return DiEstimates(
-        time_s=_rounded(time_s - time_s[0]),
-        true=_rounded(samples.di["true"][rows]),
-        observer=_rounded(samples.di["observer"][rows]),
-        lagged=_rounded(samples.di["lagged"][rows]),
-    )
+    curves = {source: _rounded(di[rows]) for source, di in samples.di.items()}
+    return DiEstimates(time_s=_rounded(time_s - time_s[0]), **curves)

@@ -76,7 +76,7 @@ def write_bundle(directory, dof):
     features = np.column_stack([columns[name] for name in feature_names(dof)])
     tip_m = np.column_stack([columns[name] for name in tip_names()])
     predictor = GuardedPredictor.fit(3, features, tip_m, KFold(3).split(features))
-    onnx.save(to_onnx(predictor, features.shape[1]), directory / "predictor.onnx")
+    onnx.save(to_onnx(predictor.write_graph, features.shape[1]), directory / "predictor.onnx")
     count = len(features)
     golden = Golden(
         features[:, :dof], features[:, dof:-1], PERIOD_S,

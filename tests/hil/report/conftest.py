@@ -53,7 +53,7 @@ def with_phase(trials, phase_2_rad):
 def study_of(training, held_out, observer, others):
     """A study of these trials."""
     fallback = fit_fallback(training, CompiledModel(observer))
-    return run_study(training, name_tests(training, tuple(held_out)), fallback, others)
+    return run_study(fallback, name_tests(training, tuple(held_out)), others)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Plants for a bundle: an improved one is told, one of another link is refused by both commands."""
+"""Plants for a bundle: a changed one is warned of, one of another link is refused."""
 
 import shutil
 
@@ -23,18 +23,14 @@ def directory(bare_bundle, tmp_path):
     return directory
 
 
-def test_the_plant_of_the_bundle_is_taken_without_a_word(directory, tmp_path, capsys):
-    compare_with_bundle(read_plant(), tmp_path, read_bundle_files(directory), "this map")
+def test_another_plant_of_the_same_link_is_warned_of_once(directory, tmp_path, capsys):
+    files, path = read_bundle_files(directory), tmp_path / "better.json"
+    compare_with_bundle(read_plant(), path, files, "this map")
     assert capsys.readouterr().err == ""
-
-
-def test_an_improved_plant_of_the_same_link_is_told_once(directory, tmp_path, capsys):
-    better = read_plant().with_values({"link_mass_kg": 1.0})
-    path = tmp_path / "better.json"
-    compare_with_bundle(better, path, read_bundle_files(directory), "this plan")
-    said = capsys.readouterr().err
-    assert said.startswith("warning: ") and str(path) in said and str(directory) in said
-    assert said.count("\n") == 1
+    compare_with_bundle(read_plant().with_values({"link_mass_kg": 1.0}), path, files, "this plan")
+    warning = capsys.readouterr().err
+    assert warning.startswith("warning: ") and str(path) in warning and str(directory) in warning
+    assert warning.count("\n") == 1
 
 
 @pytest.mark.parametrize("words", [["goalmap"], ["plan", "line"]])
@@ -43,7 +39,7 @@ def test_a_plant_of_another_link_is_refused(directory, tmp_path, capsys, words):
     read_plant().with_values({"link_length_m": 0.6}).write(short)
     words = [*words, "--plant", short, "--bundle", directory, "--out", out]
     assert main([str(word) for word in words]) == 2
-    said = capsys.readouterr().err
-    assert str(short) in said and str(directory / "plant.json") in said
-    assert "length_m 0.6" in said and "0.95" in said
+    refusal = capsys.readouterr().err
+    assert str(short) in refusal and str(directory / "plant.json") in refusal
+    assert "length_m 0.6" in refusal and "0.95" in refusal
     assert not out.exists()

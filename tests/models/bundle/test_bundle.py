@@ -1,0 +1,163 @@
+"""Bundle on disk: directory, parity gate, contents, reproducibility."""
+
+import json
+
+import numpy as np
+import onnx
+import pytest
+
+from firmware_py.errors import InputError
+from firmware_py.inference.bundle import read_manifest
+from models.bundle.files import (
+    GATE_M,
+    ParityError,
+    check_bundle_directory,
+    check_parity,
+    replaced_bundle,
+    write_bundle,
+)
+from models.plant.plant import read_plant
+from models.predictor.onnx_graphs import to_onnx
+from models.study.document import read_study
+from tests.models.predictor.cases import fitted_predictor
+
+OLD = {"training_data_sha256": "", "plant_sha256": "", "files": {}}
+NEW = {"plant.json": "new", "manifest.json": json.dumps(OLD | {"dof": 2})}
+FOREIGN = dict.fromkeys(("my_notes.txt", "twin_1dof.fmu", "logs/run.mcap"), "foreign")
+
+
+def write_files(directory, files):
+    for name, text in files.items():
+        (directory / name).parent.mkdir(parents=True, exist_ok=True)
+        (directory / name).write_text(text)
+
+
+def files_of(directory):
+    return {
+        p.relative_to(directory).as_posix(): p.read_text()
+        for p in directory.rglob("*") if p.is_file()
+    }  # fmt: skip
+
+
+def write_new(directory):
+    with replaced_bundle(directory) as fresh:
+        write_files(fresh, NEW)
+
+
+@pytest.fixture
+def old_bundle(tmp_path):
+    """An old bundle, signed and with an observer, in which others have put files."""
+    old = {name: "old" for name in ("plant.json", "observer.fmu", "manifest.sig")}
+    write_files(tmp_path / "bundle", old | {"manifest.json": json.dumps(OLD)} | FOREIGN)
+    return tmp_path / "bundle"
+
+
+def test_the_files_of_an_old_bundle_are_replaced_and_no_others(old_bundle):
+    write_new(old_bundle)
+    assert files_of(old_bundle) == NEW | FOREIGN
+    assert [p.name for p in old_bundle.parent.iterdir()] == ["bundle"], "scratch remains"
+
+
+def test_a_failure_leaves_everything_as_it_was(old_bundle):
+    before = files_of(old_bundle)
+    with pytest.raises(KeyboardInterrupt), replaced_bundle(old_bundle) as fresh:
+        write_files(fresh, NEW)
+        raise KeyboardInterrupt
+    assert files_of(old_bundle) == before
+    assert [p.name for p in old_bundle.parent.iterdir()] == ["bundle"]
+
+
+def test_two_writers_at_once_do_not_meet(tmp_path):
+    out = tmp_path / "new" / "bundle"
+    with replaced_bundle(out) as first:
+        write_files(first, {"plant.json": "first"})
+        write_new(out)
+        write_files(first, {"manifest.json": "first"})
+    assert files_of(out) == {"plant.json": "first", "manifest.json": "first"}
+    assert [p.name for p in out.parent.iterdir()] == ["bundle"]
+
+
+def test_the_working_directory_may_be_the_bundle(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    write_new(tmp_path.joinpath("here").relative_to(tmp_path / "here"))
+    assert files_of(tmp_path / "here") == NEW
+
+
+def test_a_new_bundle_has_the_permissions_of_a_new_directory(tmp_path):
+    (tmp_path / "usual").mkdir()
+    write_new(tmp_path / "bundle")
+    assert (tmp_path / "bundle").stat().st_mode == (tmp_path / "usual").stat().st_mode
+
+
+@pytest.mark.parametrize("manifest", ['{"name": "an extension of a browser"}', "[]", "no JSON"])
+def test_a_directory_of_something_else_is_refused_and_unchanged(tmp_path, manifest, toy_fallback):
+    write_files(tmp_path, {"manifest.json": manifest})
+    with pytest.raises(InputError, match="is not a bundle"):
+        check_bundle_directory(tmp_path)
+    with pytest.raises(InputError, match="is not a bundle"):
+        write_bundle(tmp_path, read_plant(), toy_fallback)
+    assert files_of(tmp_path) == {"manifest.json": manifest}
+
+
+def test_gate_refuses_a_graph_that_is_off_by_a_nanometre(tmp_path):
+    predictor, features = fitted_predictor(3, 3)
+    graph, path = to_onnx(predictor.write_graph, 3), tmp_path / "predictor.onnx"
+    onnx.save(graph, path)
+    assert max(check_parity(path, predictor, features).values()) < GATE_M
+    weights = next(i for i in graph.graph.initializer if i.name == "tip_m_constant")
+    changed = onnx.numpy_helper.to_array(weights) * (1 + 1e-7)
+    weights.CopyFrom(onnx.numpy_helper.from_array(changed, weights.name))
+    onnx.save(graph, path)
+    with pytest.raises(ParityError, match="no bundle written"):
+        check_parity(path, predictor, features)
+
+
+def test_bundle_holds_what_the_contract_lists(toy_bundle, toy_study):
+    manifest = read_manifest(toy_bundle)
+    assert set(manifest.files) == {
+        "predictor.onnx", "lagged.onnx", "plant.json", "study.json", "golden.npz", "MODEL_CARD.md",
+    }  # fmt: skip
+    assert [q.name for q in manifest.features] == ["angle_1_rad", "current_1_a", "di"]
+    assert [(q.name, q.unit) for q in manifest.outputs] == [
+        ("tip_x_m", "m"), ("tip_y_m", "m"), ("tip_z_m", "m"),
+    ]  # fmt: skip
+    plant = read_plant(toy_bundle / "plant.json")
+    assert manifest.plant_sha256 == plant.sha256()
+    assert not plant.provenance.noise_floor, "the robot needs none"
+    study = read_study(toy_bundle / "study.json")
+    assert study == toy_study
+    assert manifest.degree == study.chosen_degree
+    assert (toy_bundle / "study.json").stat().st_size < 600_000
+    facts = onnx.load(toy_bundle / "predictor.onnx").metadata_props
+    assert {"features", "outputs", "in_range", "half_width_m"} <= {prop.key for prop in facts}
+
+
+def test_manifest_coefficients_evaluate_to_the_prediction(toy_bundle, toy_fallback):
+    manifest = read_manifest(toy_bundle)
+    names = [q.name for q in manifest.features]
+    rows = toy_fallback.samples.features("observer")[::97]
+    total = np.zeros((len(rows), 3))
+    for text, beta in manifest.coefficients.items():
+        value = np.ones(len(rows))
+        for factor in text.split():
+            name, _, power = factor.partition("^")
+            value *= 1.0 if name == "1" else rows[:, names.index(name)] ** int(power or 1)
+        total += value[:, None] * np.array(beta)
+    np.testing.assert_allclose(total, toy_fallback.predictor.predict(rows), atol=1e-6)
+
+
+def test_the_same_study_writes_the_same_bytes(toy_bundle, toy_fallback, toy_study, tmp_path):
+    write_bundle(tmp_path / "again", read_plant(), toy_fallback, study=toy_study)
+    for file in toy_bundle.iterdir():
+        assert file.read_bytes() == (tmp_path / "again" / file.name).read_bytes(), file.name
+
+
+def test_the_model_card_has_a_complete_row_for_everything(toy_bundle, toy_study):
+    card = (toy_bundle / "MODEL_CARD.md").read_text(encoding="utf-8")
+    tables = [block.splitlines() for block in card.split("\n\n") if block.startswith("|")]
+    assert [len(table) for table in tables] == [5, 5, 9, 8], "inputs, data, accuracy, DI"
+    for table in tables:
+        assert len({line.count(" | ") for line in table}) == 1
+    assert all(finding.text in card for finding in toy_study.findings)
+    assert "None" not in card and "{" not in card
