@@ -28,7 +28,6 @@ from models.rig.protocol import (
     RigConditions,
     TrialCase,
     record_conditions,
-    refuse_other_conditions,
     run_trial_cases,
 )
 from models.shared.catalogue import parse_strengths
@@ -83,7 +82,6 @@ def run(args: argparse.Namespace) -> int:
     )
     inputs = (Path(args.motion), Path(args.rig))
     check_output_directory(args.out, [f"{case.name}.toml" for case in cases], inputs)
-    refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
     paths = run_trial_cases(cases, parameters, args.out, args.workers, progress.step)
