@@ -41,7 +41,6 @@ EXAMPLE = (
 RECOMMENDED_TORQUE: Final = 0.2
 """Part of the torque at the current limit that a steady load should not exceed: the e-Manual's note
 on stall torque, a fifth."""
-PAYLOAD_STEP_KG: Final = 0.05
 
 
 class _Option(NamedTuple):
@@ -98,16 +97,16 @@ def run(args: argparse.Namespace) -> int:
     scale = LinkScale(link)
     args.link.parent.mkdir(parents=True, exist_ok=True)
     args.link.write_text(link_toml(link, scale.mass_kg, scale.tip_mass_kg), encoding="utf-8")
-    used = scale.holding_of_limit
+    used, mode_hz = scale.holding_of_limit, scale.first_mode_rad_s / (2 * math.pi)
     facts = {
         "link": str(args.link), "markers": link.layout.count, "mass_kg": scale.mass_kg,
-        "payload_kg": link.payload_kg, "first_mode_hz": scale.first_mode_rad_s / (2 * math.pi),
+        "payload_kg": link.payload_kg, "first_mode_hz": mode_hz,
         "holding_torque_nm": scale.holding_nm, "holding_torque_of_limit": used,
     }  # fmt: skip
     text = (
         f"{args.link}: {link.length_m:g} m × {link.width_m:g} m, {link.layout.count} markers, "
         f"{link.gravity.mounting}, {link.servo.model}; about {scale.mass_kg:.2f} kg, first mode "
-        f"{facts['first_mode_hz']:.1f} Hz, payload up to {link.payload_kg:g} kg"
+        f"{mode_hz:.1f} Hz, payload up to {link.payload_kg:g} kg"
     )
     if used > RECOMMENDED_TORQUE:
         what = "a fifth is recommended" if used < 1 else "it cannot hold it: take a stronger one"
@@ -124,7 +123,9 @@ def _ask(args: argparse.Namespace) -> None:
     try:
         for key, option in _ASKED.items():
             if key != "effective_weight" or args.mounting == "balloon":
-                _ask_one(args, key, option)
+                while answer := _answer(option):
+                    if _accept(args, key, option, answer):
+                        break
     except EOFError:
         print()
         raise InputError(
@@ -136,25 +137,29 @@ def _ask(args: argparse.Namespace) -> None:
         raise
 
 
-def _ask_one(args: argparse.Namespace, key: str, option: _Option) -> None:
-    choices = ", ".join(map(str, option.choices))
-    words = f"{option.words}, one of {choices}" if choices else option.words
-    while answer := input(f"{words} [{option.default}]: ").strip():
-        try:
-            value = option.kind(answer)
-        except ValueError:
-            print(f"{answer!r} is no {'whole ' if option.kind is int else ''}number")
-            continue
-        if choices and value not in option.choices:
-            print(f"{answer!r} is not one of {choices}")
-            continue
-        setattr(args, key, value)
-        try:
-            check_link(_described(args), args.link)
-            return
-        except InputError as error:
-            print(f"{error.what}; {error.remedy}")
-            setattr(args, key, None)
+def _answer(option: _Option) -> str:
+    choices = f", one of {', '.join(map(str, option.choices))}" if option.choices else ""
+    return input(f"{option.words}{choices} [{option.default}]: ").strip()
+
+
+def _accept(args: argparse.Namespace, key: str, option: _Option, answer: str) -> bool:
+    """Set an option if its value is right; else print what is wrong with it."""
+    try:
+        value = option.kind(answer)
+    except ValueError:
+        print(f"{answer!r} is no {'whole ' if option.kind is int else ''}number")
+        return False
+    if option.choices and value not in option.choices:
+        print(f"{answer!r} is not one of {', '.join(map(str, option.choices))}")
+        return False
+    setattr(args, key, value)
+    try:
+        check_link(_described(args), args.link)
+    except InputError as error:
+        print(f"{error.what}; {error.remedy}")
+        setattr(args, key, None)
+        return False
+    return True
 
 
 def _described(args: argparse.Namespace) -> LinkDescription:
@@ -187,24 +192,22 @@ def _described(args: argparse.Namespace) -> LinkDescription:
 def _corners_m(count: int, width_m: float) -> tuple[tuple[float, float], ...]:
     """Positions of the markers of a row: the corners, or two opposite ones, or a ring."""
     square = square_corners_m(width_m)
-    if count == 4:
-        return square
-    if count == 1:
-        return ((0.0, 0.0),)
-    if count == 2:
-        return (square[0], square[3])
+    if count in (1, 2, 4):
+        return {1: ((0.0, 0.0),), 2: (square[0], square[3]), 4: square}[count]
     ring = [2 * math.pi * k / count for k in range(count)]
     half = width_m / 2
     return tuple((round(half * math.cos(a), 6), round(half * math.sin(a), 6)) for a in ring)
 
 
 def _payload_kg(link: LinkDescription) -> float:
-    """Largest payload with which the servo holds the link within 30° by a fifth of its torque."""
-    empty = msgspec.structs.replace(link, payload_kg=0.0)
-    one_kg = msgspec.structs.replace(link, payload_kg=1.0)
-    own_nm = LinkScale(empty).holding_nm
-    per_kg_nm = LinkScale(one_kg).holding_nm - own_nm
-    spare_nm = RECOMMENDED_TORQUE * link.preset.torque_limit_nm - own_nm
-    if per_kg_nm <= 0:
+    """Largest payload with which the servo holds the link within 30° by a fifth of its torque.
+
+    In steps of 50 g; the study's payload for a link that carries no weight.
+    """
+    empty_nm, one_kg_nm = (
+        LinkScale(msgspec.structs.replace(link, payload_kg=kg)).holding_nm for kg in (0.0, 1.0)
+    )
+    if one_kg_nm <= empty_nm:
         return STUDY_LINK.payload_kg
-    return max(PAYLOAD_STEP_KG * int(spare_nm / per_kg_nm / PAYLOAD_STEP_KG + 1e-9), 0.0)
+    spare_nm = RECOMMENDED_TORQUE * link.preset.torque_limit_nm - empty_nm
+    return max(0.05 * int(spare_nm / (one_kg_nm - empty_nm) / 0.05 + 1e-9), 0.0)
