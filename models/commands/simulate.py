@@ -116,10 +116,7 @@ def _cases(args: argparse.Namespace, rig: RigParameters) -> list[TrialCase]:
         ("--phase-deg", phase_deg, -360, 360),
         ("--pressure-pa", pressure_pa, pressure.minimum, pressure.maximum),
         ("--workers", args.workers, 1, 1024),
-        *(
-            ("--payloads", kg, 0, rig.link.most_payload_kg if rig.link else 10)
-            for kg in payloads_kg
-        ),
+        *(("--payloads", kg, 0, most_payload_kg) for kg in payloads_kg),
         *(("--gravity", g, -1e6, 1e6) for g in gravity),
     ]
     for option, value, low, high in ranges:
