@@ -60,12 +60,12 @@ def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
     assert error.tip_rms_m < 0.9 * error.rigid_tip_rms_m  # a stiff link: 5 mm off a rigid one
 
 
-def test_a_plant_that_stands_otherwise_is_refused(trial):
+def test_a_plant_of_another_mounting_is_refused(trial):
     with pytest.raises(InputError, match=r"gravity is \[0, 0, 9.81\]"):
         check_weight(read_plant(), TrialSet((trial,)))
 
 
-def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file, tmp_path, monkeypatch):
+def test_an_unstable_simulation_is_no_folding_link(link_file, tmp_path, monkeypatch):
     """A rotor of a millionth of its inertia is too light for steps of 1 ms."""
     light = rig_named(str(link_file)).changed(**{"servo.inertia_kg_m2": 5e-8})
     motion = Motion(dof=1, amplitude_rad=0.3, period_s=1.0)

@@ -169,16 +169,6 @@ def test_a_leak_takes_its_share_of_the_moment_in_ten_seconds(engine):
     np.testing.assert_allclose(leaking, 0.75 * tight)
 
 
-@pytest.mark.parametrize("name", ["default", "test_a", "test_b"])
-def test_memory_without_strength_is_no_memory(name):
-    rig = read_rig(name).changed(**NO_MEMORY)
-    law, once = BendLaw(rig, STEP_S), BendLaw(rig, STEP_S)
-    path = 0.004 * np.random.default_rng(2).standard_normal((50, rig.structure.hinges + 1, 2))
-    for bend in path:
-        torque = law.torque_nm(bend)
-    np.testing.assert_allclose(torque, once.torque_nm(path[-1]), atol=1e-12)
-
-
 def test_a_constant_bend_relaxes_by_the_relaxing_share():
     soon = {f"memory.relaxation_{b}_s": 0.05 for b in (1, 2, 3)}
     law = law_of("default", **{**PLAIN, **soon, "memory.relaxing_share": 0.3})
@@ -271,14 +261,6 @@ def along_x(kind, path_rad):
     return np.array([torque_nm([du, 0.0])[0] for du in np.diff(path_rad, prepend=0.0)])
 
 
-def cycle_work_j(kind, amplitude_rad):
-    """Work of the second of two cycles (trapezoidal rule)."""
-    path = amplitude_rad * np.sin(np.linspace(0.0, 4 * np.pi, 8000))
-    torque = along_x(kind, path)
-    work = np.cumsum(0.5 * (torque[1:] + torque[:-1]) * np.diff(path))
-    return work[-1] - work[len(path) // 2 - 1]
-
-
 @pytest.mark.parametrize(
     "kind, solution", [("bouc_wen", np.tanh), ("dahl", lambda x: 1.0 - np.exp(-x))]
 )
@@ -310,36 +292,3 @@ def test_hysteresis_has_its_stiffness_its_limit_and_its_slope_after_a_reversal(k
     assert np.abs(torque).max() == pytest.approx(TORQUE_NM, rel=1e-3)
     slope = (torque[-2] - torque[-1]) / small
     assert slope == pytest.approx(factor * FRACTION * STIFFNESS, rel=5e-3)
-
-
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), kind=st.sampled_from(tuple(FORMS)))
-def test_no_path_in_two_planes_draws_energy_from_hysteresis(seed, kind):
-    rng = np.random.default_rng(seed)
-    time = np.linspace(0.0, 1.0, 1500)[:, None]
-    path = sum(
-        YIELD_RAD * 3 * rng.normal(size=2) / k * np.sin(2 * np.pi * k * time) for k in (1, 3, 8)
-    )
-    torque_nm = hysteresis(kind)
-    torque = np.array([torque_nm(du) for du in np.diff(path, axis=0)])
-    middle = 0.5 * (torque[1:] + torque[:-1])
-    work = np.cumsum(np.sum(middle * np.diff(path, axis=0)[1:], axis=1))
-    assert work.min() > -1e-3 * work.max()
-
-
-def test_the_loop_of_maxwell_slip_grows_with_the_amplitude():
-    """Empty below the least yield, and a parallelogram of known area far beyond the largest."""
-    areas = [
-        cycle_work_j("maxwell_slip", amplitude * YIELD_RAD) for amplitude in (0.05, 0.3, 3.0, 100.0)
-    ]
-    assert abs(areas[0]) < 1e-9
-    assert np.all(np.diff(areas) > 0)
-    # Each slider gives 4 k d (A - d); the mean of d is u_y.
-    assert areas[-1] == pytest.approx(4 * TORQUE_NM * 100 * YIELD_RAD, rel=0.05)
-
-
-def test_maxwell_slip_forgets_a_closed_minor_loop():
-    up = np.linspace(0.0, 2.0, 400)
-    minor = np.concatenate([np.linspace(2.0, 1.2, 200), np.linspace(1.2, 2.0, 200)])
-    torque = along_x("maxwell_slip", YIELD_RAD * np.concatenate([up, minor]))
-    assert torque[len(up) - 1] == pytest.approx(torque[-1], rel=1e-9)
