@@ -1,10 +1,10 @@
-"""Description of a link of your own, `link.toml`, asked for or from options.
+"""Description of your link, `link.toml`, asked for or from options.
 
 Without options it asks for every value in a terminal; an empty answer takes the value in brackets.
-With options, or without a terminal, what is left out has the study's value. The file holds every
-key with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers
-with their source. 'simulate --rig', 'identify --plant', 'sil --rig', a map's 'link' and robot.toml
-take it.
+With options, or without a terminal, values that you omit are the study's. The file has every key
+with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers with
+their source. 'simulate --rig', 'identify --plant', 'sil --rig', a map's 'link' and robot.toml take
+it.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class _Option(NamedTuple):
     """Option, which is a question in the terminal too."""
 
     words: str
-    default: Any  # Value of an option that is left out, and for an empty answer
+    default: Any  # Value of an omitted option, and for an empty answer
     metavar: str | None = None
     kind: Callable[[str], Any] = float  # Converts an answer; raises ValueError
     choices: tuple[Any, ...] = ()  # Allowed values; empty for any
@@ -122,10 +122,12 @@ def _ask(args: argparse.Namespace) -> None:
     """Ask for every option; a wrong answer is reported and asked for again."""
     try:
         for key, option in _ASKED.items():
-            if key != "effective_weight" or args.mounting == "balloon":
-                while answer := _answer(option):
-                    if _accept(args, key, option, answer):
-                        break
+            if key == "effective_weight" and args.mounting != "balloon":
+                continue
+            choices = f", one of {', '.join(map(str, option.choices))}" if option.choices else ""
+            question = f"{option.words}{choices} [{option.default}]: "
+            while (answer := input(question).strip()) and (wrong := _set(args, key, answer)):
+                print(wrong)
     except EOFError:
         print()
         raise InputError(
@@ -137,45 +139,34 @@ def _ask(args: argparse.Namespace) -> None:
         raise
 
 
-def _answer(option: _Option) -> str:
-    choices = f", one of {', '.join(map(str, option.choices))}" if option.choices else ""
-    return input(f"{option.words}{choices} [{option.default}]: ").strip()
-
-
-def _accept(args: argparse.Namespace, key: str, option: _Option, answer: str) -> bool:
-    """Set an option if its value is right; else print what is wrong with it."""
+def _set(args: argparse.Namespace, key: str, answer: str) -> str:
+    """Set an option to an answer; return what is wrong with it, or nothing."""
+    option = _ASKED[key]
     try:
         value = option.kind(answer)
     except ValueError:
-        print(f"{answer!r} is no {'whole ' if option.kind is int else ''}number")
-        return False
+        return f"{answer!r} is no {'whole ' if option.kind is int else ''}number"
     if option.choices and value not in option.choices:
-        print(f"{answer!r} is not one of {', '.join(map(str, option.choices))}")
-        return False
+        return f"{answer!r} is not one of {', '.join(map(str, option.choices))}"
     setattr(args, key, value)
     try:
         check_link(_described(args), args.link)
     except InputError as error:
-        print(f"{error.what}; {error.remedy}")
         setattr(args, key, None)
-        return False
-    return True
+        return f"{error.what}; {error.remedy}"
+    return ""
 
 
 def _described(args: argparse.Namespace) -> LinkDescription:
-    """Link of the options; what is left out is the study's."""
-    value = {
-        key: option.default if getattr(args, key) is None else getattr(args, key)
-        for key, option in _ASKED.items()
-    }
+    """Link of the options; omitted values are the study's."""
+    value = {key: option.default for key, option in _ASKED.items()}
+    value |= {key: v for key, v in vars(args).items() if key in value and v is not None}
     link = LinkDescription(
         name=args.name, length_m=value["length"], width_m=value["width"], section=value["section"],
         base_offset_m=value["base_offset"], joints=value["dof"], pressure_pa=value["pressure_pa"],
         mass_kg=args.mass, tip_mass_kg=args.tip_mass, payload_kg=args.largest_payload_kg or 0.0,
         servo=LinkServo(model=value["servo"]),
-        gravity=LinkGravity(
-            mounting=value["mounting"], effective_weight=value["effective_weight"]
-        ),
+        gravity=LinkGravity(mounting=value["mounting"], effective_weight=value["effective_weight"]),
     )  # fmt: skip
     rows, corners = value["rows"], value["corners"]
     if not (1 <= rows <= 99 and 1 <= corners <= 99):

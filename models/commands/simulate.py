@@ -3,7 +3,7 @@
 Every trial settles, runs the motion once as a warm-up (discarded), settles again, rests for 60
 rows and then runs the motion that is recorded. The paper gives no phase between the joints of
 2DOF: at --phase-deg 0 both move together, at 90 the tip moves on an ellipse. A second run with the
-same options writes the same trials again; other files in DIR are kept.
+same options writes the same trials again; other files in DIR stay.
 """
 
 from __future__ import annotations

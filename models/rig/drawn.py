@@ -83,7 +83,7 @@ LINK_DEVIATION: Final = {
 
 
 def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation: they show the rig's own behaviour."""
+    """Rig whose trials have neither noise nor variation."""
     noise = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
     return rig.changed(**{n: 0.0 for n in rig if n in noise or n.startswith("variation.")})
 

@@ -1,7 +1,7 @@
 """Protocol of the study on a rig: settle, warm-up run (discarded), settle, rest, recorded run.
 
 A trial case holds the conditions of a trial; a result depends on its case and rig only. The
-conditions that a trial's own files lack, hidden effects among them, are recorded beside the trials.
+conditions that a trial's files lack, hidden effects among them, are recorded beside the trials.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class TrialCase:
     payload_kg : float
         Declared payload in kg.
     trial : int
-        Number of the repetition, each with its own variation and noise.
+        Number of the repetition; each has another variation and noise.
     seed : int
         Seed of the whole set of trials.
     pressure_pa : float
@@ -111,7 +111,7 @@ def build_rig(
     x_m += p["link.payload_offset_share"] * p["link.length_m"]
     gravity_m_s2 = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
     load = Load(payload_kg, x_m, y_m, gravity_m_s2)
-    # An engine is loaded when it is built: each has a large library of its own.
+    # An engine is loaded when it is built: each needs a large library.
     if p.structure.engine == "cosserat":
         from models.rig.rod import CosseratRig
 
@@ -280,7 +280,7 @@ CONDITIONS_FILE: Final = "rig_conditions.json"
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial that its own files do not contain."""
+    """Conditions of a trial that its files do not contain."""
 
     seed: int  # Seed of variation and noise
     hidden: dict[str, float]  # Strength of each hidden effect, in its unit

@@ -471,7 +471,7 @@ SECTIONS: Final = 8
 """Sections of the span; halving their length shifts the first mode by less than 1 %."""
 
 HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
-"""Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
+"""Choices of a structure that apply to the MuJoCo link only; the rod has other forms."""
 
 
 class CosseratRig(Rig):

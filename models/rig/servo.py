@@ -30,7 +30,7 @@ from models.rig.parameters import RigParameters
 class SteppedGoal:
     """Choice `goal`: "held", the set-point jumps to each goal; "interpolated", it moves on a line.
 
-    The line ends one control period after the goal; so long has a held goal the line's rate.
+    The line ends one control period after the goal. For that time both have the rate of the line.
     """
 
     def __init__(self, step_s: float, interpolated: bool) -> None:
@@ -149,7 +149,7 @@ def current_register(parameters: RigParameters, step_s: float) -> deque[float]:
     """Window of the current whose oldest value, or mean, the servo's register holds.
 
     Choice `current_sampling`: at the "tick"; at a "phase" of the period before; or as "mean" over
-    that period. Servos read and filter their current in a cycle of their own.
+    that period. Servos read and filter their current in a cycle that is not the robot's.
     """
     steps = PERIOD_S / step_s
     late = {"tick": 0.0, "phase": parameters["sensor.current_phase"] * steps, "mean": steps - 1}

@@ -72,7 +72,7 @@ def test_an_unstable_simulation_is_no_folding_link(link_file, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="the simulation is unstable"):
         run_case(light, TrialCase(motion, 0.0, trial=1, gravity=LINK.gravity.unit))
-    assert not list(tmp_path.iterdir()), "MuJoCo has left a log"
+    assert not list(tmp_path.iterdir()), "MuJoCo wrote a log"
 
 
 def test_a_hanging_link_is_imported_from_a_capture_with_z_up(trial, link_file):

@@ -1,4 +1,4 @@
-"""The laws of both engines against what any inflated link obeys, and each against its own parts."""
+"""The laws of both engines against what any inflated link obeys, and each against its parts."""
 
 import casadi as ca
 import numpy as np
