@@ -8,7 +8,7 @@ linear shear springs and the Kelvin-Voigt damping; the bending torque is that of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 import mujoco
@@ -19,19 +19,10 @@ from models.rig.rig import Load, Rig
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
-# Both planes of n hinge pairs are a CasADi matrix of shape (2, n), stored by columns as NumPy
-# stores the shape (n, 2) by rows.
-
-
-def both_planes(row: Any) -> Any:
-    """Repeat one number per pair to the shape (2, n)."""
-    row = ca.DM(row).T if isinstance(row, np.ndarray) else row
-    return ca.repmat(row, 2, 1)
-
 
 def size_of(planes: Any) -> Any:
-    """Length of the vector of each pair, shape (1, n)."""
-    return ca.sqrt(planes[0, :] ** 2 + planes[1, :] ** 2)
+    """Length of a vector (2,) of both planes."""
+    return ca.sqrt(planes[0] ** 2 + planes[1] ** 2)
 
 
 def limited_fraction(parameters: RigParameters, level: Any) -> Any:
@@ -68,12 +59,24 @@ def relaxation_spectrum(parameters: RigParameters) -> tuple[Array, Array]:
     return times_s, relaxing * weights / weights.sum()
 
 
-class Hysteresis:
-    """Friction of the link's skin; `yield_rad` u_y and `stiffness_nm_rad` K have the shape (n,).
+def hysteresis_springs(parameters: RigParameters) -> int:
+    slips = parameters.structure.hysteresis == "maxwell_slip"
+    return round(parameters["memory.slip_elements"]) if slips else 1
 
-    Sliding, a section has the moment kappa K u_y. A small bend du from rest gives kappa K du in
-    every form, so that a strength is the same fraction of the stiffness. Each form stores energy in
-    a spring and dissipates it in a slider. Choice `hysteresis`:
+
+def slide(
+    parameters: RigParameters,
+    yield_rad: float,
+    stiffness_nm_rad: float,
+    memory: Sequence[Any],
+    du: Any,
+) -> tuple[list[Any], Any]:
+    """Friction of the link's skin: state after a further bend du (2,) in rad, and moment in N·m.
+
+    `memory` is an array (2,) for each of `hysteresis_springs`, zero when relaxed. Sliding, a pair
+    of stiffness K and yield u_y has the moment kappa K u_y. A small bend du from rest gives
+    kappa K du in every form, so that a strength is the same fraction of the stiffness. Each form
+    stores energy in a spring and dissipates it in a slider. Choice `hysteresis`:
 
     * "bouc_wen": dz = du/u_y - (|z.du| + z.du) z / (2 u_y) (Park, Wen and Ang, 1986 [recalled]);
     * "dahl": dz = du/u_y - |du| z / u_y (Dahl, 1968; exponent 1, in two planes);
@@ -82,40 +85,33 @@ class Hysteresis:
 
     The moment of the first two is kappa K u_y z; z is integrated implicitly.
     """
-
-    def __init__(
-        self, parameters: RigParameters, yield_rad: Array, stiffness_nm_rad: Array
-    ) -> None:
-        p = parameters
-        self._form, self._yield_rad = p.structure.hysteresis, yield_rad
-        self._friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad
-        self.springs = 1
-        """State arrays, each of shape (2, n); zero when relaxed."""
-        if self._form == "maxwell_slip":
-            self.springs = round(p["memory.slip_elements"])
-            yields = np.geomspace(1.0, p["memory.slip_range"], self.springs)
-            self._slips_rad = (yields / yields.mean())[:, None] * yield_rad
-
-    def advance(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
-        """State after a further bend du (2, n) in rad, and moment (2, n) in N·m."""
-        if self._form == "maxwell_slip":
-            return self._advance_sliders(memory, du)
-        (z,) = memory
-        if self._form == "dahl":
-            shed = 1.0 + size_of(du) * ca.DM(1.0 / self._yield_rad).T
-        else:
-            along = z[0, :] * du[0, :] + z[1, :] * du[1, :]
-            shed = 1.0 + (ca.fabs(along) + along) * ca.DM(0.5 / self._yield_rad).T
-        z = (z + both_planes(1.0 / self._yield_rad) * du) / both_planes(shed)
-        return [z], both_planes(self._friction_nm) * z
-
-    def _advance_sliders(self, memory: Sequence[Any], du: Any) -> tuple[list[Any], Any]:
+    p = parameters
+    friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad
+    if p.structure.hysteresis == "maxwell_slip":
+        yields = np.geomspace(1.0, p["memory.slip_range"], len(memory))
         after = []
-        for stretch, slip_rad in zip(memory, self._slips_rad, strict=True):
-            stretched, slip = stretch + du, ca.DM(slip_rad).T
-            after.append(stretched * both_planes(slip / ca.fmax(size_of(stretched), slip)))
-        spring_nm_rad = self._friction_nm / self._yield_rad / self.springs
-        return after, both_planes(spring_nm_rad) * sum(after)
+        for stretch, slip_rad in zip(memory, yields / yields.mean() * yield_rad, strict=True):
+            stretched = stretch + du
+            after.append(stretched * (slip_rad / ca.fmax(size_of(stretched), slip_rad)))
+        return after, friction_nm / yield_rad / len(memory) * sum(after)
+    (z,) = memory
+    if p.structure.hysteresis == "dahl":
+        shed = 1.0 + size_of(du) * (1.0 / yield_rad)
+    else:
+        along = z[0] * du[0] + z[1] * du[1]
+        shed = 1.0 + (ca.fabs(along) + along) * (0.5 / yield_rad)
+    z = (z + 1.0 / yield_rad * du) / shed
+    return [z], friction_nm * z
+
+
+class Pair(NamedTuple):
+    """Numbers of a hinge pair: of the root, or of a part of the span."""
+
+    stiffness_nm_rad: float
+    limit_nm: float
+    yield_rad: float
+    reference_per_rad: float  # Inverse of the bend at which softening and hardening are defined
+    prebend_rad: float
 
 
 class BendLaw:
@@ -144,28 +140,45 @@ class BendLaw:
 
     One CasADi function advances all pairs: a step is about a thousand operations on a few numbers
     each, for which NumPy would need most of its time in calls. It is bound to arrays, because
-    passing them as arguments takes ten times as long.
+    passing them as arguments takes ten times as long. CasADi stores a matrix (2, n) by columns as
+    NumPy stores the shape (n, 2) by rows.
     """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
-        self._p, self._step_s, self._pairs = p, step_s, hinges + 1
+        self._p, self._step_s = p, step_s
         link = link_stiffness(p)
-        self.stiffness_nm_rad = self._per_pair(
-            link.root_nm_rad, link.bending_n_m2 * hinges / p["link.length_m"]
-        )
-        self._limit_nm = self._per_pair(link.root_limit_nm, link.span_limit_nm)
-        self._yield_rad = self._per_pair(
-            p["memory.root_yield_rad"], p["memory.span_yield_rad"] / hinges
-        )
+        root = Pair(
+            link.root_nm_rad, link.root_limit_nm, p["memory.root_yield_rad"],
+            1.0 / REFERENCE_BEND_RAD, 0.0,
+        )  # fmt: skip
+        span = Pair(
+            link.bending_n_m2 * hinges / p["link.length_m"], link.span_limit_nm,
+            p["memory.span_yield_rad"] / hinges, hinges / REFERENCE_BEND_RAD,
+            p["stiffness.prebend_rad"] / hinges,
+        )  # fmt: skip
+        pairs = [root, *[span] * hinges]
+        self.stiffness_nm_rad = np.array([pair.stiffness_nm_rad for pair in pairs])
         self._remaining_share = 1.0 - p["stiffness.leak_share"]
 
-        advance = self._advance()
-        self._angle_rad, self._remaining = np.zeros(2 * self._pairs), np.ones(1)
-        self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
-        at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()  # where the link is relaxed
-        self._memory[: at_zero.size] = at_zero.T.flat
-        self._torque_nm = np.zeros((self._pairs, 2))
+        laws = {pair: self._law(pair) for pair in (root, span)}
+        width = laws[root].size2_in(1)
+        angle_rad = ca.SX.sym("angle_rad", 2, len(pairs))
+        memory = [ca.SX.sym("memory", 2, width) for _ in pairs]
+        remaining = ca.SX.sym("remaining")
+        torques_nm, memory_after = zip(*(
+            laws[pair](angle_rad[:, k], memory[k], remaining) for k, pair in enumerate(pairs)
+        ), strict=True)  # fmt: skip
+        advance = ca.Function(
+            "advance", [angle_rad, ca.horzcat(*memory), remaining],
+            [ca.horzcat(*torques_nm), ca.horzcat(*memory_after)],
+        )  # fmt: skip
+
+        self._angle_rad, self._torque_nm = np.zeros((2, len(pairs), 2))
+        self._memory, self._memory_after = np.zeros((2, len(pairs), width, 2))
+        self._remaining = np.ones(1)
+        for k, pair in enumerate(pairs):  # the link is relaxed at zero
+            self._memory[k, 0] = self._measure(pair, ca.DM.zeros(2))[0].full()[:, 0]
         buffer: Any
         buffer, self._evaluate = advance.buffer()
         for k, array in enumerate((self._angle_rad, self._memory, self._remaining)):
@@ -180,73 +193,56 @@ class BendLaw:
 
         `angle_rad` (n, 2) are the hinge angles towards +x and +y, one step after the last call.
         """
-        self._angle_rad[:] = angle_rad.ravel()
+        self._angle_rad[:] = angle_rad
         if leaking_s:
             self._remaining[0] = self._remaining_share ** (leaking_s / LEAK_TIME_S)
         self._evaluate()
         self._memory[:] = self._memory_after
         return self._torque_nm.copy()
 
-    def _per_pair(self, root: float, span: float) -> Array:
-        return np.array([root, *[span] * (self._pairs - 1)])
-
-    def _advance(self) -> ca.Function:
+    def _law(self, pair: Pair) -> ca.Function:
         """Function (angles, memory, remaining stiffness) -> (torque, memory after the step)."""
-        n = self._pairs
-        times_s, fractions = relaxation_spectrum(self._p)
-        hysteresis = Hysteresis(self._p, self._yield_rad, self.stiffness_nm_rad)
-        angle_rad = ca.SX.sym("angle_rad", 2, n)
-        u_before = ca.SX.sym("u", 2, n)
-        branches_nm = [ca.SX.sym("branch_nm", 2, n) for _ in times_s]
-        slid = [ca.SX.sym("slid", 2, n) for _ in range(hysteresis.springs)]
-        remaining = ca.SX.sym("remaining")
+        p, step_s, stiffness_nm_rad = self._p, self._step_s, pair.stiffness_nm_rad
+        times_s, fractions = relaxation_spectrum(p)
+        memory = ca.SX.sym("memory", 2, 1 + len(times_s) + hysteresis_springs(p))
+        u_before, *rest = ca.horzsplit(memory)
+        branches_nm, slid = rest[: len(times_s)], rest[len(times_s) :]
+        angle_rad, remaining = ca.SX.sym("angle_rad", 2), ca.SX.sym("remaining")
 
-        u, slope = self._measure(angle_rad)
+        u, slope = self._measure(pair, angle_rad)
         du = u - u_before
-        decays = np.exp(-self._step_s / times_s)
+        decays = np.exp(-step_s / times_s)
         # Exact for a bend that grows at a constant rate over the step.
-        gains = fractions * times_s * -np.expm1(-self._step_s / times_s) / self._step_s
+        gains = fractions * times_s * -np.expm1(-step_s / times_s) / step_s
         relaxed_nm = [
-            decay * branch_nm + both_planes(gain * self.stiffness_nm_rad) * du
+            decay * branch_nm + gain * stiffness_nm_rad * du
             for decay, gain, branch_nm in zip(decays, gains, branches_nm, strict=True)
         ]
-        slid_after, friction_nm = hysteresis.advance(slid, du)
-        whole_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
-        level = size_of(whole_nm) * ca.DM(1.0 / self._limit_nm).T
-        moment_nm = both_planes(limited_fraction(self._p, level)) * whole_nm
-        torque_nm = -remaining * slope * self._mixed(moment_nm)
-        memory, memory_after = (
-            ca.vertcat(*map(ca.vec, parts))
-            for parts in ([u_before, *branches_nm, *slid], [u, *relaxed_nm, *slid_after])
-        )
-        return ca.Function("advance", [angle_rad, memory, remaining], [torque_nm, memory_after])
+        slid_after, friction_nm = slide(p, pair.yield_rad, stiffness_nm_rad, slid, du)
 
-    def _measure(self, angle_rad: Any) -> tuple[Any, Any]:
-        """Measure of bend u and the diagonal of its derivative before coupling, shape (2, n)."""
+        size, soft = size_of(u), p["stiffness.softening_share"]
+        softer = soft / (1.0 - soft) * pair.reference_per_rad
+        harder = p["stiffness.hardening_share"] * pair.reference_per_rad**2
+        secant_nm_rad = stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
+        whole_nm = secant_nm_rad * u + sum(relaxed_nm) + friction_nm
+        moment_nm = limited_fraction(p, size_of(whole_nm) * (1.0 / pair.limit_nm)) * whole_nm
+        torque_nm = -remaining * slope * self._mixed(moment_nm)
+        memory_after = ca.horzcat(u, *relaxed_nm, *slid_after)
+        return ca.Function("law", [angle_rad, memory, remaining], [torque_nm, memory_after])
+
+    def _measure(self, pair: Pair, angle_rad: Any) -> tuple[Any, Any]:
+        """Measure of bend u and the diagonal of its derivative before coupling, shape (2,)."""
         p = self._p
-        rest_rad = np.zeros((2, self._pairs))
-        rest_rad[0, 1:] = p["stiffness.prebend_rad"] / (self._pairs - 1)
         skew = 0.5 * p["stiffness.directional_share"]
-        rounding_rad = both_planes(p["stiffness.directional_rounding"] * self._yield_rad)
-        phi = angle_rad - rest_rad
+        rounding_rad = p["stiffness.directional_rounding"] * pair.yield_rad
+        phi = angle_rad - ca.DM([pair.prebend_rad, 0.0])
         root = ca.sqrt(phi**2 + rounding_rad**2)
         return self._mixed(phi + skew * (root - rounding_rad)), 1.0 + skew * phi / root
 
     def _mixed(self, planes: Any) -> Any:
-        """Couple both planes; shape (2, n)."""
+        """Couple both planes; shape (2,)."""
         coupling = 0.5 * self._p["stiffness.coupling_share"]
         return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
-
-    def _secant_nm_rad(self, u: Any) -> Any:
-        """Elastic moment over the bend, without limit, shape (1, n)."""
-        p = self._p
-        size = size_of(u)
-        per_reference = self._per_pair(1.0, self._pairs - 1.0) / REFERENCE_BEND_RAD
-        soft = p["stiffness.softening_share"]
-        softer = ca.DM(soft / (1.0 - soft) * per_reference).T
-        harder = ca.DM(p["stiffness.hardening_share"] * per_reference**2).T
-        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
-        return stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
 
 
 AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.link.link_description import LinkDescription
-from models.rig.hinged import BendLaw, Hysteresis, relaxation_spectrum
+from models.rig.hinged import BendLaw, hysteresis_springs, relaxation_spectrum, slide
 from models.rig.parameters import link_stiffness, read_parameters, read_rig, rig_of_link
 from models.rig.rod import SectionLaw
 from tests.models.rig.rigs import EVEN, NO_MEMORY, UNLIMITED
@@ -241,12 +241,11 @@ def hysteresis(kind):
     """Function: torque of one section after a further bend, each of shape (2,)."""
     rig = read_rig(FORMS[kind]).changed(**{"memory.hysteresis_share": FRACTION})
     assert rig.structure.hysteresis == kind
-    form = Hysteresis(rig, np.array([YIELD_RAD]), np.array([STIFFNESS]))
-    memory = [ca.SX.sym("z", 2, 1) for _ in range(form.springs)]
-    du = ca.SX.sym("du", 2, 1)
-    after, torque_nm = form.advance(memory, du)
+    memory = [ca.SX.sym("z", 2) for _ in range(hysteresis_springs(rig))]
+    du = ca.SX.sym("du", 2)
+    after, torque_nm = slide(rig, YIELD_RAD, STIFFNESS, memory, du)
     step = ca.Function("step", [ca.horzcat(*memory), du], [ca.horzcat(*after), torque_nm])
-    state = [ca.DM.zeros(2, form.springs)]
+    state = [ca.DM.zeros(2, len(memory))]
 
     def torque(further):
         state[0], torque_nm = step(state[0], further)
