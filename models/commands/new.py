@@ -1,10 +1,10 @@
-"""Description of a link of your own, `link.toml`, asked for or from options.
+"""Description of your link, `link.toml`, asked for or from options.
 
 Without options it asks for every value in a terminal; an empty answer takes the value in brackets.
-With options, or without a terminal, what is left out has the study's value. The file holds every
-key with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers
-with their source. 'simulate --rig', 'identify --plant', 'sil --rig', a map's 'link' and robot.toml
-take it.
+With options, or without a terminal, values that you omit are the study's. The file has every key
+with its meaning: the sizes, the places of the markers, the mounting, and the servo's numbers with
+their source. 'simulate --rig', 'identify --plant', 'sil --rig', a map's 'link' and robot.toml take
+it.
 """
 
 from __future__ import annotations
@@ -41,14 +41,13 @@ EXAMPLE = (
 RECOMMENDED_TORQUE: Final = 0.2
 """Part of the torque at the current limit that a steady load should not exceed: the e-Manual's note
 on stall torque, a fifth."""
-PAYLOAD_STEP_KG: Final = 0.05
 
 
 class _Option(NamedTuple):
     """Option, which is a question in the terminal too."""
 
     words: str
-    default: Any  # Value of an option that is left out, and for an empty answer
+    default: Any  # Value of an omitted option, and for an empty answer
     metavar: str | None = None
     kind: Callable[[str], Any] = float  # Converts an answer; raises ValueError
     choices: tuple[Any, ...] = ()  # Allowed values; empty for any
@@ -98,16 +97,16 @@ def run(args: argparse.Namespace) -> int:
     scale = LinkScale(link)
     args.link.parent.mkdir(parents=True, exist_ok=True)
     args.link.write_text(link_toml(link, scale.mass_kg, scale.tip_mass_kg), encoding="utf-8")
-    used = scale.holding_of_limit
+    used, mode_hz = scale.holding_of_limit, scale.first_mode_rad_s / (2 * math.pi)
     facts = {
         "link": str(args.link), "markers": link.layout.count, "mass_kg": scale.mass_kg,
-        "payload_kg": link.payload_kg, "first_mode_hz": scale.first_mode_rad_s / (2 * math.pi),
+        "payload_kg": link.payload_kg, "first_mode_hz": mode_hz,
         "holding_torque_nm": scale.holding_nm, "holding_torque_of_limit": used,
     }  # fmt: skip
     text = (
         f"{args.link}: {link.length_m:g} m × {link.width_m:g} m, {link.layout.count} markers, "
         f"{link.gravity.mounting}, {link.servo.model}; about {scale.mass_kg:.2f} kg, first mode "
-        f"{facts['first_mode_hz']:.1f} Hz, payload up to {link.payload_kg:g} kg"
+        f"{mode_hz:.1f} Hz, payload up to {link.payload_kg:g} kg"
     )
     if used > RECOMMENDED_TORQUE:
         what = "a fifth is recommended" if used < 1 else "it cannot hold it: take a stronger one"
@@ -123,8 +122,12 @@ def _ask(args: argparse.Namespace) -> None:
     """Ask for every option; a wrong answer is reported and asked for again."""
     try:
         for key, option in _ASKED.items():
-            if key != "effective_weight" or args.mounting == "balloon":
-                _ask_one(args, key, option)
+            if key == "effective_weight" and args.mounting != "balloon":
+                continue
+            choices = f", one of {', '.join(map(str, option.choices))}" if option.choices else ""
+            question = f"{option.words}{choices} [{option.default}]: "
+            while (answer := input(question).strip()) and (wrong := _set(args, key, answer)):
+                print(wrong)
     except EOFError:
         print()
         raise InputError(
@@ -136,41 +139,34 @@ def _ask(args: argparse.Namespace) -> None:
         raise
 
 
-def _ask_one(args: argparse.Namespace, key: str, option: _Option) -> None:
-    choices = ", ".join(map(str, option.choices))
-    words = f"{option.words}, one of {choices}" if choices else option.words
-    while answer := input(f"{words} [{option.default}]: ").strip():
-        try:
-            value = option.kind(answer)
-        except ValueError:
-            print(f"{answer!r} is no {'whole ' if option.kind is int else ''}number")
-            continue
-        if choices and value not in option.choices:
-            print(f"{answer!r} is not one of {choices}")
-            continue
-        setattr(args, key, value)
-        try:
-            check_link(_described(args), args.link)
-            return
-        except InputError as error:
-            print(f"{error.what}; {error.remedy}")
-            setattr(args, key, None)
+def _set(args: argparse.Namespace, key: str, answer: str) -> str:
+    """Set an option to an answer; return what is wrong with it, or nothing."""
+    option = _ASKED[key]
+    try:
+        value = option.kind(answer)
+    except ValueError:
+        return f"{answer!r} is no {'whole ' if option.kind is int else ''}number"
+    if option.choices and value not in option.choices:
+        return f"{answer!r} is not one of {', '.join(map(str, option.choices))}"
+    setattr(args, key, value)
+    try:
+        check_link(_described(args), args.link)
+    except InputError as error:
+        setattr(args, key, None)
+        return f"{error.what}; {error.remedy}"
+    return ""
 
 
 def _described(args: argparse.Namespace) -> LinkDescription:
-    """Link of the options; what is left out is the study's."""
-    value = {
-        key: option.default if getattr(args, key) is None else getattr(args, key)
-        for key, option in _ASKED.items()
-    }
+    """Link of the options; omitted values are the study's."""
+    value = {key: option.default for key, option in _ASKED.items()}
+    value |= {key: v for key, v in vars(args).items() if key in value and v is not None}
     link = LinkDescription(
         name=args.name, length_m=value["length"], width_m=value["width"], section=value["section"],
         base_offset_m=value["base_offset"], joints=value["dof"], pressure_pa=value["pressure_pa"],
         mass_kg=args.mass, tip_mass_kg=args.tip_mass, payload_kg=args.largest_payload_kg or 0.0,
         servo=LinkServo(model=value["servo"]),
-        gravity=LinkGravity(
-            mounting=value["mounting"], effective_weight=value["effective_weight"]
-        ),
+        gravity=LinkGravity(mounting=value["mounting"], effective_weight=value["effective_weight"]),
     )  # fmt: skip
     rows, corners = value["rows"], value["corners"]
     if not (1 <= rows <= 99 and 1 <= corners <= 99):
@@ -187,24 +183,22 @@ def _described(args: argparse.Namespace) -> LinkDescription:
 def _corners_m(count: int, width_m: float) -> tuple[tuple[float, float], ...]:
     """Positions of the markers of a row: the corners, or two opposite ones, or a ring."""
     square = square_corners_m(width_m)
-    if count == 4:
-        return square
-    if count == 1:
-        return ((0.0, 0.0),)
-    if count == 2:
-        return (square[0], square[3])
+    if count in (1, 2, 4):
+        return {1: ((0.0, 0.0),), 2: (square[0], square[3]), 4: square}[count]
     ring = [2 * math.pi * k / count for k in range(count)]
     half = width_m / 2
     return tuple((round(half * math.cos(a), 6), round(half * math.sin(a), 6)) for a in ring)
 
 
 def _payload_kg(link: LinkDescription) -> float:
-    """Largest payload with which the servo holds the link within 30° by a fifth of its torque."""
-    empty = msgspec.structs.replace(link, payload_kg=0.0)
-    one_kg = msgspec.structs.replace(link, payload_kg=1.0)
-    own_nm = LinkScale(empty).holding_nm
-    per_kg_nm = LinkScale(one_kg).holding_nm - own_nm
-    spare_nm = RECOMMENDED_TORQUE * link.preset.torque_limit_nm - own_nm
-    if per_kg_nm <= 0:
+    """Largest payload with which the servo holds the link within 30° by a fifth of its torque.
+
+    In steps of 50 g; the study's payload for a link that carries no weight.
+    """
+    empty_nm, one_kg_nm = (
+        LinkScale(msgspec.structs.replace(link, payload_kg=kg)).holding_nm for kg in (0.0, 1.0)
+    )
+    if one_kg_nm <= empty_nm:
         return STUDY_LINK.payload_kg
-    return max(PAYLOAD_STEP_KG * int(spare_nm / per_kg_nm / PAYLOAD_STEP_KG + 1e-9), 0.0)
+    spare_nm = RECOMMENDED_TORQUE * link.preset.torque_limit_nm - empty_nm
+    return max(0.05 * int(spare_nm / (one_kg_nm - empty_nm) / 0.05 + 1e-9), 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,9 +17,8 @@ def check_output_directory(
     if path.exists() and not path.is_dir():
         raise InputError(f"--out {path}", "is a file", "name a directory")
     _check_place(path)
-    known = tuple(inputs)
-    for written in (path / name for name in names):
-        if any(is_same_file(written, own) for own in known):
+    for written, source in itertools.product([path / name for name in names], inputs):
+        if is_same_file(written, source):
             raise InputError(
                 f"--out {path}", f"would replace {written}, which is read", "name another directory"
             )
@@ -28,7 +28,7 @@ def check_output_file(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Refuse a file that cannot be written, or that the command reads."""
     if path.is_dir():
         raise InputError(f"--out {path}", "is a directory", "name a file")
-    if any(is_same_file(path, own) for own in inputs):
+    if any(is_same_file(path, source) for source in inputs):
         raise InputError(f"--out {path}", "is a file that is read", "name another file")
     _check_place(path.parent)
 

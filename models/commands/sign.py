@@ -76,29 +76,17 @@ def make_key(path: Path) -> Ed25519PrivateKey:
 
     key = Ed25519PrivateKey.generate()
     text = key.private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
-        raise InputError(path, "exists", "leave --new-key out to sign with it") from None
+        raise InputError(path, "exists", "omit --new-key to sign with it") from None
     except OSError as error:
         raise InputError(path, f"cannot be written ({error})", "choose another --key") from None
     with open(descriptor, "wb") as file:
         file.write(text)
     return key
-
-
-def _passphrase(path: Path) -> str:
-    try:
-        return getpass.getpass(f"passphrase of {path}: ")
-    except EOFError:
-        raise InputError(
-            path, "is encrypted, and there is nobody to ask for its passphrase",
-            "run the command in a terminal",
-        ) from None  # fmt: skip
 
 
 def read_key(path: Path) -> Ed25519PrivateKey:
@@ -117,7 +105,12 @@ def read_key(path: Path) -> Ed25519PrivateKey:
         try:
             key = load(data, None)
         except TypeError:  # it is encrypted
-            key = load(data, _passphrase(path).encode())
+            key = load(data, getpass.getpass(f"passphrase of {path}: ").encode())
+    except EOFError:
+        raise InputError(
+            path, "is encrypted, and there is nobody to ask for its passphrase",
+            "run the command in a terminal",
+        ) from None  # fmt: skip
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
         raise InputError(path, f"is no private key that opens ({error})", remedy) from None
     if not isinstance(key, Ed25519PrivateKey):

@@ -3,7 +3,7 @@
 Every trial settles, runs the motion once as a warm-up (discarded), settles again, rests for 60
 rows and then runs the motion that is recorded. The paper gives no phase between the joints of
 2DOF: at --phase-deg 0 both move together, at 90 the tip moves on an ellipse. A second run with the
-same options writes the same trials again; other files in DIR are kept.
+same options writes the same trials again; other files in DIR stay.
 """
 
 from __future__ import annotations
@@ -28,15 +28,12 @@ from models.rig.protocol import (
     RigConditions,
     TrialCase,
     record_conditions,
-    refuse_other_conditions,
     run_trial_cases,
 )
 from models.shared.catalogue import parse_strengths
 from models.shared.link_scale import LinkScale
 
 EXAMPLE = "dropstitch simulate --out build/trials --dof 1 2 --hide backlash=0.01"
-
-_LARGEST_PAYLOAD_KG = 10.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -71,22 +68,21 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    parameters, hidden = rig_named(args.rig), parse_strengths(args.hide)
-    _complete_from_link(args, parameters.link)
-    cases, parameters = _cases(args, parameters), parameters.hide(hidden)
+    nominal, hidden = rig_named(args.rig), parse_strengths(args.hide)
+    cases = _cases(args, nominal)
+    rig = nominal.hide(hidden)
     conditions = RigConditions(
         seed=args.seed,
         hidden=hidden,
-        rig_sha256=parameters.sha256(),
+        rig_sha256=rig.sha256(),
         rig=args.rig,
-        structure=parameters.structure,
+        structure=rig.structure,
     )
     inputs = (Path(args.motion), Path(args.rig))
     check_output_directory(args.out, [f"{case.name}.toml" for case in cases], inputs)
-    refuse_other_conditions(cases, conditions, args.out)
     record_conditions(cases, conditions, args.out)
     progress = Progress("simulate", len(cases))
-    paths = run_trial_cases(cases, parameters, args.out, args.workers, progress.step)
+    paths = run_trial_cases(cases, rig, args.out, args.workers, progress.step)
     from models.rig.overview import draw_overview  # loads Matplotlib
 
     overview = draw_overview(args.out)
@@ -98,66 +94,59 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _complete_from_link(args: argparse.Namespace, described: LinkDescription | None) -> None:
-    """Set the options that the user omits from the link; warn if its servo cannot hold it.
+def _cases(args: argparse.Namespace, rig: RigParameters) -> list[TrialCase]:
+    """Trials of the options; what the user omits is that of the described link.
 
     Joints that move together cannot be separated, so only the study's protocol has phase 0 by
     default.
     """
-    link = described or STUDY_LINK
-    if args.dof is None:
-        args.dof = [described.joints if described else 1]
-    if args.phase_deg is None:
-        args.phase_deg = 90.0 if described and args.dof == [2] else 0.0
-    if args.payloads is None:
-        args.payloads = list(link.payloads_kg)
-    if args.pressure_pa is None:
-        args.pressure_pa = link.pressure_pa
-    if args.gravity is None:
-        args.gravity = list(link.gravity.unit)
-    loaded = LinkScale(msgspec.structs.replace(link, payload_kg=max(args.payloads)))
-    if described and loaded.holding_of_limit > 1:
-        print(
-            f"warning: the weight takes {loaded.holding_of_limit:.0%} of the torque of "
-            f"{link.servo.model}, which cannot hold it; lower the payload or take a stronger servo",
-            file=sys.stderr,
-        )
-
-
-def _check(args: argparse.Namespace, parameters: RigParameters) -> None:
-    pressure, link = parameters.entries["stiffness.pressure_pa"], parameters.link
-    largest_kg = _LARGEST_PAYLOAD_KG if link is None else link.most_payload_kg
+    link = rig.link or STUDY_LINK
+    dof = args.dof or [rig.link.joints if rig.link else 1]
+    payloads_kg = args.payloads or link.payloads_kg
+    pressure_pa = link.pressure_pa if args.pressure_pa is None else args.pressure_pa
+    gravity = tuple(args.gravity or link.gravity.unit)
+    phase_deg = args.phase_deg
+    if phase_deg is None:
+        phase_deg = 90.0 if rig.link and dof == [2] else 0.0
+    most_payload_kg = rig.link.most_payload_kg if rig.link else 10
+    pressure = rig.entries["stiffness.pressure_pa"]
     ranges: list[tuple[str, float, float, float]] = [
         ("--trials", args.trials, 1, 1000),
         ("--seed", args.seed, 0, 2**32 - 1),
-        ("--phase-deg", args.phase_deg, -360, 360),
-        ("--pressure-pa", args.pressure_pa, pressure.minimum, pressure.maximum),
+        ("--phase-deg", phase_deg, -360, 360),
+        ("--pressure-pa", pressure_pa, pressure.minimum, pressure.maximum),
         ("--workers", args.workers, 1, 1024),
-        *(("--payloads", kg, 0, largest_kg) for kg in args.payloads),
-        *(("--gravity", g, -1e6, 1e6) for g in args.gravity),
+        *(("--payloads", kg, 0, most_payload_kg) for kg in payloads_kg),
+        *(("--gravity", g, -1e6, 1e6) for g in gravity),
     ]
     for option, value, low, high in ranges:
         if not low <= value <= high:
             remedy = f"choose {low:g} to {high:g}"
-            if link is not None and option == "--payloads":
-                remedy += f", or raise payload_kg in {parameters.path}"
+            if rig.link and option == "--payloads":
+                remedy += f", or raise payload_kg in {rig.path}"
             raise InputError(f"{option} {value:g}", "is out of range", remedy)
-    if not any(args.gravity):
+    if not any(gravity):
         raise InputError("--gravity 0 0 0", "has no direction", "give one, like 0 0 -1")
-    check_output_directory(args.out)
-
-
-def _cases(args: argparse.Namespace, parameters: RigParameters) -> list[TrialCase]:
-    _check(args, parameters)
+    if rig.link:
+        _warn_of_weight(rig.link, max(payloads_kg))
     motion = MotionConfig(
         amplitude_rad=math.radians(args.amplitude_deg),
         period_s=args.period,
-        phase_2_rad=math.radians(args.phase_deg),
+        phase_2_rad=math.radians(phase_deg),
     ).with_motion(args.motion)
-    pressure_pa, gravity = args.pressure_pa, tuple(args.gravity)
     return [
-        TrialCase(motion.motion(dof), payload_kg, trial, args.seed, pressure_pa, gravity)
-        for dof in sorted(set(args.dof))
-        for payload_kg in sorted(set(args.payloads))
+        TrialCase(motion.motion(joints), payload_kg, trial, args.seed, pressure_pa, gravity)
+        for joints in sorted(set(dof))
+        for payload_kg in sorted(set(payloads_kg))
         for trial in range(1, args.trials + 1)
     ]
+
+
+def _warn_of_weight(link: LinkDescription, payload_kg: float) -> None:
+    used = LinkScale(msgspec.structs.replace(link, payload_kg=payload_kg)).holding_of_limit
+    if used > 1:
+        print(
+            f"warning: the weight takes {used:.0%} of the torque of {link.servo.model}, "
+            "which cannot hold it; lower the payload or take a stronger servo",
+            file=sys.stderr,
+        )

@@ -8,6 +8,7 @@ low-pass filter of a live capture, 5 or 17 hinges, the rod.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -27,18 +28,13 @@ from models.rig.parameters import (
 )
 
 PREFIX: Final = "drawn_"
-"""Prefix of the name of a drawn rig, before its number."""
-
 SEED: Final = 9000
-"""Seed of the drawn rigs that have names."""
 
 FIRST_TEST_NUMBER: Final = 900
 """Drawn rigs from this number on are for testing."""
 
 
 class Range(NamedTuple):
-    """Range in which a value is drawn uniformly."""
-
     low: float
     high: float
 
@@ -85,28 +81,11 @@ LINK_DEVIATION: Final = {
 }  # fmt: skip
 """Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
 
-NOISE: Final = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
-"""Parameters of the sensors' noise."""
-
-
-def draw_rig(rng: np.random.Generator, make: RigParameters | None = None) -> RigParameters:
-    """Draw a rig around the values of `make`, by default the study's."""
-    rig = read_rig("default") if make is None else make
-    values = {
-        n: rig[n] * float(np.exp(s * rng.standard_normal())) for n, s in LOG_DEVIATION.items()
-    }
-    forms: dict[str, str | int] = {}
-    for name, among in DRAWN.items():
-        if isinstance(among, Range):
-            values[name] = float(rng.uniform(among.low, among.high))
-        else:
-            forms[name] = among[int(rng.integers(len(among)))]
-    return replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
-
 
 def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation: they show the rig's own behaviour."""
-    return rig.changed(**{n: 0.0 for n in rig if n in NOISE or n.startswith("variation.")})
+    """Rig whose trials have neither noise nor variation."""
+    noise = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
+    return rig.changed(**{n: 0.0 for n in rig if n in noise or n.startswith("variation.")})
 
 
 def rig_named(name: str) -> RigParameters:
@@ -137,20 +116,40 @@ def rig_named(name: str) -> RigParameters:
 
 
 def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
-    """Drawn rig with one of its links; link 0 is the rig's own."""
-    rig = draw_rig(np.random.default_rng([SEED, number]), make)
+    """Rig drawn around the values of `make`, by default the study's, with one of its links.
+
+    Link 0 is the one that the rig is drawn with.
+    """
+    rig = read_rig("default") if make is None else make
+    rng = np.random.default_rng([SEED, number])
+    values = _spread(rig, LOG_DEVIATION, rng)
+    forms: dict[str, str | int] = {}
+    for name, among in DRAWN.items():
+        if isinstance(among, Range):
+            values[name] = float(rng.uniform(among.low, among.high))
+        else:
+            forms[name] = among[int(rng.integers(len(among)))]
+    rig = replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
     if not link:
         return rig
     rng = np.random.default_rng([SEED, number, link])
-    factors = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
-    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()})
+    return rig.changed(**_spread(rig, LINK_DEVIATION, rng))
+
+
+def _spread(
+    rig: RigParameters, deviation: Mapping[str, float], rng: np.random.Generator
+) -> dict[str, float]:
+    return {
+        name: rig[name] * float(np.exp(sigma * rng.standard_normal()))
+        for name, sigma in deviation.items()
+    }
 
 
 def rig_purpose(name: str) -> Literal["tuning", "test"]:
     """Purpose of a rig: "tuning" if numbers of the workflow may be set on it, else "test".
 
-    Any rig without a stated purpose, like that of a described link, counts as one for tuning,
-    because what was set on it is unknown.
+    A rig without a stated purpose, like that of a described link, counts as one for tuning: what
+    was set on it is unknown.
     """
     if name.startswith(PREFIX):
         return "test" if _drawn_number(name) >= FIRST_TEST_NUMBER else "tuning"

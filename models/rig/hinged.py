@@ -8,50 +8,110 @@ linear shear springs and the Kelvin-Voigt damping; the bending torque is that of
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 import mujoco
 import numpy as np
 
-from models.rig.forms import (
-    both_planes,
-    hysteresis_form,
-    limited_fraction,
-    relaxation_spectrum,
-    size_of,
-)
 from models.rig.parameters import RigParameters, link_stiffness
-from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
+from models.rig.rig import Load, Rig
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
 
-class InPlaceFunction:
-    """CasADi function bound to the arrays of its arguments and results.
+def size_of(planes: Any) -> Any:
+    """Length of a vector (2,) of both planes."""
+    return ca.sqrt(planes[0] ** 2 + planes[1] ** 2)
 
-    A call takes some microseconds; passing the arrays as arguments takes ten times as long. Arrays
-    are contiguous float64; a CasADi matrix is stored by columns. Results must not share memory with
-    arguments, because they are written while arguments are still read.
+
+def limited_fraction(parameters: RigParameters, level: Any) -> Any:
+    """Moment over that of a link without limit, at a level x of this over the limit moment: f(x)/x.
+
+    Choice `limit`. "tanh": f = tanh(x). "wrinkling": the wall wrinkles above half of the limit,
+    f = x, then 1 - 1/(4 x). Half of the collapse moment is a tube's (Comer and Levy, *AIAA Journal*
+    1, 1963 [recalled]); that a box has it too (theory: 2/3; docs/sources.md, "The link") and the
+    shape are [assumed].
     """
+    if parameters.structure.limit == "wrinkling":
+        level = ca.fmax(level, 0.5)
+        return (1.0 - 0.25 / level) / level
+    level = level + 1e-12
+    return ca.tanh(level) / level
 
-    def __init__(
-        self, function: ca.Function, arguments: Sequence[Array], results: Sequence[Array]
-    ) -> None:
-        sizes = [function.numel_in(k) for k in range(function.n_in())]
-        sizes += [function.numel_out(k) for k in range(function.n_out())]
-        if sizes != [array.size for array in (*arguments, *results)]:
-            raise ValueError(f"{function.name()} has {sizes} elements")
-        buffer: Any
-        buffer, self._evaluate = function.buffer()
-        for k, array in enumerate(arguments):
-            buffer.set_arg(k, array.data)
-        for k, array in enumerate(results):
-            buffer.set_res(k, array.data)
-        self._kept_alive = buffer, (*arguments, *results)
 
-    def __call__(self) -> None:
-        self._evaluate()
+def relaxation_spectrum(parameters: RigParameters) -> tuple[Array, Array]:
+    """Times in s of Maxwell branches, and their fractions of the stiffness.
+
+    Choice `creep`. "branches": three equal ones. "power_law": one per half decade, with the
+    spectrum of a fractional element, which falls as tau^-alpha per decade (Mainardi, *Fractional
+    Calculus and Waves in Linear Viscoelasticity*, 2010 [recalled]).
+    """
+    p = parameters
+    relaxing = p["memory.relaxing_share"]
+    if p.structure.creep == "branches":
+        times_s = np.array([p[f"memory.relaxation_{b}_s"] for b in (1, 2, 3)])
+        return times_s, np.full(len(times_s), relaxing / len(times_s))
+    shortest_s, longest_s = p["memory.power_shortest_s"], p["memory.power_longest_s"]
+    count = 1 + round(2.0 * np.log10(longest_s / shortest_s))
+    times_s = np.geomspace(shortest_s, longest_s, count)
+    weights = times_s ** -p["memory.power_exponent"]
+    return times_s, relaxing * weights / weights.sum()
+
+
+def hysteresis_springs(parameters: RigParameters) -> int:
+    slips = parameters.structure.hysteresis == "maxwell_slip"
+    return round(parameters["memory.slip_elements"]) if slips else 1
+
+
+def slide(
+    parameters: RigParameters,
+    yield_rad: float,
+    stiffness_nm_rad: float,
+    memory: Sequence[Any],
+    du: Any,
+) -> tuple[list[Any], Any]:
+    """Friction of the link's skin: state after a further bend du (2,) in rad, and moment in N·m.
+
+    `memory` is an array (2,) for each of `hysteresis_springs`, zero when relaxed. Sliding, a pair
+    of stiffness K and yield u_y has the moment kappa K u_y. A small bend du from rest gives
+    kappa K du in every form, so that a strength is the same fraction of the stiffness. Each form
+    stores energy in a spring and dissipates it in a slider. Choice `hysteresis`:
+
+    * "bouc_wen": dz = du/u_y - (|z.du| + z.du) z / (2 u_y) (Park, Wen and Ang, 1986 [recalled]);
+    * "dahl": dz = du/u_y - |du| z / u_y (Dahl, 1968; exponent 1, in two planes);
+    * "maxwell_slip": springs of equal stiffness with sliders of different yields in parallel (Iwan,
+      *J. Applied Mechanics* 33, 1966 [recalled]); a spring beyond its yield is returned radially.
+
+    The moment of the first two is kappa K u_y z; z is integrated implicitly.
+    """
+    p = parameters
+    friction_nm = p["memory.hysteresis_share"] * stiffness_nm_rad * yield_rad
+    if p.structure.hysteresis == "maxwell_slip":
+        yields = np.geomspace(1.0, p["memory.slip_range"], len(memory))
+        after = []
+        for stretch, slip_rad in zip(memory, yields / yields.mean() * yield_rad, strict=True):
+            stretched = stretch + du
+            after.append(stretched * (slip_rad / ca.fmax(size_of(stretched), slip_rad)))
+        return after, friction_nm / yield_rad / len(memory) * sum(after)
+    (z,) = memory
+    if p.structure.hysteresis == "dahl":
+        shed = 1.0 + size_of(du) * (1.0 / yield_rad)
+    else:
+        along = z[0] * du[0] + z[1] * du[1]
+        shed = 1.0 + (ca.fabs(along) + along) * (0.5 / yield_rad)
+    z = (z + 1.0 / yield_rad * du) / shed
+    return [z], friction_nm * z
+
+
+class Pair(NamedTuple):
+    """Numbers of a hinge pair: of the root, or of a part of the span."""
+
+    stiffness_nm_rad: float
+    limit_nm: float
+    yield_rad: float
+    reference_per_rad: float  # Inverse of the bend at which softening and hardening are defined
+    prebend_rad: float
 
 
 class BendLaw:
@@ -64,11 +124,11 @@ class BendLaw:
         M = K u (1 + h |u|^2) / (1 + c |u|) + s_1 + s_2 + ... + friction,
         m = M f(x)/x,     x = |M| / M_c,
 
-    with softening c and hardening h, Maxwell branches ds/dt = g K du/dt - s/tau, and the forms of
-    spectrum, friction and limit f of `models.rig.forms`. The limit M_c bounds the whole moment,
-    because collapse is an equilibrium of pressure: limit loads of inflated panels and tubes are in
-    proportion to it (Wielgosz and Thomas, *Thin-Walled Structures* 40, 2002; 42, 2004 [recalled]).
-    MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not tight walls, carry it [assumed].
+    with softening c and hardening h, and Maxwell branches ds/dt = g K du/dt - s/tau. The limit M_c
+    bounds the whole moment, because collapse is an equilibrium of pressure: limit loads of inflated
+    panels and tubes are in proportion to it (Wielgosz and Thomas, *Thin-Walled Structures* 40,
+    2002; 42, 2004 [recalled]). MuJoCo's Kelvin-Voigt damper acts beside it: air and yarns, not
+    tight walls, carry it [assumed].
 
     Passivity. For any `skew` (directional stiffness) and S (coupling of the planes) the power taken
     is m . du/dt. Springs and Maxwell branches in parallel are a spring and Kelvin elements in
@@ -79,159 +139,140 @@ class BendLaw:
     hardening besides there is no such proof; in tests no closed path yields energy.
 
     One CasADi function advances all pairs: a step is about a thousand operations on a few numbers
-    each, for which NumPy would need most of its time in calls. Both planes of n pairs are a matrix
-    of shape (2, n), which CasADi stores by columns as NumPy stores the shape (n, 2) by rows.
+    each, for which NumPy would need most of its time in calls. It is bound to arrays, because
+    passing them as arguments takes ten times as long. CasADi stores a matrix (2, n) by columns as
+    NumPy stores the shape (n, 2) by rows.
     """
 
     def __init__(self, parameters: RigParameters, step_s: float) -> None:
         p, hinges = parameters, parameters.structure.hinges
-        self._p, self._step_s, self._pairs = p, step_s, hinges + 1
+        self._p, self._step_s = p, step_s
         link = link_stiffness(p)
-        self.stiffness_nm_rad = self._per_pair(
-            link.root_nm_rad, link.bending_n_m2 * hinges / p["link.length_m"]
-        )
-        self._limit_nm = self._per_pair(link.root_limit_nm, link.span_limit_nm)
-        self._yield_rad = self._per_pair(
-            p["memory.root_yield_rad"], p["memory.span_yield_rad"] / hinges
-        )
-        self._kept_fraction = 1.0 - p["stiffness.leak_share"]
+        root = Pair(
+            link.root_nm_rad, link.root_limit_nm, p["memory.root_yield_rad"],
+            1.0 / REFERENCE_BEND_RAD, 0.0,
+        )  # fmt: skip
+        span = Pair(
+            link.bending_n_m2 * hinges / p["link.length_m"], link.span_limit_nm,
+            p["memory.span_yield_rad"] / hinges, hinges / REFERENCE_BEND_RAD,
+            p["stiffness.prebend_rad"] / hinges,
+        )  # fmt: skip
+        pairs = [root, *[span] * hinges]
+        self.stiffness_nm_rad = np.array([pair.stiffness_nm_rad for pair in pairs])
+        self._remaining_share = 1.0 - p["stiffness.leak_share"]
 
-        advance = self._advance()
-        self._angle_rad, self._kept = np.zeros(2 * self._pairs), np.ones(1)
-        self._memory, self._memory_after = np.zeros((2, advance.numel_in(1)))
-        at_zero = self._measure(ca.DM.zeros(2, self._pairs))[0].full()  # where the link is relaxed
-        self._memory[: at_zero.size] = at_zero.T.flat
-        self._torque_nm = np.zeros((self._pairs, 2))
-        self._evaluate = InPlaceFunction(
-            advance,
-            [self._angle_rad, self._memory, self._kept],
-            [self._torque_nm, self._memory_after],
-        )
+        laws = {pair: self._law(pair) for pair in (root, span)}
+        width = laws[root].size2_in(1)
+        angle_rad = ca.SX.sym("angle_rad", 2, len(pairs))
+        memory = [ca.SX.sym("memory", 2, width) for _ in pairs]
+        remaining = ca.SX.sym("remaining")
+        torques_nm, memory_after = zip(*(
+            laws[pair](angle_rad[:, k], memory[k], remaining) for k, pair in enumerate(pairs)
+        ), strict=True)  # fmt: skip
+        advance = ca.Function(
+            "advance", [angle_rad, ca.horzcat(*memory), remaining],
+            [ca.horzcat(*torques_nm), ca.horzcat(*memory_after)],
+        )  # fmt: skip
+
+        self._angle_rad, self._torque_nm = np.zeros((2, len(pairs), 2))
+        self._memory, self._memory_after = np.zeros((2, len(pairs), width, 2))
+        self._remaining = np.ones(1)
+        for k, pair in enumerate(pairs):  # the link is relaxed at zero
+            self._memory[k, 0] = self._measure(pair, ca.DM.zeros(2))[0].full()[:, 0]
+        buffer: Any
+        buffer, self._evaluate = advance.buffer()
+        for k, array in enumerate((self._angle_rad, self._memory, self._remaining)):
+            buffer.set_arg(k, array.data)
+        # Results are written while arguments are still read, so the memory has two arrays.
+        for k, array in enumerate((self._torque_nm, self._memory_after)):
+            buffer.set_res(k, array.data)
+        self._buffer = buffer  # the function does not keep it alive
 
     def torque_nm(self, angle_rad: Array, leaking_s: float = 0.0) -> Array:
         """Advance the memory to these angles and return the restoring torque in N·m, shape (n, 2).
 
         `angle_rad` (n, 2) are the hinge angles towards +x and +y, one step after the last call.
         """
-        self._angle_rad[:] = angle_rad.ravel()
+        self._angle_rad[:] = angle_rad
         if leaking_s:
-            self._kept[0] = self._kept_fraction ** (leaking_s / LEAK_TIME_S)
+            self._remaining[0] = self._remaining_share ** (leaking_s / LEAK_TIME_S)
         self._evaluate()
         self._memory[:] = self._memory_after
         return self._torque_nm.copy()
 
-    def _per_pair(self, root: float, span: float) -> Array:
-        return np.array([root, *[span] * (self._pairs - 1)])
-
-    def _advance(self) -> ca.Function:
+    def _law(self, pair: Pair) -> ca.Function:
         """Function (angles, memory, remaining stiffness) -> (torque, memory after the step)."""
-        n = self._pairs
-        times_s, fractions = relaxation_spectrum(self._p)
-        hysteresis = hysteresis_form(self._p, self._yield_rad, self.stiffness_nm_rad)
-        angle_rad = ca.SX.sym("angle_rad", 2, n)
-        u_before = ca.SX.sym("u", 2, n)
-        branches_nm = [ca.SX.sym("branch_nm", 2, n) for _ in times_s]
-        slid = [ca.SX.sym("slid", 2, n) for _ in range(hysteresis.springs)]
-        kept = ca.SX.sym("kept")
+        p, step_s, stiffness_nm_rad = self._p, self._step_s, pair.stiffness_nm_rad
+        times_s, fractions = relaxation_spectrum(p)
+        memory = ca.SX.sym("memory", 2, 1 + len(times_s) + hysteresis_springs(p))
+        u_before, *rest = ca.horzsplit(memory)
+        branches_nm, slid = rest[: len(times_s)], rest[len(times_s) :]
+        angle_rad, remaining = ca.SX.sym("angle_rad", 2), ca.SX.sym("remaining")
 
-        u, slope = self._measure(angle_rad)
+        u, slope = self._measure(pair, angle_rad)
         du = u - u_before
-        decays = np.exp(-self._step_s / times_s)
+        decays = np.exp(-step_s / times_s)
         # Exact for a bend that grows at a constant rate over the step.
-        held = fractions * times_s * -np.expm1(-self._step_s / times_s) / self._step_s
+        gains = fractions * times_s * -np.expm1(-step_s / times_s) / step_s
         relaxed_nm = [
-            decay * branch_nm + both_planes(share * self.stiffness_nm_rad) * du
-            for decay, share, branch_nm in zip(decays, held, branches_nm, strict=True)
+            decay * branch_nm + gain * stiffness_nm_rad * du
+            for decay, gain, branch_nm in zip(decays, gains, branches_nm, strict=True)
         ]
-        slid_after, friction_nm = hysteresis.advance(slid, du)
-        whole_nm = both_planes(self._secant_nm_rad(u)) * u + sum(relaxed_nm) + friction_nm
-        level = size_of(whole_nm) * ca.DM(1.0 / self._limit_nm).T
-        moment_nm = both_planes(limited_fraction(self._p, level)) * whole_nm
-        torque_nm = -kept * slope * self._mixed(moment_nm)
-        memory = [u_before, *branches_nm, *slid]
-        memory_after = [u, *relaxed_nm, *slid_after]
-        return ca.Function(
-            "advance",
-            [angle_rad, _stacked(memory), kept],
-            [torque_nm, _stacked(memory_after)],
-        )
+        slid_after, friction_nm = slide(p, pair.yield_rad, stiffness_nm_rad, slid, du)
 
-    def _measure(self, angle_rad: Any) -> tuple[Any, Any]:
-        """Measure of bend u and the diagonal of its derivative before coupling, shape (2, n)."""
+        size, soft = size_of(u), p["stiffness.softening_share"]
+        softer = soft / (1.0 - soft) * pair.reference_per_rad
+        harder = p["stiffness.hardening_share"] * pair.reference_per_rad**2
+        secant_nm_rad = stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
+        whole_nm = secant_nm_rad * u + sum(relaxed_nm) + friction_nm
+        moment_nm = limited_fraction(p, size_of(whole_nm) * (1.0 / pair.limit_nm)) * whole_nm
+        torque_nm = -remaining * slope * self._mixed(moment_nm)
+        memory_after = ca.horzcat(u, *relaxed_nm, *slid_after)
+        return ca.Function("law", [angle_rad, memory, remaining], [torque_nm, memory_after])
+
+    def _measure(self, pair: Pair, angle_rad: Any) -> tuple[Any, Any]:
+        """Measure of bend u and the diagonal of its derivative before coupling, shape (2,)."""
         p = self._p
-        rest_rad = np.zeros((2, self._pairs))
-        rest_rad[0, 1:] = p["stiffness.prebend_rad"] / (self._pairs - 1)
         skew = 0.5 * p["stiffness.directional_share"]
-        rounding_rad = both_planes(p["stiffness.directional_rounding"] * self._yield_rad)
-        phi = angle_rad - rest_rad
+        rounding_rad = p["stiffness.directional_rounding"] * pair.yield_rad
+        phi = angle_rad - ca.DM([pair.prebend_rad, 0.0])
         root = ca.sqrt(phi**2 + rounding_rad**2)
         return self._mixed(phi + skew * (root - rounding_rad)), 1.0 + skew * phi / root
 
     def _mixed(self, planes: Any) -> Any:
-        """Couple both planes; shape (2, n)."""
+        """Couple both planes; shape (2,)."""
         coupling = 0.5 * self._p["stiffness.coupling_share"]
         return ca.DM([[1.0, coupling], [coupling, 1.0]]) @ planes
-
-    def _secant_nm_rad(self, u: Any) -> Any:
-        """Elastic moment over the bend, without limit, shape (1, n)."""
-        p = self._p
-        size = size_of(u)
-        per_reference = self._per_pair(1.0, self._pairs - 1.0) / REFERENCE_BEND_RAD
-        soft = p["stiffness.softening_share"]
-        softer = ca.DM(soft / (1.0 - soft) * per_reference).T
-        harder = ca.DM(p["stiffness.hardening_share"] * per_reference**2).T
-        stiffness_nm_rad = ca.DM(self.stiffness_nm_rad).T
-        return stiffness_nm_rad * (1.0 + harder * size**2) / (1.0 + softer * size)
-
-
-def _stacked(parts: list[Any]) -> Any:
-    return ca.vertcat(*[ca.vec(part) for part in parts])
 
 
 AXES: Final = {"x": (0.0, 1.0, 0.0), "y": (-1.0, 0.0, 0.0)}
 """Axis about which a positive angle moves the tip towards +x and +y."""
 
 
-class MujocoLink:
-    """MuJoCo model of the robot: yoke, plate, link, tip, markers; the second joint may be rigid.
+def robot_model(
+    parameters: RigParameters, dof: int, load: Load, stiffness_nm_rad: Array
+) -> mujoco.MjModel:
+    """MuJoCo model of yoke, plate, link, tip and markers; the second joint may be rigid.
 
-    Attributes
-    ----------
-    model : mujoco.MjModel
-        Only hinges and slides, so positions and rates have the same addresses.
-    joints : ndarray
-        Addresses of the driven joints, (dof,).
-    hinges : ndarray
-        Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y.
-    bodies : ndarray
-        Ids of the link's pieces, (n,).
+    It has only hinges and slides, so positions and rates have the same addresses.
     """
-
-    def __init__(
-        self, parameters: RigParameters, dof: int, load: Load, down_m_s2: Array, law: BendLaw
-    ) -> None:
-        p, pairs = parameters, parameters.structure.hinges + 1
-        spec = mujoco.MjSpec()
-        spec.option.timestep = p["world.step_s"]
-        spec.option.gravity = down_m_s2
-        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-        spec.option.disableflags = int(
-            mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        )
-        frame = [p["link.frame_inertia_kg_m2"]] * 3
-        yoke = _body(spec.worldbody, "yoke", 0.0, p["link.yoke_mass_kg"], frame)
-        _hinge(yoke, "joint_x", "x")
-        plate = _body(yoke, "plate", 0.0, 0.0, [0.0] * 3)
-        if dof == 2:
-            _hinge(plate, "joint_y", "y")
-        _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
-        _add_link(plate, p, load, law.stiffness_nm_rad)
-        self.model = model = spec.compile()
-        self.joints = np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]])
-        self.hinges = np.array(
-            [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in "xy"] for k in range(pairs)]
-        )
-        self.bodies = np.array([model.body(f"link{k}").id for k in range(pairs)])
+    p = parameters
+    spec = mujoco.MjSpec()
+    spec.option.timestep = p["world.step_s"]
+    spec.option.gravity = load.gravity_m_s2
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = int(
+        mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    )
+    frame = [p["link.frame_inertia_kg_m2"]] * 3
+    yoke = _body(spec.worldbody, "yoke", 0.0, p["link.yoke_mass_kg"], frame)
+    _hinge(yoke, "joint_x", "x")
+    plate = _body(yoke, "plate", 0.0, 0.0, [0.0] * 3)
+    if dof == 2:
+        _hinge(plate, "joint_y", "y")
+    _body(plate, "base", p["link.base_offset_m"], p["link.plate_mass_kg"], frame)
+    _add_link(plate, p, load, stiffness_nm_rad)
+    return spec.compile()
 
 
 def _add_link(plate: Any, p: RigParameters, load: Load, stiffness_nm_rad: Array) -> None:
@@ -253,7 +294,7 @@ def _add_link(plate: Any, p: RigParameters, load: Load, stiffness_nm_rad: Array)
                 name=f"shear{k}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction
             )
             joint.stiffness[0], joint.damping[0] = shear, damping_s * shear
-        for axis in "xy":
+        for axis in AXES:
             joint = _hinge(body, f"hinge{k}_{axis}", axis)
             joint.damping[0] = damping_s * stiffness_nm_rad[k]
         for row, height_m in enumerate(p.layout.rows_m):
@@ -265,9 +306,9 @@ def _add_link(plate: Any, p: RigParameters, load: Load, stiffness_nm_rad: Array)
         offset = long
     tip = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
     _body(body, "tip", offset, tip, [tip * width**2 / 12.0] * 3)
-    if load.mass_kg > 0.0:
-        inertia = [load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0] * 3
-        payload = _body(body, "payload", offset, load.mass_kg, inertia)
+    if load.payload_kg > 0.0:
+        inertia = [load.payload_kg * p["link.payload_size_m"] ** 2 / 6.0] * 3
+        payload = _body(body, "payload", offset, load.payload_kg, inertia)
         payload.pos[:2] = load.offset_x_m, load.offset_y_m
 
 
@@ -294,40 +335,45 @@ if mujoco.get_mju_user_warning() is None:  # else each goes to a file in the wor
 
 
 class MujocoRig(Rig):
-    """`Rig` on MuJoCo; `models.rig.protocol.build_rig` describes the arguments."""
+    """`Rig` on MuJoCo.
 
-    def __init__(
-        self,
-        parameters: RigParameters,
-        dof: int,
-        payload_kg: float,
-        eccentricity_m: tuple[float, float] = (0.0, 0.0),
-        gravity: tuple[float, float, float] = DOWN,
-    ) -> None:
-        p = parameters
+    Attributes
+    ----------
+    joints : ndarray
+        Addresses of the driven joints, (dof,).
+    hinges : ndarray
+        Addresses of the link's hinges, (n, 2), root first; the columns bend towards +x and +y.
+    pieces : slice
+        Ids of the bodies of the link's pieces.
+    """
+
+    def __init__(self, parameters: RigParameters, dof: int, load: Load) -> None:
+        p, pairs = parameters, parameters.structure.hinges + 1
         super().__init__(p, dof, p["world.step_s"])
         self.bending_law = BendLaw(p, self.step_s)
-        load = tip_load(p, payload_kg, eccentricity_m)
-        self.link = MujocoLink(p, dof, load, gravity_m_s2(p, gravity), self.bending_law)
-        self.data = mujoco.MjData(self.link.model)
-        mujoco.mj_forward(self.link.model, self.data)
+        self.model = model = robot_model(p, dof, load, self.bending_law.stiffness_nm_rad)
+        self.joints = np.array([model.joint(f"joint_{a}").dofadr[0] for a in "xy"[:dof]])
+        self.hinges = np.array(
+            [[model.joint(f"hinge{k}_{a}").dofadr[0] for a in AXES] for k in range(pairs)]
+        )
+        self.data = mujoco.MjData(model)
+        mujoco.mj_forward(model, self.data)
         # MuJoCo's arrays stay in place: views of them save a look-up and a copy per step.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied_nm = self.data.qfrc_applied
-        self._drives = list(zip(self.servos, self.link.joints.tolist(), strict=True))
-        self._dragged = p["world.drag_nm"] != 0.0
-        pieces = slice(self.link.bodies[0], self.link.bodies[-1] + 1)  # bodies are consecutive
-        self._body_centres = self.data.xipos[pieces]
+        self._drives = list(zip(self.servos, self.joints.tolist(), strict=True))
+        self.pieces = slice(model.body("link0").id, model.body(f"link{pairs - 1}").id + 1)
+        self._body_centres = self.data.xipos[self.pieces]
         self._centres = self._body_centres.copy()
-        self._set_drag = InPlaceFunction(
-            self._drag(p["world.drag_nm"]),
-            [self._body_centres, self._centres],
-            [self.data.xfrc_applied[pieces]],
-        )
+        # Force per speed squared of each piece, such that 1 rad/s about joint 1 gives `drag_nm`;
+        # the area of a uniform link is as its mass.
+        area, height = model.body_mass[self.pieces], self._centres[:, 2]
+        self._drag = (p["world.drag_nm"] * (area / np.sum(area * height**3)))[:, None]
+        self._drag_n = self.data.xfrc_applied[self.pieces, :3]
 
     @property
     def joint_rad(self) -> list[float]:
-        return [float(angle) for angle in self.data.qpos[self.link.joints]]
+        return [float(angle) for angle in self.data.qpos[self.joints]]
 
     @property
     def link_markers_m(self) -> Array:
@@ -338,34 +384,21 @@ class MujocoRig(Rig):
         # MuJoCo counts states that are not finite and restarts from zero after each.
         if any(self.data.warning[w].number for w in UNSTABLE_WARNINGS):
             return np.nan
-        return float(np.max(np.abs(self.data.qpos[self.link.hinges])))
+        return float(np.max(np.abs(self.data.qpos[self.hinges])))
 
-    def step(self) -> None:
-        time_s, hinges = self.time_s, self.link.hinges
+    def advance(self) -> None:
+        time_s, hinges = self.time_s, self.hinges
         qpos, qvel, applied_nm = self._qpos, self._qvel, self._applied_nm
         for servo, joint in self._drives:
             torque = servo.step(time_s, float(qpos[joint]), float(qvel[joint]))
             applied_nm[joint] = torque + servo.load_nm
         applied_nm.put(hinges, self.bending_law.torque_nm(qpos.take(hinges), self.leaking_s))
-        if self._dragged:
-            self._set_drag()
-            np.copyto(self._centres, self._body_centres)
-        if not self._play.absent:
-            self._play.advance([servo.gear_nm for servo in self.servos])
-        mujoco.mj_step(self.link.model, self.data)
-        self._steps += 1
+        self._update_drag()
+        mujoco.mj_step(self.model, self.data)
 
-    def _drag(self, drag_nm: float) -> ca.Function:
-        """Function (centres of the pieces now, a step earlier) -> their wrenches, shape (6, n).
-
-        Force per speed squared of each piece is such that 1 rad/s about joint 1 gives `drag_nm`.
-        """
-        height = self.data.xipos[self.link.bodies, 2]
-        area = self.link.model.body_mass[self.link.bodies]  # uniform: as the mass
-        coefficients = ca.DM(drag_nm * np.asarray(area / np.sum(area * height**3))).T
-        now_m, before_m = (ca.SX.sym(name, 3, coefficients.numel()) for name in ("now", "before"))
-        velocity = (now_m - before_m) / self.step_s
-        speed = ca.sqrt(ca.sum1(velocity**2))
-        force_n = -ca.repmat(coefficients * speed, 3, 1) * velocity
-        wrench = ca.densify(ca.vertcat(force_n, ca.SX.zeros(3, coefficients.numel())))
-        return ca.Function("drag", [now_m, before_m], [wrench])
+    def _update_drag(self) -> None:
+        velocity = (self._body_centres - self._centres) / self.step_s
+        x, y, z = velocity.T
+        speed = np.sqrt(x * x + y * y + z * z)[:, None]
+        np.multiply(-(self._drag * speed), velocity, out=self._drag_n)
+        np.copyto(self._centres, self._body_centres)

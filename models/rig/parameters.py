@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple
@@ -21,7 +21,7 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.shared.catalogue import CATALOGUE, effect_and_joint
+from models.shared.catalogue import effect_and_joint
 from models.shared.link_scale import LinkScale
 
 RIG_TOML: Final = Path(__file__).with_name("rig.toml")
@@ -30,35 +30,27 @@ STRUCTURES: Final = Path(__file__).with_name("structures")
 
 
 class RigStructure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Forms of a rig's equations (`models.rig.forms`); the defaults are the project's rig."""
+    """Forms of a rig's equations (docs/rig/structures.md); the defaults are the project's rig."""
 
     # Mechanics of the link: hinges in MuJoCo, or a Cosserat rod
     engine: Literal["mujoco", "cosserat"] = "mujoco"
-    # Hinge pairs of the span in MuJoCo, without the root's
+    # The link with hinges (`models.rig.hinged`): hinge pairs of the span, how the moment levels
+    # off at its limit, friction of the skin, spectrum of relaxation times
     hinges: Annotated[int, msgspec.Meta(ge=5, le=17)] = 8
-    # How the moment levels off at its limit
     limit: Literal["tanh", "wrinkling"] = "tanh"
-    # Friction of the link's skin
     hysteresis: Literal["bouc_wen", "maxwell_slip", "dahl"] = "bouc_wen"
-    # Spectrum of relaxation times
     creep: Literal["branches", "power_law"] = "branches"
-    # Friction of the servo
+    # The servo (`models.rig.servo`): friction, and how its Stribeck part fades with the rate
     friction: Literal["lugre", "smooth"] = "lugre"
-    # How Stribeck friction fades with the rate
     stribeck: Literal["gaussian", "rational"] = "gaussian"
-    # Where the backlash is: in the gear, or in the link's mount, where it moves only the markers
+    # Where the backlash is: in the gear, or in the link's mount (`models.rig.rig.MarkerPlay`)
     play: Literal["gear", "markers"] = "gear"
-    # Set-point between two goals
+    # The servo again: set-point between two goals, current in its register, position loop, rate
     goal: Literal["held", "interpolated", "profile"] = "held"
-    # Current that the servo's register holds
     current_sampling: Literal["tick", "phase", "mean"] = "tick"
-    # Position loop: proportional, or also with feed-forward of the goal's rate and an integral of
-    # the error
     position_loop: Literal["proportional", "feedforward"] = "proportional"
-    # Where the velocity loop measures its rate: at the motor, or at the encoder with its periodic
-    # error
     rate_sensor: Literal["motor", "encoder"] = "motor"
-    # Filter in the software of the motion capture
+    # Filter in the software of the motion capture (`models.rig.sensors`)
     mocap_filter: Literal["none", "low_pass", "zero_phase"] = "none"
 
 
@@ -68,7 +60,7 @@ DEFAULT_STRUCTURE: Final = RigStructure()
 class NamedStructure(msgspec.Struct, frozen=True, kw_only=True):
     """Content of a structure's file, apart from parameters."""
 
-    summary: str  # Description in one line
+    summary: str
     # "tuning" if numbers of the workflow may be set on it, "test" if they never are
     purpose: Literal["tuning", "test"]
     structure: RigStructure
@@ -139,26 +131,21 @@ class RigParameters(Mapping[str, float]):
 
     def changed(self, **values: float) -> RigParameters:
         """Return the parameters with other values, by `group.name`."""
-        entries = dict(self.entries)
-        for name, value in values.items():
-            entries[name] = msgspec.structs.replace(entries[name], value=value)
-        return replace(self, entries=entries)
+        changed = {n: msgspec.structs.replace(self.entries[n], value=v) for n, v in values.items()}
+        return replace(self, entries=self.entries | changed)
 
-    def scaled(self, names: Iterable[str], factor: float) -> RigParameters:
+    def scaled(self, names: Sequence[str], factor: float) -> RigParameters:
         """Return the parameters with some values multiplied, also additions in a single joint."""
-        chosen = set(names)
         added = {
-            joint: {n: more * (factor if n in chosen else 1.0) for n, more in own.items()}
-            for joint, own in self.added_in_joint.items()
+            joint: {n: more * (factor if n in names else 1.0) for n, more in additions.items()}
+            for joint, additions in self.added_in_joint.items()
         }
-        values = {name: self[name] * factor for name in chosen}
-        return replace(self.changed(**values), added_in_joint=added)
+        scaled = self.changed(**{name: self[name] * factor for name in names})
+        return replace(scaled, added_in_joint=added)
 
     def of_joint(self, joint: int) -> RigParameters:
         """Return the parameters of one joint, 1 or 2, with what is added in it."""
         added = self.added_in_joint.get(joint, {})
-        if not added:
-            return self
         return self.changed(**{name: self[name] + more for name, more in added.items()})
 
     def sha256(self) -> str:
@@ -186,32 +173,31 @@ class RigParameters(Mapping[str, float]):
             If the rig lacks an effect, cannot hide it in a single joint, or the sum leaves the
             parameter's bounds.
         """
-        result = self
+        result, names = self, self.effects()
         for hidden, strength in sorted(strengths.items(), key=lambda item: ":" in item[0]):
-            result = result._with(hidden, strength)
+            option = f"--hide {hidden}={strength:g}"
+            effect, joint = effect_and_joint(hidden)
+            if effect not in names:
+                choice = "choose from " + ", ".join(names)
+                raise InputError(option, "has no place in this rig", choice)
+            name = names[effect]
+            entry = result.entries[name]
+            if joint is not None and not entry.in_one_joint:
+                raise InputError(
+                    option, f"{effect} is not of one joint alone", "leave the joint out"
+                )
+            value, low, high = entry.value + strength, entry.minimum, entry.maximum
+            if not low <= value <= high:
+                raise InputError(
+                    option, f"makes {name} {value:g} {entry.unit}, outside {low:g} to {high:g}",
+                    f"choose {low - entry.value:g} to {high - entry.value:g}",
+                )  # fmt: skip
+            if joint is None:
+                result = result.changed(**{name: value})
+            else:
+                added = {**result.added_in_joint.get(joint, {}), name: strength}
+                result = replace(result, added_in_joint={**result.added_in_joint, joint: added})
         return result
-
-    def _with(self, hidden: str, strength: float) -> RigParameters:
-        names, option = self.effects(), f"--hide {hidden}={strength:g}"
-        effect, joint = effect_and_joint(hidden)
-        if effect not in names:
-            raise InputError(option, "has no place in this rig", "choose from " + ", ".join(names))
-        name = names[effect]
-        entry = self.entries[name]
-        if joint is not None and not entry.in_one_joint:
-            raise InputError(option, f"{effect} is not of one joint alone", "leave the joint out")
-        value = entry.value + strength
-        if not entry.minimum <= value <= entry.maximum:
-            raise InputError(
-                option,
-                f"makes {name} {value:g} {entry.unit}, outside {entry.minimum:g} "
-                f"to {entry.maximum:g}",
-                f"choose {entry.minimum - entry.value:g} to {entry.maximum - entry.value:g}",
-            )
-        if joint is None:
-            return self.changed(**{name: value})
-        own = {**self.added_in_joint.get(joint, {}), name: strength}
-        return replace(self, added_in_joint={**self.added_in_joint, joint: own})
 
 
 def read_rig(rig: str) -> RigParameters:
@@ -221,50 +207,40 @@ def read_rig(rig: str) -> RigParameters:
 
 
 def read_parameters(path: Path = RIG_TOML) -> RigParameters:
-    """Read the parameters of a rig, by default the project's; missing ones keep its values.
+    """Read the parameters of a rig: a file changes values and structure of the project's rig.
 
-    A file with a table `structure` may change only structure and values: effects keep their
-    parameters.
+    Effects and bounds remain those of `rig.toml`.
     """
+    entries = dict(_entries(read_toml(RIG_TOML, "restore it"), RIG_TOML))
+    if path == RIG_TOML:
+        return RigParameters(entries, path)
     names = ", ".join(named_structures())
     document = read_toml(path, f"name a structure ({names}) or the TOML file of a rig")
-    structure, entries = DEFAULT_STRUCTURE, _entries(document, path)
-    if path != RIG_TOML:
-        own = read_parameters().entries
-        for name, entry in entries.items():
-            if name not in own:
-                raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
-            if entry.unit != own[name].unit:
-                unit = own[name].unit
-                raise InputError(path, f"{name} is in {entry.unit!r}", f"give it in {unit}")
-        if "structure" in document:
-            structure = _structure_of(document, path).structure
-            entries = {
-                name: msgspec.structs.replace(own[name], value=entry.value, source=entry.source)
-                for name, entry in entries.items()
-            }
-        entries = own | entries
-    for name, entry in entries.items():
-        if not (math.isfinite(entry.value) and entry.minimum <= entry.value <= entry.maximum):
-            raise InputError(path, f"{name} is {entry.value}", "keep it within its bounds")
-        if entry.effect and CATALOGUE[entry.effect].unit != entry.unit:
-            raise InputError(path, f"{name} and {entry.effect} differ in unit", "correct the unit")
+    structured = "structure" in document
+    structure = _structure_of(document, path).structure if structured else DEFAULT_STRUCTURE
+    for name, change in _entries(document, path):
+        if name not in entries:
+            raise InputError(path, f"parameter {name} is unknown", f"see {RIG_TOML} for names")
+        entry = entries[name]
+        if change.unit != entry.unit:
+            raise InputError(path, f"{name} is in {change.unit!r}", f"give it in {entry.unit}")
+        if change.effect not in ("", entry.effect):
+            raise InputError(
+                path, f"{name} is not the parameter of {change.effect!r}", "leave effect out"
+            )
+        if not (math.isfinite(change.value) and entry.minimum <= change.value <= entry.maximum):
+            raise InputError(path, f"{name} is {change.value}", "keep it within its bounds")
+        changed = msgspec.structs.replace(entry, value=change.value, source=change.source)
+        entries[name] = changed
     return RigParameters(entries, path, structure)
 
 
-def _entries(document: dict[str, Any], path: Path) -> dict[str, Entry]:
-    entries = {}
-    groups = {g: t for g, t in document.items() if isinstance(t, dict) and g != "structure"}
-    for group, tables in groups.items():
-        for key, table in tables.items():
-            name = f"{group}.{key}"
-            entry = convert(table, Entry, path, name, "give value, unit and source")
-            if entry.effect and entry.effect not in CATALOGUE:
-                raise InputError(
-                    path, f"{name}: {entry.effect!r} is no effect", "see models/shared/catalogue.py"
-                )
-            entries[name] = entry
-    return entries
+def _entries(document: dict[str, Any], path: Path) -> Iterator[tuple[str, Entry]]:
+    for group, tables in document.items():
+        if isinstance(tables, dict) and group != "structure":
+            for key, table in tables.items():
+                name = f"{group}.{key}"
+                yield name, convert(table, Entry, path, name, "give value, unit and source")
 
 
 class LinkStiffness(NamedTuple):
@@ -304,49 +280,20 @@ def link_stiffness(parameters: RigParameters) -> LinkStiffness:
 
 def rig_of_link(link: LinkDescription, path: Path) -> RigParameters:
     """Rig of a described link: the study's values, scaled by size, section, pressure and servo."""
-    own = read_parameters()
-    ratios = _ratios(link, own["stiffness.reference_pressure_pa"])
-    entries = {
-        name: msgspec.structs.replace(
-            entry, value=entry.value * ratios.get(name, 1.0),
-            minimum=entry.minimum * ratios.get(name, 1.0),
-            maximum=entry.maximum * ratios.get(name, 1.0),
-        )
-        for name, entry in own.entries.items()
-    }  # fmt: skip
-    rig = replace(own, entries=entries, path=path, link=link)
-    return rig.changed(**_values(link, own))
-
-
-def _values(link: LinkDescription, own: RigParameters) -> dict[str, float]:
-    """Values that the description states directly."""
+    rig = read_parameters()
     model, preset = model_named(link.servo.model), link.preset
-    return {
-        "link.length_m": link.length_m,
-        "link.width_m": link.width_m,
-        "link.base_offset_m": link.base_offset_m,
-        "stiffness.pressure_pa": link.pressure_pa,
-        "servo.profile_velocity_rad_s": min(
-            own["servo.profile_velocity_rad_s"], preset.speed_limit_rad_s
-        ),
-        "sensor.pulses_per_turn": float(model.pulses_per_turn),
-        "sensor.current_step_a": model.current_a_per_lsb,
-        "world.gravity_m_s2": link.gravity.size_m_s2,
-    }
-
-
-def _ratios(link: LinkDescription, reference_pressure_pa: float) -> dict[str, float]:
-    """Factors on the study's values and bounds, by parameter."""
     scale = LinkScale(link)
     servo, over = scale.servo_ratios, scale.over_study
-    # The rig brings its values from the reference pressure to its own.
-    at_reference = msgspec.structs.replace(link, pressure_pa=reference_pressure_pa)
-    over_at_reference = LinkScale(at_reference).over_study
+    # The rig brings its values from the reference pressure to the link's.
+    reference_pa = rig["stiffness.reference_pressure_pa"]
+    over_at_reference = LinkScale(
+        msgspec.structs.replace(link, pressure_pa=reference_pa)
+    ).over_study
     width = link.width_m / STUDY_LINK.width_m
     length = link.length_m / STUDY_LINK.length_m
     torque, inertia = servo["torque_limit_nm"], servo["rotor_inertia_kg_m2"]
     coulomb, current = servo["coulomb_friction_nm"], servo["current_limit_a"]
-    return {
+    ratios = {
         "link.mass_kg": over("mass_kg"),
         "link.tip_mass_kg": over("tip_mass_kg"),
         "link.payload_size_m": width,
@@ -384,3 +331,22 @@ def _ratios(link: LinkDescription, reference_pressure_pa: float) -> dict[str, fl
         "variation.eccentricity_m": width,
         "world.drag_nm": width * length**4,
     }
+    entries = dict(rig.entries)
+    for name, ratio in ratios.items():
+        entry = entries[name]
+        entries[name] = msgspec.structs.replace(
+            entry, value=entry.value * ratio,
+            minimum=entry.minimum * ratio, maximum=entry.maximum * ratio,
+        )  # fmt: skip
+    return replace(rig, entries=entries, path=path, link=link).changed(**{
+        "link.length_m": link.length_m,
+        "link.width_m": link.width_m,
+        "link.base_offset_m": link.base_offset_m,
+        "stiffness.pressure_pa": link.pressure_pa,
+        "servo.profile_velocity_rad_s": min(
+            rig["servo.profile_velocity_rad_s"], preset.speed_limit_rad_s
+        ),
+        "sensor.pulses_per_turn": float(model.pulses_per_turn),
+        "sensor.current_step_a": model.current_a_per_lsb,
+        "world.gravity_m_s2": link.gravity.size_m_s2,
+    })  # fmt: skip

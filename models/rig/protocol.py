@@ -1,7 +1,7 @@
 """Protocol of the study on a rig: settle, warm-up run (discarded), settle, rest, recorded run.
 
 A trial case holds the conditions of a trial; a result depends on its case and rig only. The
-conditions that a trial's own files lack, hidden effects among them, are recorded beside the trials.
+conditions that a trial's files lack, hidden effects among them, are recorded beside the trials.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import ClassVar, Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,12 +24,15 @@ from firmware_py.link.marker_layout import square_layout
 from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
 from firmware_py.signals import PERIOD_S, trial_signals
 from models.rig.parameters import RigParameters, RigStructure
-from models.rig.rig import DOWN, Rig
+from models.rig.rig import Load, Rig
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers
 from models.shared.kinematics import Array
 from models.shared.worker_pool import worker_pool
 from models.trials.files import write_trial
 from models.trials.trial import UPRIGHT_M_S2, Trial, TrialMeta
+
+DOWN: Final = (0.0, 0.0, -1.0)
+"""Direction of gravity for an upright robot."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class TrialCase:
     payload_kg : float
         Declared payload in kg.
     trial : int
-        Number of the repetition, each with its own variation and noise.
+        Number of the repetition; each has another variation and noise.
     seed : int
         Seed of the whole set of trials.
     pressure_pa : float
@@ -91,18 +94,7 @@ def build_rig(
 ) -> Rig:
     """Build the engine that the rig's structure names.
 
-    Parameters
-    ----------
-    parameters : RigParameters
-        Structure and values.
-    dof : int
-        Driven joints, 1 or 2.
-    payload_kg : float
-        Declared payload.
-    eccentricity_m : tuple of float
-        Offset of the payload's centre from the axis, towards +x and +y.
-    gravity : tuple of float
-        Direction in the world frame; its length does not matter.
+    `eccentricity_m` is the offset of the payload's centre from the axis, towards +x and +y.
 
     Raises
     ------
@@ -110,22 +102,26 @@ def build_rig(
         If an effect is hidden in a joint that is not driven, or the structure has a choice of
         another engine.
     """
-    for joint in (j for j in parameters.added_in_joint if j > dof):
+    p = parameters
+    for joint in (j for j in p.added_in_joint if j > dof):
         raise InputError(
             "--hide EFFECT:JOINT", f"names joint {joint}, and {dof} is driven", "name joint 1"
         )
-    # An engine is loaded when it is built: each has a large library of its own.
-    if parameters.structure.engine == "cosserat":
+    x_m, y_m = eccentricity_m
+    x_m += p["link.payload_offset_share"] * p["link.length_m"]
+    gravity_m_s2 = np.array(gravity) / np.linalg.norm(gravity) * p["world.gravity_m_s2"]
+    load = Load(payload_kg, x_m, y_m, gravity_m_s2)
+    # An engine is loaded when it is built: each needs a large library.
+    if p.structure.engine == "cosserat":
         from models.rig.rod import CosseratRig
 
-        return CosseratRig(parameters, dof, payload_kg, eccentricity_m, gravity)
+        return CosseratRig(p, dof, load)
     from models.rig.hinged import MujocoRig
 
-    return MujocoRig(parameters, dof, payload_kg, eccentricity_m, gravity)
+    return MujocoRig(p, dof, load)
 
 
-@dataclass(frozen=True)
-class Variation:
+class Variation(NamedTuple):
     """Deviation of one trial from the nominal rig."""
 
     parameters: RigParameters  # With pressure, friction and synchronisation of this trial
@@ -139,19 +135,16 @@ def draw_variation(
     """Draw the variation of one trial: pressure, friction, eccentricity, synchronisation."""
     p = parameters
     pressure, friction, sync, x, y, *shift = rng.standard_normal(8)
-    values = {
-        "stiffness.pressure_pa": case.pressure_pa
-        * (1.0 + p["variation.pressure_share"] * pressure),
-        "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
-    }
     scale = max(1.0 + p["variation.friction_share"] * friction, 0.0)
-    frictions = [name for name in p if name.startswith("servo.") and "_friction_" in name]
+    varied = p.scaled([n for n in p if n.startswith("servo.") and "_friction_" in n], scale)
+    varied = varied.changed(**{
+        "stiffness.pressure_pa":
+            case.pressure_pa * (1.0 + p["variation.pressure_share"] * pressure),
+        "sensor.mocap_delay_s": p["sensor.mocap_delay_s"] + p["variation.mocap_delay_s"] * sync,
+    })  # fmt: skip
     eccentricity = p["variation.eccentricity_m"]
-    return Variation(
-        parameters=p.scaled(frictions, scale).changed(**values),
-        eccentricity_m=(eccentricity * x, eccentricity * y),
-        frame_shift_m=p["variation.frame_shift_m"] * np.array(shift),
-    )
+    shift_m = p["variation.frame_shift_m"] * np.array(shift)
+    return Variation(varied, (eccentricity * x, eccentricity * y), shift_m)
 
 
 REST_SAMPLES: Final = 60
@@ -263,21 +256,20 @@ def run_trial_cases(
 
     `on_done` is called with the name of each trial after it is written.
     """
-    paths = {}
     if workers == 1 or len(cases) == 1:
+        paths = []
         for case in cases:
-            paths[case.name] = _run_and_write(parameters, case, directory)
+            paths.append(_run_and_write(parameters, case, directory))
             on_done(case.name)
-    else:
-        with worker_pool(min(workers, len(cases))) as pool:
-            futures = {
-                pool.submit(_run_and_write, parameters, case, directory): case.name
-                for case in cases
-            }
-            for future in as_completed(futures):
-                paths[futures[future]] = future.result()
-                on_done(futures[future])
-    return [paths[case.name] for case in cases]
+        return paths
+    with worker_pool(min(workers, len(cases))) as pool:
+        futures = {
+            pool.submit(_run_and_write, parameters, case, directory): case.name for case in cases
+        }
+        for future in as_completed(futures):
+            future.result()
+            on_done(futures[future])
+    return [future.result() for future in futures]
 
 
 def _run_and_write(parameters: RigParameters, case: TrialCase, directory: Path) -> Path:
@@ -288,7 +280,7 @@ CONDITIONS_FILE: Final = "rig_conditions.json"
 
 
 class RigConditions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Conditions of a trial that its own files do not contain."""
+    """Conditions of a trial that its files do not contain."""
 
     seed: int  # Seed of variation and noise
     hidden: dict[str, float]  # Strength of each hidden effect, in its unit
@@ -305,31 +297,24 @@ class ConditionsRecord(Document, frozen=True, kw_only=True, forbid_unknown_field
     trials: dict[str, RigConditions]  # Conditions by name of the trial
 
 
-def refuse_other_conditions(
-    cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
-) -> None:
-    """Refuse to overwrite a trial that was measured or simulated under other conditions."""
-    recorded = _recorded(directory)
-    for case in cases:
-        path = directory / f"{case.name}.csv"
-        if path.exists() and recorded.get(case.name) != conditions:
-            raise InputError(
-                path,
-                "holds a trial that was run under other conditions",
-                "choose another --out, or remove it",
-            )
-
-
 def record_conditions(
     cases: Sequence[TrialCase], conditions: RigConditions, directory: Path
 ) -> None:
-    """Add the conditions of these trials to the directory's record, before they are simulated."""
-    directory.mkdir(parents=True, exist_ok=True)
-    trials = _recorded(directory) | {case.name: conditions for case in cases}
-    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
-    write_document(directory / CONDITIONS_FILE, record)
+    """Add the conditions of these trials to the directory's record, before they are simulated.
 
-
-def _recorded(directory: Path) -> dict[str, RigConditions]:
+    Refuses to overwrite a trial that was measured or simulated under other conditions.
+    """
     path = directory / CONDITIONS_FILE
-    return read_document(path, ConditionsRecord).trials if path.exists() else {}
+    recorded = read_document(path, ConditionsRecord).trials if path.exists() else {}
+    for case in cases:
+        trial = directory / f"{case.name}.csv"
+        if trial.exists() and recorded.get(case.name) != conditions:
+            raise InputError(
+                trial,
+                "holds a trial that was run under other conditions",
+                "choose another --out, or remove it",
+            )
+    directory.mkdir(parents=True, exist_ok=True)
+    trials = recorded | {case.name: conditions for case in cases}
+    record = ConditionsRecord(schema=ConditionsRecord.VERSION, trials=dict(sorted(trials.items())))
+    write_document(path, record)

@@ -1,4 +1,4 @@
-"""Interface of a rig to the study's protocol, and what its engines share."""
+"""A rig to the study's protocol, and what its engines share: servos, the link's play, refusals."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from firmware_py.errors import InputError
-from models.rig.forms import MarkerPlay
 from models.rig.parameters import RigParameters
 from models.rig.servo import RigServo
 from models.shared.kinematics import Array
-
-DOWN: Final = (0.0, 0.0, -1.0)
-"""Direction of gravity for an upright robot."""
 
 FOLDED_RAD: Final = 0.8
 """Bend of a hinge or section above which the link has folded and the trial is refused [assumed]."""
@@ -27,19 +23,62 @@ simulation with too long a step diverges from small bends."""
 
 
 class Load(NamedTuple):
-    """Payload at the tip: its mass and the offset of its centre from the link's axis."""
+    """What the link carries, and in which field: payload, offset of its centre, gravity (3,)."""
 
-    mass_kg: float
+    payload_kg: float
     offset_x_m: float
     offset_y_m: float
+    gravity_m_s2: Array
+
+
+class MarkerPlay:
+    """Choice `play` = "markers": play in the link's mount, which moves only the markers.
+
+    The link leans by half of the play to the side that its torque pushes to. It moves from one side
+    to the other within a small range of torque and a short time, at first from the middle.
+    """
+
+    def __init__(self, parameters: RigParameters, dof: int, step_s: float) -> None:
+        p = parameters
+        play = [p.of_joint(k + 1)["servo.backlash_rad"] for k in range(dof)]
+        self._half_rad = 0.5 * np.array(play) * (p.structure.play == "markers")
+        self.absent = not self._half_rad.any()
+        self._torque_nm = p["servo.play_torque_nm"]
+        self._gain = -math.expm1(-step_s / p["servo.play_time_s"])
+        self.lean_rad = np.zeros(dof)
+
+    def advance(self, torque_nm: Sequence[float]) -> None:
+        """Advance by one step; `torque_nm` acts from the drives on the joints."""
+        for k, torque in enumerate(torque_nm):
+            side_rad = -self._half_rad[k] * math.tanh(torque / self._torque_nm)
+            self.lean_rad[k] += self._gain * (side_rad - self.lean_rad[k])
+
+    def shown_m(self, markers_m: Array, joint_rad: Sequence[float]) -> Array:
+        """Markers on the leaning link, shape (markers, 3)."""
+        cos, sin = math.cos(joint_rad[0]), math.sin(joint_rad[0])
+        # Rotation vector; the second axis, -x, is carried by the first joint.
+        x, y, z = 0.0, self.lean_rad[0], 0.0
+        if len(self.lean_rad) == 2:
+            x, z = -cos * self.lean_rad[1], sin * self.lean_rad[1]
+        turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(markers_m + markers_m @ (turn + 0.5 * turn @ turn).T)
 
 
 class Rig(ABC):
     """Simulated robot, at rest and upright at the start.
 
-    An engine is a subclass with the constructor's arguments of `models.rig.protocol.build_rig`. It
-    simulates the hidden effects by the parameters that `RigParameters.effects` names; servos and
-    the play of the link's mount are here.
+    An engine is a subclass with the constructor's arguments `(parameters, dof, load)`. It simulates
+    the hidden effects by the parameters that `RigParameters.effects` names; servos and the play of
+    the link's mount are here.
+
+    Parameters
+    ----------
+    parameters : RigParameters
+        Structure and values.
+    dof : int
+        Driven joints, 1 or 2.
+    servo_step_s : float
+        Step with which the engine advances the servos.
 
     Attributes
     ----------
@@ -57,8 +96,8 @@ class Rig(ABC):
         self._steps, self._bend_rad, self._leak_from_s = 0, 0.0, math.inf
 
     @abstractmethod
-    def step(self) -> None:
-        """Advance by one integration step."""
+    def advance(self) -> None:
+        """Advance link, joints and servos by one integration step."""
 
     @property
     @abstractmethod
@@ -74,6 +113,13 @@ class Rig(ABC):
     @abstractmethod
     def largest_bend_rad(self) -> float:
         """Largest bend of a hinge or section now; not finite if the simulation has diverged."""
+
+    def step(self) -> None:
+        """Advance by one integration step."""
+        self.advance()
+        if not self._play.absent:
+            self._play.advance([servo.gear_nm for servo in self.servos])
+        self._steps += 1
 
     @property
     def time_s(self) -> float:
@@ -118,18 +164,3 @@ class Rig(ABC):
             f"{self.step_s:g} s is too long for parts as light and stiff as these",
             "check masses, stiffness, gear and rotor inertia of link or rig",
         )  # fmt: skip
-
-
-def tip_load(
-    parameters: RigParameters, payload_kg: float, eccentricity_m: tuple[float, float]
-) -> Load:
-    """Payload with its eccentricity and the rig's offset of all payloads."""
-    x_m, y_m = eccentricity_m
-    share = parameters["link.payload_offset_share"]
-    return Load(payload_kg, x_m + share * parameters["link.length_m"], y_m)
-
-
-def gravity_m_s2(parameters: RigParameters, direction: tuple[float, float, float]) -> Array:
-    """Gravity in the world frame; the length of `direction` does not matter."""
-    unit = np.array(direction) / np.linalg.norm(direction)
-    return np.asarray(unit * parameters["world.gravity_m_s2"])

@@ -14,7 +14,7 @@ from elastica.rod.data_structures import overload_operator_kinematic_numba
 
 from firmware_py.errors import InputError
 from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters, link_stiffness
-from models.rig.rig import DOWN, Load, Rig, gravity_m_s2, tip_load
+from models.rig.rig import Load, Rig
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
 from models.shared.kinematics import Array
 
@@ -27,6 +27,11 @@ CREEP_REACH: Final = 3.0
 
 SLIDER_FRACTIONS: Final = np.array([0.25, 0.75, 1.25, 1.75])
 """Yield bends of the sliders, relative to the yield bend; their mean is one."""
+
+
+def size_of(planes: Array) -> Array:
+    """Length of the vector of each section, shape (n,)."""
+    return np.sqrt(planes[:, 0] ** 2 + planes[:, 1] ** 2)
 
 
 class SectionLaw:
@@ -60,7 +65,6 @@ class SectionLaw:
         soft = p["stiffness.softening_share"]
         self._soft = (1.0 / (1.0 - soft) ** 2 - 1.0) * per_reference
         self._hard = p["stiffness.hardening_share"] * per_reference
-        self._bend_dependent = bool(self._soft.any() or self._hard.any())
         self._rest_rad = np.zeros((sections + 1, 2))
         self._rest_rad[1:, 0] = p["stiffness.prebend_rad"] / sections
 
@@ -70,8 +74,7 @@ class SectionLaw:
         self._rounding_rad = p["stiffness.directional_rounding"] * yield_rad
         coupling = 0.5 * p["stiffness.coupling_share"]
         self._mix = np.array([[1.0, coupling], [coupling, 1.0]])
-        self._coupled = coupling != 0.0
-        self._kept_fraction = 1.0 - p["stiffness.leak_share"]
+        self._remaining_share = 1.0 - p["stiffness.leak_share"]
 
         self._set_branches(p, step_s)
         self._slider_rad = SLIDER_FRACTIONS[:, None, None] * yield_rad
@@ -102,31 +105,23 @@ class SectionLaw:
         fractions = np.array([zener, *[creep] * CREEP_BRANCHES])
         self._decay = np.exp(-step_s / times_s)[:, None, None]
         # Exact for a bend that grows at a constant rate over the step.
-        held = times_s * -np.expm1(-step_s / times_s) / step_s
+        gain = times_s * -np.expm1(-step_s / times_s) / step_s
         self._branch_nm_rad = (fractions[:, None] * self.stiffness_nm_rad)[:, :, None]
-        self._held_nm_rad = held[:, None, None] * self._branch_nm_rad
+        self._gained_nm_rad = gain[:, None, None] * self._branch_nm_rad
         self._branch_nm = np.zeros((len(times_s), len(self.stiffness_nm_rad), 2))
 
     def _measure(self, angle_rad: Array) -> tuple[Array, Array]:
         """Measure of bend u and the diagonal of its derivative before coupling, (n, 2) each."""
         phi = angle_rad - self._rest_rad
-        if not self._skew:
-            return self._mixed(phi), np.ones_like(phi)
         scaled = phi / self._rounding_rad
         size = np.abs(scaled)
         log_cosh = size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)
         skewed = phi + self._skew * self._rounding_rad * log_cosh
-        return self._mixed(skewed), 1.0 + self._skew * np.tanh(scaled)
-
-    def _mixed(self, planes: Array) -> Array:
-        """Couple both planes; shape (n, 2)."""
-        return planes @ self._mix if self._coupled else planes
+        return skewed @ self._mix, 1.0 + self._skew * np.tanh(scaled)
 
     def _elastic_nm(self, size_rad: Array) -> tuple[Array, Array]:
         """Elastic moment without limit and its derivative, each of shape (sections + 1,)."""
         stiffness = self.stiffness_nm_rad
-        if not self._bend_dependent:
-            return stiffness * size_rad, stiffness
         square = size_rad * size_rad
         soft, hard = 1.0 + self._soft * square, 1.0 + self._hard * square
         factor = hard / np.sqrt(soft)
@@ -140,7 +135,7 @@ class SectionLaw:
         is sqrt(A) T sqrt(A), which is symmetric, positive, and A T where the moment is along the
         bend.
         """
-        size_nm = np.sqrt(moment_nm[:, 0] ** 2 + moment_nm[:, 1] ** 2)
+        size_nm = size_of(moment_nm)
         level = np.maximum(size_nm / self._limit_nm, 0.5)
         across = (1.0 - 0.25 / level) / level
         along = 0.25 / (level * level)
@@ -163,13 +158,13 @@ class SectionLaw:
         self._bend = u
         branch_nm = self._branch_nm
         branch_nm *= self._decay
-        branch_nm += self._held_nm_rad * du
+        branch_nm += self._gained_nm_rad * du
         stretch = self._stretch_rad
         stretch += du
         length = np.sqrt(np.einsum("ijk,ijk->ij", stretch, stretch))[:, :, None]
         stretch *= np.minimum(1.0, self._slider_rad / np.maximum(length, 1e-30))
 
-        size = np.sqrt(u[:, 0] ** 2 + u[:, 1] ** 2) + 1e-12
+        size = size_of(u) + 1e-12
         elastic, along = self._elastic_nm(size)
         secant = elastic / size
         moment = secant[:, None] * u + branch_nm.sum(axis=0)
@@ -181,12 +176,10 @@ class SectionLaw:
         tangent[:, 1, 1] += across
         moment, tangent = self._limited(moment, tangent)
 
-        kept = self._kept_fraction ** (leaking_s / LEAK_TIME_S) if leaking_s else 1.0
-        moment = kept * slope * self._mixed(moment)
-        if self._coupled:
-            tangent = self._mix @ tangent @ self._mix
-        tangent = slope[:, :, None] * tangent * slope[:, None, :]
-        return moment, kept * tangent
+        remaining = self._remaining_share ** (leaking_s / LEAK_TIME_S) if leaking_s else 1.0
+        moment = remaining * slope * (moment @ self._mix)
+        tangent = slope[:, :, None] * (self._mix @ tangent @ self._mix) * slope[:, None, :]
+        return moment, remaining * tangent
 
 
 ROOT_TWIST_NM_RAD: Final = 200.0
@@ -210,16 +203,13 @@ class RodLink:
     enters as rest strains and tangent stiffness, updated in every step of the rig.
     """
 
-    def __init__(
-        self, parameters: RigParameters, load: Load, down_m_s2: Array, sections: int
-    ) -> None:
+    def __init__(self, parameters: RigParameters, load: Load, sections: int) -> None:
         p = parameters
         length, piece = p["link.length_m"], p["link.length_m"] / sections
-        self._sections, self._half_m = sections, 0.5 * p["link.width_m"]
-        self._layout = p.layout
-        # Element of each row, and the place in it from 0 to 1; elements join in mid-piece.
-        places = [h / length * sections + 0.5 for h in p.layout.rows_m]
-        self._row_places = [(min(int(at), sections), at - min(int(at), sections)) for at in places]
+        self._sections, self._layout = sections, p.layout
+        self._row_places = [
+            _element_of(h / length * sections + 0.5, sections) for h in p.layout.rows_m
+        ]
         self.law = SectionLaw(p, p["world.step_s"], sections)
         lengths = np.array([0.5 * piece, 0.5 * piece, *[piece] * (sections - 1), 0.5 * piece])
         heights = p["link.base_offset_m"] - lengths[0] + np.concatenate([[0.0], np.cumsum(lengths)])
@@ -227,12 +217,12 @@ class RodLink:
         position[2] = heights
         self.rod = CosseratRod.straight_rod(
             len(lengths), position[:, 0].copy(), np.array([0.0, 0.0, 1.0]),
-            np.array([1.0, 0.0, 0.0]), float(length + lengths[0]), self._half_m, 1.0,
+            np.array([1.0, 0.0, 0.0]), float(length + lengths[0]), 0.5 * p["link.width_m"], 1.0,
             youngs_modulus=1.0, position=position,
         )  # fmt: skip
         self._set_mass(p, lengths, load)
         self._set_stiffness(p, lengths)
-        self._weight_n = down_m_s2[:, None] * self.rod.mass
+        self._weight_n = load.gravity_m_s2[:, None] * self.rod.mass
         self._weight_n[:, :2] = 0.0  # these nodes are on the plate
         self._drag = p["world.drag_nm"] * self._link_kg / np.sum(self._link_kg * heights**3)
         self._keep_pose()
@@ -250,18 +240,17 @@ class RodLink:
         for axis, share in enumerate((1.0 / 12.0, 1.0 / 12.0, 1.0 / 6.0)):
             inertia[axis, axis] = share * width**2 * element_kg
         tip_kg = p["link.tip_mass_kg"] + p["link.extra_tip_mass_kg"]
-        rod.mass[-1] += tip_kg + load.mass_kg
+        rod.mass[-1] += tip_kg + load.payload_kg
         inertia[:, :, -1] += np.eye(3) * (
-            tip_kg * width**2 / 12.0 + load.mass_kg * p["link.payload_size_m"] ** 2 / 6.0
+            tip_kg * width**2 / 12.0 + load.payload_kg * p["link.payload_size_m"] ** 2 / 6.0
         )
         # The payload is fixed to the last element at an offset. Eliminating the acceleration of the
         # node leaves the payload's reduced mass in the element's inertia.
         offset = np.array([load.offset_x_m, load.offset_y_m, 0.0])
-        self._payload_share = load.mass_kg / rod.mass[-1]
-        reduced_kg = load.mass_kg * (1.0 - self._payload_share)
+        self._payload_share = load.payload_kg / rod.mass[-1]
+        reduced_kg = load.payload_kg * (1.0 - self._payload_share)
         inertia[:, :, -1] += reduced_kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
         self._offset_m = (load.offset_x_m, load.offset_y_m)
-        self._eccentric = bool(load.mass_kg > 0.0 and offset.any())
         inverse = rod.inv_mass_second_moment_of_inertia
         inverse[:] = 0.0
         inverse[:, :, 1:] = np.linalg.inv(np.moveaxis(inertia[:, :, 1:], 2, 0)).transpose(1, 2, 0)
@@ -319,20 +308,13 @@ class RodLink:
     def markers_m(self) -> Array:
         """Markers in the world frame, shape (markers, 3), at the start of the last step."""
         position, director = self._pose
-        markers = np.empty((self._layout.rows, self._layout.corners, 3))
         corners = np.array(self._layout.corners_m)
-        last = self._layout.rows - 1
-        for row, (piece, fraction) in enumerate(self._row_places):
-            element = piece + 1
-            if row == last:
-                centre = position[:, -1]
-            elif piece == 0:  # the first element is half as long, from the plate on
-                along = 2.0 * (fraction - 0.5)
-                centre = (1 - along) * position[:, 1] + along * position[:, 2]
-            else:
-                centre = (1 - fraction) * position[:, element] + fraction * position[:, element + 1]
-            markers[row] = centre + corners @ director[:2, :, element]
-        return markers.reshape(-1, 3)
+        rows = [
+            (1 - place) * position[:, element] + place * position[:, element + 1]
+            + corners @ director[:2, :, element]
+            for element, place in self._row_places
+        ]  # fmt: skip
+        return np.concatenate(rows)
 
     def _keep_pose(self) -> None:
         self._pose = self.rod.position_collection.copy(), self.rod.director_collection.copy()
@@ -355,11 +337,10 @@ class RodLink:
         rod.bend_matrix[1, 1], rod.bend_matrix[0, 0] = xx * length, yy * length
         rod.bend_matrix[0, 1] = rod.bend_matrix[1, 0] = -xy * length
         rod.rest_kappa[1], rod.rest_kappa[0] = rest_x / length, -rest_y / length
-        if self._zener:
-            self._twist_creep += self._relaxed * (rod.kappa[2] - self._twist_creep)
-            self._sigma_creep += self._relaxed * (rod.sigma - self._sigma_creep)
-            rod.rest_kappa[2] = self._zener * self._twist_creep
-            rod.rest_sigma[:] = self._zener * self._sigma_creep
+        self._twist_creep += self._relaxed * (rod.kappa[2] - self._twist_creep)
+        self._sigma_creep += self._relaxed * (rod.sigma - self._sigma_creep)
+        rod.rest_kappa[2] = self._zener * self._twist_creep
+        rod.rest_sigma[:] = self._zener * self._sigma_creep
         omega = rod.omega_collection
         turning = np.einsum("ijk,ik->ij", self._smooth, omega[:2, 1:])
         omega[:2, 1:] = turning + self._carried * plate_rad_s
@@ -376,24 +357,15 @@ class RodLink:
         )  # fmt: skip
 
     def accelerate(self, step_s: float) -> None:
-        """Compute forces and moments and advance the velocities by a time."""
-        rod = self.rod
-        rod.compute_internal_forces_and_torques(0.0)
-        if self._eccentric:
-            self._accelerate_eccentric()
-        else:
-            rod.update_accelerations(0.0, step_s)
-        rod.velocity_collection += step_s * rod.acceleration_collection
-        rod.omega_collection += step_s * rod.alpha_collection
+        """Compute forces and moments and advance the velocities by a time.
 
-    def _accelerate_eccentric(self) -> None:
-        """Accelerations with a payload beside the axis, fixed to the last element.
-
-        With node force F, offset r, and payload m out of the node's mass M, in the element's frame:
-        the moment gains -(m / M) r x F, and the node the acceleration
-        -(m / M) (alpha x r + omega x (omega x r)). F does not include weight.
+        The payload is fixed to the last element, beside the axis. With node force F, offset r, and
+        payload m out of the node's mass M, in the element's frame: the moment gains
+        -(m / M) r x F, and the node the acceleration -(m / M) (alpha x r + omega x (omega x r)).
+        F does not include weight.
         """
         rod, share = self.rod, self._payload_share
+        rod.compute_internal_forces_and_torques(0.0)
         x, y = self._offset_m
         turn = rod.director_collection[:, :, -1]
         fx, fy, fz = (turn @ rod.internal_forces[:, -1]).tolist()
@@ -407,6 +379,23 @@ class RodLink:
             ax * y - ay * x + wz * along,
         )  # fmt: skip
         rod.acceleration_collection[:, -1] -= share * (np.array(arm) @ turn)
+        rod.velocity_collection += step_s * rod.acceleration_collection
+        rod.omega_collection += step_s * rod.alpha_collection
+
+
+def _element_of(at: float, sections: int) -> tuple[int, float]:
+    """Element of a height on the link, and the place in it from 0 to 1.
+
+    `at` is the height in pieces, and a half: elements join in mid-piece. The first element after
+    the stub and the last one are half as long.
+    """
+    piece = min(int(at), sections)
+    place = at - piece
+    if piece == 0:
+        place = 2.0 * (place - 0.5)
+    elif piece == sections:
+        place = 2.0 * place
+    return piece + 1, place
 
 
 class BaseJoints:
@@ -421,16 +410,14 @@ class BaseJoints:
     with centrifugal terms from Lagrange's equations and no coupling in the mass matrix.
     """
 
-    def __init__(
-        self, parameters: RigParameters, rod: CosseratRod, root_mass_kg: float, down_m_s2: Array
-    ) -> None:
+    def __init__(self, parameters: RigParameters, link: RodLink, load: Load) -> None:
         p = parameters
-        self._rod = rod
+        self._rod = rod = link.rod
         self._height_m = p["link.base_offset_m"]
         self._heights_m = rod.position_collection[2, :2].copy()
         self._turn = 1.0, 0.0, 1.0, 0.0
-        mass_kg = p["link.plate_mass_kg"] + root_mass_kg
-        self._weight_n: list[float] = (mass_kg * down_m_s2).tolist()
+        mass_kg = p["link.plate_mass_kg"] + link.root_mass_kg
+        self._weight_n: list[float] = (mass_kg * load.gravity_m_s2).tolist()
         self._frame = p["link.frame_inertia_kg_m2"]
         self._point = mass_kg * self._height_m**2
         self.angle_rad, self.rate_rad_s = [0.0, 0.0], [0.0, 0.0]
@@ -484,24 +471,18 @@ SECTIONS: Final = 8
 """Sections of the span; halving their length shifts the first mode by less than 1 %."""
 
 HINGED_CHOICES: Final = ("hinges", "limit", "hysteresis", "creep")
-"""Choices of a structure that apply to the MuJoCo link only; the rod has its own forms."""
+"""Choices of a structure that apply to the MuJoCo link only; the rod has other forms."""
 
 
 class CosseratRig(Rig):
-    """`Rig` on PyElastica; `models.rig.protocol.build_rig` describes the arguments.
+    """`Rig` on PyElastica.
 
     Rod, joints and servos advance by the position Verlet method, in substeps that are stable for
     the stiffest section. Section law, drag and leak are updated once per step.
     """
 
     def __init__(
-        self,
-        parameters: RigParameters,
-        dof: int,
-        payload_kg: float,
-        eccentricity_m: tuple[float, float] = (0.0, 0.0),
-        gravity: tuple[float, float, float] = DOWN,
-        sections: int = SECTIONS,
+        self, parameters: RigParameters, dof: int, load: Load, sections: int = SECTIONS
     ) -> None:
         p = parameters
         for choice in HINGED_CHOICES:
@@ -510,9 +491,8 @@ class CosseratRig(Rig):
                 raise InputError(
                     p.path, f"chooses {choice} = {chosen!r}, which is not the rod's", "leave it out"
                 )
-        down = gravity_m_s2(p, gravity)
-        self.link = RodLink(p, tip_load(p, payload_kg, eccentricity_m), down, sections)
-        self.joints = BaseJoints(p, self.link.rod, self.link.root_mass_kg, down)
+        self.link = RodLink(p, load, sections)
+        self.joints = BaseJoints(p, self.link, load)
         self._substep_s = p["world.step_s"] / self.link.substeps
         super().__init__(p, dof, self._substep_s)
 
@@ -528,12 +508,10 @@ class CosseratRig(Rig):
     def largest_bend_rad(self) -> float:
         return float(np.max(np.abs(self.link.bend_rad)))
 
-    def step(self) -> None:
+    def advance(self) -> None:
         link, joints, servos = self.link, self.joints, self.servos
         start_s, part_s, substeps = self.time_s, self._substep_s, link.substeps
         link.begin_step(joints.plate_rad_s, self.leaking_s)
-        if not self._play.absent:
-            self._play.advance([servo.gear_nm for servo in servos])
         link.move(0.5 * part_s)
         joints.move(0.5 * part_s)
         for k in range(substeps):
@@ -552,4 +530,3 @@ class CosseratRig(Rig):
             joints.move(onward_s)
         joints.place_stub()
         joints.place_stub_velocity()
-        self._steps += 1

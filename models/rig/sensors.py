@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.rig.forms import filtered_frames
 from models.rig.parameters import RigParameters
 from models.shared.kinematics import Array
 
@@ -30,10 +29,7 @@ class MarkerLog(NamedTuple):
 
 
 def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
-    """Angle in rad, rounded to whole pulses as the servo reports it.
-
-    `encoder_rad` is the angle of the rotor at the output, with the encoder's offset.
-    """
+    """Angle of the rotor at the output in rad, rounded to whole pulses as the servo reports it."""
     pulse = 2.0 * np.pi / parameters["sensor.pulses_per_turn"]
     return np.asarray(np.round(encoder_rad / pulse) * pulse)
 
@@ -41,9 +37,9 @@ def read_encoder(parameters: RigParameters, encoder_rad: Array) -> Array:
 def read_current(parameters: RigParameters, current_a: Array, rng: np.random.Generator) -> Array:
     """Current in A with scale error, bias and noise, rounded to whole counts."""
     p = parameters
-    own = [p.of_joint(k + 1) for k in range(current_a.shape[-1])]
-    scale = np.array([1.0 + q["sensor.current_scale_share"] for q in own])
-    read = current_a * scale + np.array([q["sensor.current_bias_a"] for q in own])
+    joints = [p.of_joint(k + 1) for k in range(current_a.shape[-1])]
+    scale = np.array([1.0 + q["sensor.current_scale_share"] for q in joints])
+    read = current_a * scale + np.array([q["sensor.current_bias_a"] for q in joints])
     read = read + p["sensor.current_noise_a"] * rng.standard_normal(current_a.shape)
     return np.asarray(np.round(read / p["sensor.current_step_a"]) * p["sensor.current_step_a"])
 
@@ -55,12 +51,11 @@ def read_markers(
     shift_m: Array,
     rng: np.random.Generator,
 ) -> Array:
-    """Markers at `time_s` (n,) as the motion capture gives them after resampling.
+    """Markers at `time_s` (n,) as the motion capture gives them, shape (n, markers, 3).
 
-    The cameras run at 240 Hz, not synchronised; every frame has marker noise and timing jitter. A
-    frame at time t shows the markers of one delay earlier.
-    Returns shape (n, markers, 3) in the world frame of the motion capture, with its tilt, scale and
-    shift.
+    The cameras are not synchronised; every frame has marker noise and timing jitter. A frame at
+    time t shows the markers of one delay earlier. Frames are filtered, resampled and put into the
+    world frame of the motion capture, with its tilt, scale and shift.
     """
     p = parameters
     interval_s = 1.0 / p["sensor.mocap_rate_hz"]
@@ -71,11 +66,27 @@ def read_markers(
     frames_m = frames_m + p["sensor.marker_noise_m"] * rng.standard_normal(frames_m.shape)
     frames_m = filtered_frames(p, frames_m)
     resampled = MarkerLog(float(frames_s[0]), interval_s, frames_m).at(time_s)
-    turned = _frame_rotation(p).apply(resampled.reshape(-1, 3)).reshape(resampled.shape)
+    turns = [p[f"sensor.frame_{name}_rad"] for name in ("yaw", "roll", "tilt")]
+    frame = Rotation.from_euler("zxy", turns)
+    turned = frame.apply(resampled.reshape(-1, 3)).reshape(resampled.shape)
     return np.asarray((1.0 + p["sensor.marker_scale_share"]) * turned + shift_m)
 
 
-def _frame_rotation(p: RigParameters) -> Rotation:
-    """Rotation of the motion capture's frame: about z, then x, then y."""
-    turns = [p[f"sensor.frame_{name}_rad"] for name in ("yaw", "roll", "tilt")]
-    return Rotation.from_euler("zxy", turns)
+def filtered_frames(parameters: RigParameters, frames_m: Array) -> Array:
+    """Frames (n, markers, 3) of a link at rest before the first, after the software's filter.
+
+    Choice `mocap_filter`: "none", or a Butterworth filter of second order (*Wireless Engineer* 7,
+    1930 [recalled]). "low_pass": forward, as in a live stream. "zero_phase": forward and backward,
+    as software filters a recording, with a response of one half at the cut-off (Winter,
+    *Biomechanics and Motor Control of Human Movement* [recalled]).
+    """
+    p = parameters
+    if p.structure.mocap_filter == "none":
+        return frames_m
+    from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt  # slow to import
+
+    sections = butter(2, p["sensor.mocap_cutoff_hz"], fs=p["sensor.mocap_rate_hz"], output="sos")
+    if p.structure.mocap_filter == "zero_phase":
+        return np.asarray(sosfiltfilt(sections, frames_m, axis=0))
+    resting = sosfilt_zi(sections)[:, :, None, None] * frames_m[:1]
+    return np.asarray(sosfilt(sections, frames_m, axis=0, zi=resting)[0])

@@ -5,6 +5,7 @@ import pytest
 from firmware_py.motion import Motion
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
+from tests.models.rig.rigs import QUICK
 
 
 @pytest.fixture(scope="session")
@@ -14,8 +15,7 @@ def parameters():
 
 @pytest.fixture(scope="session")
 def short(parameters):
-    """The rig with short pauses, for tests that need no rest afterwards."""
-    return parameters.changed(**{"world.settle_s": 0.3, "world.pause_s": 0.3})
+    return parameters.changed(**QUICK)
 
 
 @pytest.fixture(scope="session")

@@ -1,31 +1,30 @@
-"""The laws of both engines against what any inflated link obeys, and each against its own parts."""
+"""The laws of both engines against what any inflated link obeys, and each against its parts."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.rig.hinged import BendLaw
-from models.rig.parameters import read_parameters, read_rig
+from firmware_py.link.link_description import LinkDescription
+from models.rig.hinged import BendLaw, hysteresis_springs, relaxation_spectrum, slide
+from models.rig.parameters import link_stiffness, read_parameters, read_rig, rig_of_link
 from models.rig.rod import SectionLaw
+from tests.models.rig.rigs import EVEN, NO_MEMORY, UNLIMITED
 
 STEP_S, SECTIONS = 1e-3, 8
-NO_MEMORY = {"memory.hysteresis_share": 0.0, "memory.relaxing_share": 0.0}
-PLAIN = {
-    **NO_MEMORY, "stiffness.damping_s": 0.0, "stiffness.directional_share": 0.0,
-    "stiffness.prebend_rad": 0.0,
-}  # fmt: skip
+PLAIN = {**NO_MEMORY, **EVEN, "stiffness.damping_s": 0.0}
 EFFECTS = ("directional_stiffness", "stiffness_softening", "stiffness_hardening", "hysteresis",
            "creep", "cross_axis_coupling")  # fmt: skip
 LIMIT_NM = read_parameters()["stiffness.root_limit_nm"]
-ENGINES = ("tanh", "wrinkling", "rod")
+ENGINES = ("default", "chain", "rod")
+"""Structures of the hinged link, the second with a wall that wrinkles, and the rod."""
 
 
-def law_of(engine, parameters=None, **values):
+def law_of(engine, hidden=None, **values):
     """Function (bends (9, 2), leaking_s) -> moments (9, 2) against them, one step later."""
-    rig = read_rig({"wrinkling": "chain"}.get(engine, "default"))
-    values = {**(rig if parameters is None else parameters), "stiffness.prebend_rad": 0.0, **values}
-    rig = rig.changed(**values)
+    rig = read_rig("default" if engine == "rod" else engine).hide(hidden or {})
+    rig = rig.changed(**{"stiffness.prebend_rad": 0.0} | values)
     if engine == "rod":
         law = SectionLaw(rig, STEP_S, SECTIONS)
         return lambda bend, leaking_s=0.0: law.advance(bend, leaking_s)[0]
@@ -34,7 +33,8 @@ def law_of(engine, parameters=None, **values):
     def moment_nm(bend, leaking_s=0.0):
         spread = np.zeros((hinges + 1, 2))
         spread[0], spread[1:] = bend[0], bend[1:].sum(axis=0) / hinges
-        return -law.torque_nm(spread, leaking_s)[: SECTIONS + 1]
+        moment_nm = -law.torque_nm(spread, leaking_s)
+        return np.concatenate([moment_nm, moment_nm[-1:].repeat(SECTIONS, axis=0)])[: SECTIONS + 1]
 
     return moment_nm
 
@@ -69,15 +69,14 @@ def closed_path(seed, scale_rad, steps=3000):
 
 @settings(max_examples=25, deadline=None)
 @given(
-    engine=st.sampled_from(ENGINES),
+    engine=st.sampled_from((*ENGINES, "memory", "test_a", "test_b")),
     seed=st.integers(0, 2**32 - 1),
     scale_rad=st.sampled_from([0.01, 0.05, 0.3]),
     strengths=st.fixed_dictionaries({name: st.floats(0.0, 0.4) for name in EFFECTS}),
 )
 def test_no_path_draws_energy_from_the_link(engine, seed, scale_rad, strengths):
     """Neither from rest nor in a closed cycle, whatever is hidden and however near to folding."""
-    law = law_of(engine, read_parameters().hide(strengths))
-    work = work_j(law, closed_path(seed, scale_rad))
+    work = work_j(law_of(engine, strengths), closed_path(seed, scale_rad))
     assert np.all(work.min(axis=0) > -1e-3 * work.max(axis=0))
     cycle = (len(work) - 200) // 2
     assert np.all(work[-1] - work[-1 - cycle] > -1e-3 * work.max(axis=0))
@@ -97,7 +96,7 @@ def test_a_closed_loop_costs_energy_only_with_memory(engine):
 @pytest.mark.parametrize("plane", [(1.0, 0.0), (0.6, -0.8)])
 def test_the_whole_moment_stays_below_its_limit(engine, plane):
     """A bend of 0.2 rad within 20 ms, with creep and friction that would add half of the limit."""
-    hidden = read_parameters().hide({"creep": 0.3, "hysteresis": 0.3, "stiffness_hardening": 1.0})
+    hidden = {"creep": 0.3, "hysteresis": 0.3, "stiffness_hardening": 1.0}
     law = law_of(engine, hidden, **{"stiffness.directional_share": 0.0})
     for k in range(1, 21):
         moment = law(bends(0.01 * k * np.array(plane), 0.01 * k * np.array(plane)))
@@ -116,10 +115,35 @@ def test_the_moment_opposes_the_bend_and_levels_off(engine):
     assert moment[-1] == pytest.approx(LIMIT_NM, rel=5e-3)
 
 
-@pytest.mark.parametrize("engine", ["wrinkling", "rod"])
+@pytest.mark.parametrize("engine", ["chain", "rod"])
 def test_a_wall_is_linear_until_it_wrinkles(engine):
     bend = 0.99 * LIMIT_NM / 2 / 350.0
     assert law_of(engine, **PLAIN)(bends(bend))[0, 0] == pytest.approx(350.0 * bend, rel=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["default", "rod"])
+@pytest.mark.parametrize("pressure_pa", [20_000.0, 80_000.0])
+def test_pressure_adds_stiffness_by_prestress_and_limits_in_proportion(engine, pressure_pa):
+    def root_nm(bend):
+        return law_of(engine, **PLAIN, **{"stiffness.pressure_pa": pressure_pa})(bends(bend))[0, 0]
+
+    gained = (pressure_pa - 41_300.0) * 0.15**4 / 6
+    assert root_nm(1e-6) / 1e-6 == pytest.approx(350.0 * (1 + gained / 135.0), rel=1e-6)
+    assert root_nm(1e4) == pytest.approx(LIMIT_NM * pressure_pa / 41_300.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("section", ["square", "round"])
+def test_a_described_link_has_the_shear_and_prestress_of_its_section(section, tmp_path):
+    def at(pressure_pa):
+        link = LinkDescription(width_m=0.2, section=section, pressure_pa=pressure_pa)
+        return link_stiffness(rig_of_link(link, tmp_path / "link.toml"))
+
+    low, high = at(20_000.0), at(60_000.0)
+    pull_n = 40_000.0 * 0.2**2 * (1.0 if section == "square" else np.pi / 4)
+    assert high.shear_n - low.shear_n == pytest.approx(pull_n)
+    gained = pull_n * 0.2**2 / (6 if section == "square" else 8)
+    assert high.bending_n_m2 - low.bending_n_m2 == pytest.approx(gained)
+    assert high.root_limit_nm / low.root_limit_nm == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -132,7 +156,7 @@ def test_positive_bends_are_stiffer_by_the_directional_share(engine):
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("effect, ratio", [("softening", 0.7), ("hardening", 1.3)])
 def test_softening_and_hardening_are_strengths_at_a_tenth_of_a_radian(engine, effect, ratio):
-    far = {**PLAIN, "stiffness.root_limit_nm": 1e6, "stiffness.span_limit_nm": 1e6}
+    far = {**PLAIN, **UNLIMITED}
     plain = law_of(engine, **far)(bends(0.1, 0.1))[:, 0]
     changed = law_of(engine, **far, **{f"stiffness.{effect}_share": 0.3})(bends(0.1, 0.1))[:, 0]
     np.testing.assert_allclose(changed, ratio * plain, rtol=1e-6)
@@ -145,12 +169,31 @@ def test_a_leak_takes_its_share_of_the_moment_in_ten_seconds(engine):
     np.testing.assert_allclose(leaking, 0.75 * tight)
 
 
-def test_a_held_bend_relaxes_by_the_relaxing_share():
+def test_a_constant_bend_relaxes_by_the_relaxing_share():
     soon = {f"memory.relaxation_{b}_s": 0.05 for b in (1, 2, 3)}
-    law = law_of("tanh", **{**PLAIN, **soon, "memory.relaxing_share": 0.3})
+    law = law_of("default", **{**PLAIN, **soon, "memory.relaxing_share": 0.3})
     at_once, *_, later = (law(bends(1e-4)) for _ in range(1000))
     # A step within one step of integration has already relaxed by half of it, 1 % of 50 ms.
     np.testing.assert_allclose(at_once[0, 0] / later[0, 0], 1.3, rtol=0.01)
+
+
+@pytest.mark.parametrize("rig", ["default", "memory"])
+def test_both_spectra_sum_up_to_the_relaxing_fraction(rig):
+    p = read_rig(rig).hide({"creep": 0.1})
+    times_s, fractions = relaxation_spectrum(p)
+    assert fractions.sum() == pytest.approx(read_parameters()["memory.relaxing_share"] + 0.1)
+    assert np.all(np.diff(times_s) > 0) and np.all(fractions > 0)
+
+
+def test_a_power_law_loses_torque_by_a_constant_factor_per_decade():
+    p = read_rig("memory")
+    times_s, fractions = relaxation_spectrum(p)
+    torque = [np.sum(fractions * np.exp(-t / times_s)) for t in (0.2, 2.0, 20.0)]
+    lost = -np.diff(torque)
+    assert lost[1] / lost[0] == pytest.approx(10 ** -p["memory.power_exponent"], rel=0.05)
+
+
+# ---- parts of the rod's law ----------------------------------------------------------------------
 
 
 def test_creep_of_the_rod_relaxes_its_share_over_decades():
@@ -162,7 +205,7 @@ def test_creep_of_the_rod_relaxes_its_share_over_decades():
     assert 0.02 < first < 0.12 and 0.02 < second < 0.12
 
 
-def test_sliders_of_the_rod_hold_their_share_and_yield():
+def test_sliders_of_the_rod_carry_their_share_and_yield():
     """Stiffness of the skin at first, then a constant moment: its stiffness times the yield."""
     law = law_of("rod", **{**PLAIN, "memory.hysteresis_share": 0.2, "stiffness.root_limit_nm": 1e6})
     assert law(bends(1e-5))[0, 0] == pytest.approx(1.2 * 350.0 * 1e-5, rel=1e-6)
@@ -171,11 +214,10 @@ def test_sliders_of_the_rod_hold_their_share_and_yield():
 
 
 @pytest.mark.parametrize(
-    "values",
-    [{}, {"stiffness.softening_share": 0.3}, {"stiffness.hardening_share": 1.0},
-     {"stiffness.coupling_share": 0.4}],
+    "values, size",
+    [({}, 0.01), ({}, 0.2), ({"stiffness.softening_share": 0.3}, 0.05),
+     ({"stiffness.hardening_share": 1.0}, 0.2), ({"stiffness.coupling_share": 0.4}, 0.05)],
 )  # fmt: skip
-@pytest.mark.parametrize("size", [0.01, 0.05, 0.2])
 def test_tangent_of_the_rod_is_the_derivative_of_the_moment(values, size):
     bend = size * np.array([[0.8, -0.6], *[[0.1, -0.075]] * SECTIONS])
     law = SectionLaw(read_parameters().changed(**{**PLAIN, **values}), STEP_S, SECTIONS)
@@ -185,3 +227,67 @@ def test_tangent_of_the_rod_is_the_derivative_of_the_moment(values, size):
         nudge[:, plane] = 1e-7
         slope = (law.advance(bend + nudge)[0] - law.advance(bend - nudge)[0]) / 2e-7
         np.testing.assert_allclose(tangent[:, :, plane], slope, rtol=1e-5, atol=1e-3)
+
+
+# ---- forms of the hinged link's hysteresis -------------------------------------------------------
+
+YIELD_RAD, STIFFNESS, FRACTION = 0.01, 350.0, 0.2
+TORQUE_NM = FRACTION * STIFFNESS * YIELD_RAD
+"""Of the slider in full motion."""
+FORMS = {"bouc_wen": "default", "dahl": "test_a", "maxwell_slip": "memory"}
+
+
+def hysteresis(kind):
+    """Function: torque of one section after a further bend, each of shape (2,)."""
+    rig = read_rig(FORMS[kind]).changed(**{"memory.hysteresis_share": FRACTION})
+    assert rig.structure.hysteresis == kind
+    memory = [ca.SX.sym("z", 2) for _ in range(hysteresis_springs(rig))]
+    du = ca.SX.sym("du", 2)
+    after, torque_nm = slide(rig, YIELD_RAD, STIFFNESS, memory, du)
+    step = ca.Function("step", [ca.horzcat(*memory), du], [ca.horzcat(*after), torque_nm])
+    state = [ca.DM.zeros(2, len(memory))]
+
+    def torque(further):
+        state[0], torque_nm = step(state[0], further)
+        return torque_nm.full()[:, 0]
+
+    return torque
+
+
+def along_x(kind, path_rad):
+    """Torque along a path in one plane that starts at rest."""
+    torque_nm = hysteresis(kind)
+    return np.array([torque_nm([du, 0.0])[0] for du in np.diff(path_rad, prepend=0.0)])
+
+
+@pytest.mark.parametrize(
+    "kind, solution", [("bouc_wen", np.tanh), ("dahl", lambda x: 1.0 - np.exp(-x))]
+)
+def test_first_loading_follows_the_closed_solution(kind, solution):
+    path = np.linspace(0.0, 5 * YIELD_RAD, 5001)
+    np.testing.assert_allclose(
+        along_x(kind, path), TORQUE_NM * solution(path / YIELD_RAD), atol=2e-3
+    )
+
+
+def test_first_loading_of_maxwell_slip_is_the_sum_of_its_sliders():
+    p = read_rig("memory")
+    path = np.linspace(0.0, 10 * YIELD_RAD, 1001)
+    yields = np.geomspace(1.0, p["memory.slip_range"], round(p["memory.slip_elements"]))
+    yields *= YIELD_RAD / yields.mean()
+    sliders = np.minimum(path[:, None], yields).mean(axis=1) * FRACTION * STIFFNESS
+    np.testing.assert_allclose(along_x("maxwell_slip", path), sliders, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind, factor", [("bouc_wen", 1.0), ("dahl", 2.0), ("maxwell_slip", 1.0)])
+def test_hysteresis_has_its_stiffness_its_limit_and_its_slope_after_a_reversal(kind, factor):
+    """Of Dahl's equation with full slip, dz/du = (1 - z sgn du) / u_y = 2 / u_y."""
+    small = 1e-3 * YIELD_RAD
+    at_first = along_x(kind, np.array([0.0, small]))[-1]
+    assert at_first == pytest.approx(FRACTION * STIFFNESS * small, rel=2e-3)
+    path = np.append(np.linspace(0.0, 20 * YIELD_RAD, 4000), 20 * YIELD_RAD - small)
+    torque = along_x(kind, path)
+    assert np.abs(torque).max() <= TORQUE_NM * (1 + 1e-9)
+    assert np.abs(torque).max() == pytest.approx(TORQUE_NM, rel=1e-3)
+    slope = (torque[-2] - torque[-1]) / small
+    assert slope == pytest.approx(factor * FRACTION * STIFFNESS, rel=5e-3)

@@ -23,7 +23,7 @@ may differ in: the rig's breakaway torque is full at a reversal and the plant's 
 and a rippled link is near its mode, which is lower in the nominal plant."""
 
 PERIOD_S = {"encoder_ripple": 9.0}
-"""Period of the motion, 2.6 s unless given here: the ripple must stay below the link's mode."""
+"""Period of the motion, 2.6 s for other effects: the ripple must stay below the link's mode."""
 
 
 @pytest.fixture(scope="module")

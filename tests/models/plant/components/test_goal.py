@@ -18,7 +18,7 @@ from models.plant.plant import read_plant
 from models.plant.scope import CurrentSampling, Scope
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import Variable, names
-from models.rig.forms import ProfiledGoal
+from models.rig.servo import ProfiledGoal
 
 STEP_S = 0.017
 VALUES = {

@@ -61,21 +61,21 @@ def test_the_plant_of_the_file_is_near_before_any_fit(trial, link_file):
     assert error.tip_rms_m < 0.9 * error.rigid_tip_rms_m  # a stiff link: 5 mm off a rigid one
 
 
-def test_a_plant_that_stands_otherwise_is_refused(trial, link_file):
+def test_a_plant_of_another_mounting_is_refused(trial, link_file):
     upright = replace(trial, meta=msgspec.structs.replace(trial.meta, gravity_m_s2=None))
     refuse_other_links(read_plant(link_file), link_file, (trial,))
     with pytest.raises(InputError, match=r"gravity is \[0, 0, -9.81\]"):
         refuse_other_links(read_plant(link_file), link_file, (upright,))
 
 
-def test_a_simulation_that_is_lost_is_told_from_a_link_that_folds(link_file, tmp_path, monkeypatch):
+def test_an_unstable_simulation_is_no_folding_link(link_file, tmp_path, monkeypatch):
     """A rotor of a millionth of its inertia is too light for steps of 1 ms."""
     light = rig_named(str(link_file)).changed(**{"servo.inertia_kg_m2": 5e-8})
     motion = Motion(dof=1, amplitude_rad=0.3, period_s=1.0)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match="the simulation is unstable"):
         run_case(light, TrialCase(motion, 0.0, trial=1, gravity=LINK.gravity.unit))
-    assert not list(tmp_path.iterdir()), "MuJoCo has left a log"
+    assert not list(tmp_path.iterdir()), "MuJoCo wrote a log"
 
 
 def test_a_hanging_link_is_imported_from_a_capture_with_z_up(trial, link_file):

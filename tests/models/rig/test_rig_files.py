@@ -1,0 +1,110 @@
+"""Rigs by name, by number and by file."""
+
+import numpy as np
+import pytest
+
+from firmware_py.errors import InputError
+from models.rig.drawn import drawn_link, rig_named, rig_purpose
+from models.rig.parameters import (
+    DEFAULT_STRUCTURE,
+    RIG_TOML,
+    named_structures,
+    read_parameters,
+    read_rig,
+)
+
+NAMED = named_structures()
+DRAWN = [rig_named(f"drawn_{k}") for k in range(40)]
+
+
+def test_structures_cover_every_form_and_both_purposes():
+    for form in DEFAULT_STRUCTURE.__struct_fields__:
+        assert len({getattr(named.structure, form) for named in NAMED.values()}) > 1, form
+    assert {named.purpose for named in NAMED.values()} == {"tuning", "test"}
+    assert NAMED["default"].structure == DEFAULT_STRUCTURE
+    assert len({read_rig(name).sha256() for name in NAMED}) == len(NAMED)
+    assert read_rig("default").sha256() == read_parameters().sha256()
+    assert rig_named("test_a") == read_rig("test_a")
+
+
+def test_a_number_draws_the_same_rig_again_and_each_number_another():
+    assert [r.sha256() for r in DRAWN[:5]] == [rig_named(f"drawn_{k}").sha256() for k in range(5)]
+    assert len({r.sha256() for r in DRAWN}) == len(DRAWN)
+    assert len({r.structure for r in DRAWN}) > 30
+
+
+def test_drawn_rigs_have_no_form_of_rigs_for_testing_and_no_hidden_effect():
+    default = read_rig("default")
+    for rig in DRAWN:
+        s = rig.structure
+        assert s.engine == "mujoco" and 5 < s.hinges < 17
+        assert s.hysteresis != "dahl" and s.mocap_filter != "low_pass"
+        for name, entry in rig.entries.items():
+            assert entry.minimum <= entry.value <= entry.maximum
+            assert default[name] != 0.0 or entry.value == 0.0
+
+
+def test_drawn_masses_have_their_deviation():
+    default = read_rig("default")
+    masses = [drawn_link(k, 0, default)["link.mass_kg"] for k in range(400)]
+    assert np.std(np.log(masses)) == pytest.approx(0.15, rel=0.15)
+    assert np.median(masses) == pytest.approx(0.9, rel=0.05)
+
+
+def test_drawn_rigs_from_number_900_on_are_for_testing():
+    purposes = {k: rig_purpose(f"drawn_{k}") for k in (0, 899, 900, 12000)}
+    assert [k for k, purpose in purposes.items() if purpose == "test"] == [900, 12000]
+    assert (rig_purpose("default"), rig_purpose("test_a")) == ("tuning", "test")
+    assert rig_purpose("some/link.toml") == "tuning"  # what was set on it is unknown
+    for reads in (rig_purpose, rig_named):
+        with pytest.raises(InputError, match="drawn_9x"):
+            reads("drawn_9x")
+
+
+HEAD = 'summary = "one"\npurpose = "test"\n[structure]\n'
+
+
+def read(tmp_path, text):
+    path = tmp_path / "ours.toml"
+    path.write_text(text)
+    return read_rig(str(path))
+
+
+def value(name, number, unit, more=""):
+    return f'[{name}]\nvalue = {number}\nunit = "{unit}"\nsource = "us"\n{more}'
+
+
+def test_a_file_changes_structure_and_values_but_neither_effects_nor_bounds(tmp_path):
+    text = HEAD + 'goal = "profile"\n' + value("servo.backlash_rad", 0.002, "rad", "maximum = 9\n")
+    rig = read(tmp_path, text)
+    assert rig.structure.goal == "profile" and rig["servo.backlash_rad"] == 0.002
+    assert rig.hide({"backlash": 0.004})["servo.backlash_rad"] == pytest.approx(0.006)
+    assert rig["link.mass_kg"] == read_parameters()["link.mass_kg"]
+    with pytest.raises(InputError, match=r"outside 0 to 0\.1"):
+        rig.hide({"backlash": 1.0})
+
+
+def test_a_copy_of_the_rig_is_still_a_rig(tmp_path):
+    assert read(tmp_path, RIG_TOML.read_text()).sha256() == read_parameters().sha256()
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        (HEAD + 'goal = "guessed"', "guessed"),
+        (HEAD + "hinges = 4", ">= 5"),
+        (HEAD + 'gaol = "held"', "gaol"),
+        (HEAD.replace('"test"', '"fun"'), "purpose"),
+        (HEAD.replace('summary = "one"\n', ""), "summary"),
+        (HEAD + value("link.weight", 1.0, "kg"), "link.weight is unknown"),
+        (value("link.mass_kg", 900, "g"), "give it in kg"),
+        (value("link.mass_kg", "'heavy'", "kg"), "link.mass_kg"),
+        (value("link.mass_kg", "nan", "kg"), "bounds"),
+        (value("servo.backlash_rad", 1.0, "rad"), "bounds"),
+        (value("servo.backlash_rad", 0.01, "rad", 'effect = "creep"'), "not the parameter of"),
+        ("[link.mass_kg", "TOML"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        read(tmp_path, text)
