@@ -29,7 +29,6 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.feedback_design import (
-    Columns,
     FeedbackDesign,
     LoopMargins,
     RateFilter,
@@ -70,22 +69,13 @@ PLACES: Final = (0.95, 1.0, 1.1)
 CHANGE: Final = 0.2
 """Relative change of stiffness and of friction over which a plan is differentiated: a plan must
 tolerate a link as much stiffer."""
-DECIMALS: Final = 5
-"""Digits of the differences in the document: of goals 10 µrad, of the tip 10 µm."""
 
 
 def with_feedback(
-    plan: TipPlan,
-    plant: Plant,
-    limits: Limits,
-    twin: TipTwin,
-    inverter: Inverter,
-    found: Sequence[Inverse],
-) -> tuple[TipPlan, str]:
-    """Add feedback; if that is impossible, return the plan unchanged, and the reason.
-
-    Feedback needs loops that keep the margins, and limits that leave room for corrections.
-    """
+    plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
+    inverses: Sequence[Inverse],
+) -> tuple[TipPlan, str]:  # fmt: skip
+    """Plan with feedback; if that is impossible, the unchanged plan, and the reason."""
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
     if not keeps_margins(design):
         return plan, "no gain of a loop keeps its margins"
@@ -96,8 +86,8 @@ def with_feedback(
         return plan, f"the limits leave no room for corrections ({error})"
     driven = CompiledModel(plant.step_model(plan.dof, "driven"))
     payloads = tuple(
-        msgspec.structs.replace(own, stiffness=stiffness_slopes(twin, inverter, inverse, driven))
-        for own, inverse in zip(plan.payloads, found, strict=True)
+        msgspec.structs.replace(one, stiffness=_stiffness_slopes(twin, inverter, inverse, driven))
+        for one, inverse in zip(plan.payloads, inverses, strict=True)
     )
     return msgspec.structs.replace(guided, payloads=payloads), ""
 
@@ -126,7 +116,6 @@ def design_feedback(
 
 
 def keeps_margins(design: FeedbackDesign) -> bool:
-    """Whether every loop keeps the required margins."""
     return all(
         m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
         for own in design.margins
@@ -152,26 +141,26 @@ def _responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
 
 def _shaped(plants: Sequence[Response], mode_rad_s: float, period_s: float) -> RateFilter:
     """Notch and gain with the highest crossover that keeps the margins."""
-    best, gain = None, 0.0
+    notches = []
     for depth, width, place in product(DEPTHS, WIDTHS, PLACES):
         w = place * mode_rad_s
         notch = control.tf([1.0, 2 * depth * w, w * w], [1.0, 2 * width * w, w * w])
         notch = control.sample_system(notch, period_s, "tustin")
         shape = _integrated(notch, period_s)
-        highest = highest_gain([shape * p for p in plants])
-        if highest > gain:
-            best, gain = notch, highest
-    if best is None:  # a plant without gain: only zero feedback keeps the margins
-        return RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((0.0,),))
+        notches.append((highest_gain([shape * p for p in plants]), notch))
+    gain, best = max(notches, key=lambda one: one[0])
     own = control.ss(best)
-    a, b, c, d = (_rows(m) for m in (own.A, own.B, gain * own.C, gain * own.D))
+    a, b, c, d = (
+        tuple(tuple(row) for row in np.asarray(m, dtype=np.float64).tolist())
+        for m in (own.A, own.B, gain * own.C, gain * own.D)
+    )
     return RateFilter(a=a, b=b, c=c, d=d)
 
 
-def _integrated(own: control.lti.LTI, period_s: float) -> Response:
+def _integrated(filter_: control.lti.LTI, period_s: float) -> Response:
     """Response of filter, integrator and the period of delay, shape (n,)."""
     z = np.exp(1j * frequencies(period_s) * period_s)
-    return np.asarray(own(z) * period_s / (z - 1.0))
+    return np.asarray(filter_(z) * period_s / (z - 1.0))
 
 
 def highest_gain(loops: Sequence[Response]) -> float:
@@ -186,17 +175,10 @@ def highest_gain(loops: Sequence[Response]) -> float:
         near = size[np.abs(apart_rad) < LEAST_PHASE_RAD + SPARE_RAD]
         crossing = np.diff(np.signbit(apart_rad)) & (np.abs(apart_rad[1:]) < 0.5 * np.pi)
         at_180 = np.maximum(size[1:], size[:-1])[crossing]
-        largest = max(near.max(initial=0.0), _factor(LEAST_GAIN_DB) * at_180.max(initial=0.0))
+        margin = float(10.0 ** ((LEAST_GAIN_DB + SPARE_DB) / 20.0))
+        largest = max(near.max(initial=0.0), margin * at_180.max(initial=0.0))
         limit = min(limit, 1.0 / largest if largest else limit)
     return limit
-
-
-def _factor(gain_db: float) -> float:
-    return float(10.0 ** ((gain_db + SPARE_DB) / 20.0))
-
-
-def _rows(matrix: Array) -> Columns:
-    return tuple(tuple(row) for row in np.asarray(matrix, dtype=np.float64).tolist())
 
 
 @dataclass(frozen=True)
@@ -236,7 +218,6 @@ def _opened(
 
 
 def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
-    """Filter as a python-control system."""
     return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
 
 
@@ -259,38 +240,39 @@ def _margins(loop: ShapedLoops) -> LoopMargins:
     )
 
 
-def stiffness_slopes(
-    twin: TipTwin, inverter: Inverter, found: Inverse, driven: CompiledModel
+def _stiffness_slopes(
+    twin: TipTwin, inverter: Inverter, inverse: Inverse, driven: CompiledModel
 ) -> StiffnessSlopes:
-    """Differentiate a plan for one payload by the relative stiffness of the link.
+    """Derivatives of a plan for one payload by the relative stiffness of the link.
 
     `driven`: the link of the observer, driven by measured angles at a known payload.
     """
     stiffer = twin.scaled({STIFFNESS: 1.0 + CHANGE})
     rubbing = twin.scaled({(*DRY_FRICTION, "viscous_friction_"): 1.0 + CHANGE})
-    follows = inverter.on(stiffer).invert_from(found)
-    currents = twin.current_a(found.outputs)
+    follows = inverter.invert_on(stiffer, inverse)
+    currents = twin.current_a(inverse.outputs)
     unmatched, friction = (
-        twin.current_a(other.run(found.goals_rad, found.payload_kg)) - currents
+        twin.current_a(other.run(inverse.goals_rad, inverse.payload_kg)) - currents
         for other in (stiffer, rubbing)
     )
-    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, found)
-    moved = twin.tip_m(follows.outputs) - twin.tip_m(found.outputs)
-    rate = np.gradient(twin.angle_rad(found.outputs), twin.period_s, axis=0)
+    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, inverse)
+    moved = twin.tip_m(follows.outputs) - twin.tip_m(inverse.outputs)
+    rate = np.gradient(twin.angle_rad(inverse.outputs), twin.period_s, axis=0)
+    decimals = 5  # of goals 10 µrad, of the tip 10 µm
     return StiffnessSlopes(
-        goals_rad=as_columns((follows.goals_rad - found.goals_rad) / CHANGE, DECIMALS),
-        current_a=as_columns((twin.current_a(follows.outputs) - currents) / CHANGE, DECIMALS),
-        unmatched_a=as_columns(unmatched / CHANGE, DECIMALS),
-        friction_a=as_columns(friction / CHANGE, DECIMALS),
-        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), DECIMALS),
-        unseen_m=as_columns((moved - estimated) / CHANGE, DECIMALS),
+        goals_rad=as_columns((follows.goals_rad - inverse.goals_rad) / CHANGE, decimals),
+        current_a=as_columns((twin.current_a(follows.outputs) - currents) / CHANGE, decimals),
+        unmatched_a=as_columns(unmatched / CHANGE, decimals),
+        friction_a=as_columns(friction / CHANGE, decimals),
+        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), decimals),
+        unseen_m=as_columns((moved - estimated) / CHANGE, decimals),
     )
 
 
-def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, own: Inverse) -> Array:
+def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, inverse: Inverse) -> Array:
     """Tip of the observer's link for the joint angles of a run, shape (n, dof)."""
-    angle = twin.angle_rad(own.outputs)
-    u = np.column_stack([angle, np.full(len(angle), own.payload_kg)])
+    angle = twin.angle_rad(inverse.outputs)
+    u = np.column_stack([angle, np.full(len(angle), inverse.payload_kg)])
     p = driven.model.parameter_values()
     y = driven.simulate(u[1:], twin.period_s, p, driven.start(u[0], p))
     places = [names(driven.model.outputs).index(n) for n in ("tip_x_m", "tip_y_m")[: twin.dof]]

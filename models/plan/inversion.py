@@ -53,19 +53,12 @@ class Inverse:
 
 
 class Inverter:
-    """Inversion of a twin along a timeline.
-
-    `reach_m`: length of the rigid link from the joint axes, used for the start.
-    """
+    """Inversion of a twin along a timeline."""
 
     def __init__(
-        self,
-        twin: TipTwin,
-        line: Timeline,
-        reach_m: float,
-        report: Callable[[str], None] = lambda text: None,
+        self, twin: TipTwin, line: Timeline, report: Callable[[str], None] = lambda text: None
     ) -> None:
-        self._twin, self._line, self._reach_m, self._report = twin, line, reach_m, report
+        self._twin, self._line, self._report = twin, line, report
         self._splines = GoalSplines(line, twin.period_s, WEIGHT_M_S2)
         self._slopes: Array | None = None  # those of the last payload that was inverted
 
@@ -74,15 +67,13 @@ class Inverter:
         offset = self._line.desired_m[0]  # the arm stands there with its goals at zero
         lateral = np.zeros((len(self._line.desired_m), 2))
         lateral[:, : self._twin.dof] = self._line.desired_m - offset
-        height = np.sqrt(np.maximum(self._reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
+        height = np.sqrt(np.maximum(self._twin.reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
         return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
 
     def response(self, goals_rad: Array, payload_kg: float) -> Inverse:
         """Response of the twin to goals of shape (n, dof)."""
         y = self._twin.run(goals_rad, payload_kg)
-        error = self._twin.tip_m(y) - self._line.desired_m
-        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        return Inverse(payload_kg, goals_rad, y, rms)
+        return Inverse(payload_kg, goals_rad, y, rms(self._twin.tip_m(y) - self._line.desired_m))
 
     def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
         """Goals for each payload, in the order of the payloads.
@@ -91,41 +82,33 @@ class Inverter:
         payloads before it.
         """
         middle = len(payloads_kg) // 2
-        found: dict[int, Array] = {}
+        solved: dict[int, Array] = {}
         for k in sorted(range(len(payloads_kg)), key=lambda k: abs(k - middle)):
             inner = k - 1 if k > middle else k + 1
             beyond = 2 * inner - k
-            if inner not in found:
+            if inner not in solved:
                 start = self._splines.fit(self.pointing_rad())
-            elif beyond in found:
+            elif beyond in solved:
                 step_kg = payloads_kg[inner] - payloads_kg[beyond]
                 part = (payloads_kg[k] - payloads_kg[inner]) / step_kg
-                start = found[inner] + part * (found[inner] - found[beyond])
+                start = solved[inner] + part * (solved[inner] - solved[beyond])
             else:
-                start = found[inner]
-            found[k] = self._solved(start, payloads_kg[k])
+                start = solved[inner]
+            solved[k] = self._solve(start, payloads_kg[k], MOST_DERIVATIVES)
             self._report(f"{payloads_kg[k]:g} kg inverted")
-        goals = (self._splines.goals(found[k]) for k in range(len(payloads_kg)))
-        return [self.response(g, m) for g, m in zip(goals, payloads_kg, strict=True)]
+        return [self.response(self._splines.goals(solved[k]), m) for k, m in enumerate(payloads_kg)]
 
-    def on(self, twin: TipTwin) -> Inverter:
-        """Inversion of another twin of the same plant, with the present derivatives."""
+    def invert_on(self, twin: TipTwin, inverse: Inverse) -> Inverse:
+        """Goals for another twin of the plant, with the present derivatives.
+
+        They are renewed at most once: a link that is a fifth stiffer needs no more.
+        """
         other = copy.copy(self)
         other._twin = twin
-        return other
+        c = other._solve(self._splines.fit(inverse.goals_rad), inverse.payload_kg, 1)
+        return other.response(self._splines.goals(c), inverse.payload_kg)
 
-    def invert_from(self, found: Inverse) -> Inverse:
-        """Goals for a payload, starting from goals that already nearly follow the path.
-
-        The derivatives are renewed at most once: a link that is a fifth stiffer needs no more.
-        """
-        start = self._splines.fit(found.goals_rad)
-        c = self._solved(start, found.payload_kg, most_derivatives=1)
-        return self.response(self._splines.goals(c), found.payload_kg)
-
-    def _solved(
-        self, start: Array, payload_kg: float, most_derivatives: int = MOST_DERIVATIVES
-    ) -> Array:
+    def _solve(self, start: Array, payload_kg: float, most_derivatives: int) -> Array:
         twin, splines = self._twin, self._splines
 
         def error(c: Array) -> Array:
@@ -138,6 +121,11 @@ class Inverter:
 
         c, self._slopes = gauss_newton(error, slopes, start, most_derivatives, self._slopes)
         return c
+
+
+def rms(error: Array) -> float:
+    """RMS length of the rows of a table."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def gauss_newton(
@@ -189,8 +177,7 @@ class GoalSplines:
         rows, self._dof = line.desired_m.shape
         begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
         count = max(4, round((end_s - begin_s) / KNOT_S)) - 3
-        knot_s = (end_s - begin_s) / (count + 3)
-        knots = begin_s + knot_s * np.arange(count + 4)
+        knots = begin_s + (end_s - begin_s) / (count + 3) * np.arange(count + 4)
         at_s = np.arange(rows) * period_s
         self.basis, second = np.zeros((rows, count)), np.zeros((rows, count))
         for k in range(count):

@@ -12,7 +12,6 @@ those in which stiffness and payload stand out from all of that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -30,28 +29,19 @@ from models.plant.plant import Plant
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Tone:
-    """Tone of the motion, with an amplitude that rises and falls."""
-
-    over_mode: float  # Frequency over that of the first mode with the heaviest payload
-    amplitude_rad: float
-    begin: float
-    end: float
-
-
 TONES: Final = (
-    Tone(0.54, 0.030, 0.0, 1.0),
-    Tone(1.08, 0.012, 0.0, 0.67),
-    Tone(1.62, 0.012, 0.25, 0.92),
-    Tone(2.20, 0.010, 0.5, 1.0),
+    (0.54, 0.030, 0.0, 1.0),
+    (1.08, 0.012, 0.0, 0.67),
+    (1.62, 0.012, 0.25, 0.92),
+    (2.20, 0.010, 0.5, 1.0),
 )
-"""The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
+"""Tones by their frequency over that of the first mode with the heaviest payload, amplitude in rad,
+and the parts of the motion between which the amplitude rises and falls.
+
+The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
 have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
 stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
 motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
-LIGHT: Final = 0.3
-"""Damping ratio below which the tones excite the mode [assumed]."""
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
@@ -79,8 +69,6 @@ one value for each joint [assumed]."""
 UNKNOWN_DELAY_S: Final = 0.002
 UNKNOWN_BIAS_A: Final = 0.05
 """The same for the timing of the currents and a constant offset of each [assumed]."""
-ROOM: Final = 0.9
-"""Part of the limits of current and following error that the predicted motion may use [assumed]."""
 
 
 def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
@@ -92,11 +80,11 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
     rows, still = (round(n * period_rows) for n in (PERIODS, REST_PERIODS))
     angle, part = mode_rad_s * period_s * np.arange(rows), np.arange(rows) / (rows - 1)
     goals = np.zeros((rows + still, dof))
-    for k, tone in enumerate(TONES):
-        inside = np.clip((part - tone.begin) / (tone.end - tone.begin), 0.0, 1.0)
-        size = tone.amplitude_rad * np.sin(np.pi * inside) ** 2
+    for k, (over_mode, amplitude_rad, begin, end) in enumerate(TONES):
+        inside = np.clip((part - begin) / (end - begin), 0.0, 1.0)
+        size = amplitude_rad * np.sin(np.pi * inside) ** 2
         for j in range(dof):
-            goals[:rows, j] += size * np.sin(tone.over_mode * angle + 0.5 * np.pi * j + k)
+            goals[:rows, j] += size * np.sin(over_mode * angle + 0.5 * np.pi * j + k)
     return goals
 
 
@@ -104,9 +92,10 @@ def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
     linear = linearise(plant, payloads_kg[-1], dof=twin.dof, period_s=twin.period_s)
-    light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < LIGHT]
+    # Modes that the tones can excite, by their damping ratio [assumed]
+    light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < 0.3]
     mode_rad_s = min(light, default=np.inf)
-    if mode_rad_s * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
+    if mode_rad_s * TONES[-1][0] * twin.period_s > 0.5 * np.pi:
         raise InputError("--probe", "finds no slow mode of the link", "leave it out")
     goals = probe_goals(mode_rad_s, twin.dof, twin.period_s)
     over_study = (plant.link or STUDY_LINK).payload_kg / STUDY_LINK.payload_kg
@@ -180,17 +169,15 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
 
 
 def _check(twin: TipTwin, goals: Array, outputs: Array, limits: Limits, whose: str) -> None:
-    """Refuse a motion whose predicted currents or angles come near the limits."""
-    current = float(np.max(np.abs(twin.current_a(outputs))))
-    if current > ROOM * limits.current_a:
-        raise InputError(
-            "--probe", f"takes {current:.2f} A with {whose}, {ROOM:.0%} of limits.current_a are "
-            f"{ROOM * limits.current_a:.2f} A", "leave it out, or widen the limit",
-        )  # fmt: skip
-    away = float(np.max(np.abs(twin.angle_rad(outputs)[1:] - goals[:-1])))
-    if away > ROOM * limits.following_error_rad:
-        raise InputError(
-            "--probe", f"leaves joints {away:.3f} rad from their goals with {whose}, {ROOM:.0%} of "
-            f"limits.following_error_rad are {ROOM * limits.following_error_rad:.3f} rad",
-            "leave it out, or widen the limit",
-        )  # fmt: skip
+    """Refuse a motion whose predicted currents or angles use more than 0.9 of the limits."""
+    current_a = np.max(np.abs(twin.current_a(outputs)))
+    away_rad = np.max(np.abs(twin.angle_rad(outputs)[1:] - goals[:-1]))
+    for value, unit, limit, name in (
+        (current_a, "A of current", limits.current_a, "current_a"),
+        (away_rad, "rad of following error", limits.following_error_rad, "following_error_rad"),
+    ):
+        if value > 0.9 * limit:
+            raise InputError(
+                "--probe", f"takes {value:.3g} {unit} with {whose}, more than 90% of "
+                f"limits.{name}, {limit:g}", "leave it out, or widen the limit",
+            )  # fmt: skip

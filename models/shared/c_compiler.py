@@ -31,14 +31,11 @@ TARGETS: Final[Mapping[str, str]] = {
     "aarch64-darwin": "aarch64-macos.11.0",
 }
 """Zig's names of platforms, by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
-
 CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
 """Directory of compiled libraries, by hash of sources, headers, options and compiler."""
-
 OPTIONS_VARIABLE: Final = "DROPSTITCH_CC_OPTIONS"
 """Environment variable with further options. "-O0" compiles large models in a tenth of the
 time; the code is four times slower and gives the same bits. The tests of short runs use it."""
-
 _FLAGS: Final = (
     "-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden",
     "-fno-sanitize=undefined", "-DCASADI_SYMBOL_EXPORT=", "-s", "-Wl,--build-id=none",
@@ -47,29 +44,8 @@ _FLAGS: Final = (
 )  # fmt: skip
 
 
-_LIBRARY: Final = ("-fPIC", "-shared")
-
-_Compile = Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None]
-"""Function of sources, output, directories of headers, and options."""
-
-
-def target_here() -> str:
-    """Return Zig's name of the platform of this process."""
-    here = platform_here()
-    if here not in TARGETS:
-        raise InputError(
-            f"platform {here}", "is none that models are compiled for",
-            f"use a machine of {', '.join(TARGETS)}",
-        )  # fmt: skip
-    return TARGETS[here]
-
-
 def load_library(
-    write_sources: Callable[[Path], Sequence[Path]],
-    *,
-    include: Sequence[Path] = (),
-    flags: Sequence[str] = (),
-    at_once: bool = False,
+    write_sources: Callable[[Path], Sequence[Path]], flags: Sequence[str] = ()
 ) -> ctypes.CDLL:
     """Compile C sources for this machine and load the library.
 
@@ -79,9 +55,8 @@ def load_library(
     with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
         directory = Path(scratch)
         path = compile_library(
-            write_sources(directory), directory / "model.so", include=[directory, *include],
-            flags=flags, at_once=at_once,
-        )  # fmt: skip
+            write_sources(directory), directory / "model.so", include=[directory], flags=flags
+        )
         try:
             return ctypes.CDLL(str(path))  # stays mapped when the file is deleted
         except OSError as error:
@@ -98,45 +73,23 @@ def compile_library(
     include: Sequence[Path] = (),
     flags: Sequence[str] = (),
     target: str | None = None,
-    at_once: bool = False,
 ) -> Path:
     """Compile C sources into one shared library.
 
     Only symbols that a source marks with default visibility are exported; CasADi's are exported if
     `flags` defines CASADI_SYMBOL_EXPORT. `target` is zig's name of the platform, by default this
-    machine's. `at_once` compiles two sources at a time.
+    machine's.
     """
-    target = target or target_here()
-    options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
-    compile_ = _compile_at_once if at_once else _compile
-    return _compile_cached(sources, output, include, options, compile_)
+    options = [*_FLAGS, "-fPIC", "-shared", *flags, *compiler_options()]
+    return _cached(sources, output, include, [*options, "-target", target or _target_here()])
 
 
 def compile_program(
     source: Path, output: Path, *, target: str, include: Sequence[Path] = ()
 ) -> Path:
     """Compile one C source into a program that links to the C library dynamically."""
-    _compile_cached([source], output, include, [*_FLAGS, "-target", target], _compile)
+    _cached([source], output, include, [*_FLAGS, "-target", target])
     output.chmod(0o755)
-    return output
-
-
-def _compile_cached(
-    sources: Sequence[Path],
-    output: Path,
-    include: Sequence[Path],
-    options: Sequence[str],
-    compile_: _Compile,
-) -> Path:
-    cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
-    if not cached.is_file():
-        CACHE.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
-            fresh = Path(scratch) / output.name
-            compile_(sources, fresh, include, options)
-            fresh.replace(cached)  # atomic: another process may build the same library
-    output.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(cached, output)
     return output
 
 
@@ -145,39 +98,29 @@ def compiler_options() -> list[str]:
     return os.environ.get(OPTIONS_VARIABLE, "").split()
 
 
-def _compile(
+def _target_here() -> str:
+    here = platform_here()
+    if here not in TARGETS:
+        raise InputError(
+            f"platform {here}", "is none that models are compiled for",
+            f"use a machine of {', '.join(TARGETS)}",
+        )  # fmt: skip
+    return TARGETS[here]
+
+
+def _cached(
     sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
-) -> None:
-    command = [
-        sys.executable, "-m", "ziglang", "cc", *options,
-        *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, env=_environment(), check=False)
-    if done.returncode:
-        raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
-
-
-def _compile_at_once(
-    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
-) -> None:
-    """Compile two sources at a time, each in a compiler process of its own."""
-    objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
-    alone = [option for option in options if option not in ("-shared", "-s")]
-    with ThreadPoolExecutor(2) as pool:
-        for done in [
-            pool.submit(_compile, [source], path, include, [*alone, "-c"])
-            for source, path in zip(sources, objects, strict=True)
-        ]:
-            done.result()
-    _compile(objects, output, include, options)
-
-
-def _environment() -> dict[str, str]:
-    """Environment of the compiler; without a home directory, its cache is in `CACHE`."""
-    environment = dict(os.environ)
-    if not environment.get("HOME"):
-        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
-    return environment
+) -> Path:
+    cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
+    if not cached.is_file():
+        CACHE.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
+            fresh = Path(scratch) / output.name
+            _compile(sources, fresh, include, options)
+            fresh.replace(cached)  # atomic: another process may build the same library
+    output.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(cached, output)
+    return output
 
 
 def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str]) -> str:
@@ -188,3 +131,36 @@ def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str
     for path in (*sources, *headers):
         digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
     return digest.hexdigest()[:32]
+
+
+def _compile(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> None:
+    """Compile and link; two sources at a time, each in a compiler process."""
+    if len(sources) > 1:
+        objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
+        alone = [option for option in options if option not in ("-shared", "-s")]
+        with ThreadPoolExecutor(2) as pool:
+            jobs = [
+                pool.submit(_run, [source], path, include, [*alone, "-c"])
+                for source, path in zip(sources, objects, strict=True)
+            ]
+            for job in jobs:
+                job.result()
+        sources = objects
+    _run(sources, output, include, options)
+
+
+def _run(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> None:
+    command = [
+        sys.executable, "-m", "ziglang", "cc", *options,
+        *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
+    ]  # fmt: skip
+    environment = dict(os.environ)
+    if not environment.get("HOME"):  # Zig's cache is in the home directory by default
+        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    if done.returncode:
+        raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
