@@ -125,7 +125,7 @@ def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | Non
     runs = int(tick[fresh].max(initial=-1) + 1) // plan.rows
     if runs < 1:
         raise InputError(path, f"ends before the {plan.rows} rows of the plan", "run it once whole")
-    grid = np.arange((runs - 1) * plan.rows, runs * plan.rows)
+    grid = np.arange((runs - 1) * plan.rows, runs * plan.rows, dtype=np.float64)
     inside = fresh & (tick >= grid[0]) & (tick <= grid[-1])
     missing = plan.rows - np.count_nonzero(inside)
     if missing > (1.0 - LEAST_FRESH) * plan.rows:
@@ -135,7 +135,7 @@ def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | Non
     assumed_kg = facts.assumed_payload_kg
     if assumed_kg is None and np.isfinite(estimate).all():
         assumed_kg = float(estimate.mean())
-    return _resampled(grid, tick[inside], table[inside]), facts.payload_kg, assumed_kg
+    return _resampled(grid, tick[inside].astype(float), table[inside]), facts.payload_kg, assumed_kg
 
 
 def _of_trial(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | None]:
@@ -271,9 +271,10 @@ def improve_plan(
     start, best_m = run, np.inf if best is None else plan.learned[best.run].rms_m
     went_back = measured_m > WORSE * best_m
     if best is not None and went_back:
-        tables = (np.transpose(t) for t in (best.goals_rad, best.angle_rad, best.tip_m))
-        payload_kg = plan.learned[best.run].payload_kg
-        start = RecordedRun(*tables, payload_kg, run.goals_payload_kg, run.source, run.sha256)
+        start = RecordedRun(
+            np.transpose(best.goals_rad), np.transpose(best.angle_rad), np.transpose(best.tip_m),
+            plan.learned[best.run].payload_kg, run.goals_payload_kg, run.source, run.sha256,
+        )  # fmt: skip
         gain *= 0.5
     step = _Step(plan, start, twin)
     for part in (1.0, 0.5, 0.25, 0.1):
@@ -480,9 +481,11 @@ def unknown_error_m(plan: TipPlan, run: RecordedRun, payloads_kg: ArrayLike) -> 
     """
     plant_m = plan.plant_error_rms_m or 0.0
     scatter_m = SCATTER * (plant_m or rms(run.tip_m - plan.desired_tip_m()))
-    runs = (*plan.learned, run)
-    measured_kg = [one.payload_kg for one in runs if one.source == "mocap"]
+    measured_kg = [known.payload_kg for known in plan.learned if known.source == "mocap"]
+    if run.source == "mocap":
+        measured_kg.append(run.payload_kg)
     among = payload_correlation(measured_kg, measured_kg) + REMAINS * np.eye(len(measured_kg))
     across = payload_correlation(payloads_kg, measured_kg)
     explained = np.sum(across * np.linalg.solve(among, across.T).T, axis=-1)
-    return np.hypot(plant_m * np.sqrt(np.maximum(1.0 - explained, 0.0)), scatter_m)
+    variance = np.maximum(1.0 - explained, 0.0)
+    return np.asarray(np.hypot(plant_m * np.sqrt(variance), scatter_m))

@@ -136,7 +136,7 @@ def _curve(name: str, phase: Array, direction: Array) -> Array:
         return np.column_stack([np.cos(phase), np.sin(phase)])
     if name == "figure_eight":
         return np.column_stack([np.sin(phase), np.sin(phase) * np.cos(phase)])
-    return np.sin(phase)[:, None] * direction
+    return np.asarray(np.sin(phase)[:, None] * direction)
 
 
 def _there_and_back(fraction: Array, options: PathOptions) -> Array:
@@ -234,7 +234,7 @@ def _stroke(code: str) -> Array:
     if code == "o":
         turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
         half = 0.5 * np.array([WIDTH, HEIGHT])
-        return half + half * np.column_stack([np.cos(turn), np.sin(turn)])
+        return np.asarray(half + half * np.column_stack([np.cos(turn), np.sin(turn)]))
     points = np.array([float(c) for c in code.lstrip("~")]).reshape(-1, 2)
     return _rounded(points) if code.startswith("~") else points
 

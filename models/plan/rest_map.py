@@ -78,7 +78,7 @@ def _approach_goals(twin: TipTwin, places: Array, payload_kg: float) -> Array:
         near = relaxed[tuple(slice(max(0, k - 1), k + 2) for k in index)].reshape(-1, twin.dof)
         known = near[~np.isnan(near[:, 0])]
         start = known.mean(axis=0) if len(known) else np.linalg.solve(slope, wanted - rest)
-        relaxed[index] = _relaxed_goal(twin, wanted, start, slope, payload_kg)
+        relaxed[index] = _relaxed_goal(twin, wanted, np.asarray(start), slope, payload_kg)
     short_m = _shortfall_m(twin, places, relaxed, payload_kg)
     goals = np.full_like(relaxed, np.nan)
     for index in indices:
