@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
 from firmware_py.goals.feedback_design import (
+    Columns,
     FeedbackDesign,
     LoopMargins,
     RateFilter,
@@ -37,8 +38,8 @@ from firmware_py.goals.feedback_design import (
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import TipPlan, as_columns
 from firmware_py.safety.limits import Limits
-from models.plan.inversion import Inverse, Inverter
-from models.plan.tip_twin import MOVING_RAD_S, TipTwin
+from models.plan.inversion import Inverter
+from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun
 from models.plant.linear_twin import DRY_FRICTION, STIFFNESS, LinearTwins, link_modes, tip_part
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel
@@ -73,7 +74,7 @@ tolerate a link as much stiffer."""
 
 def with_feedback(
     plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
-    inverses: Sequence[Inverse],
+    runs: Sequence[TwinRun],
 ) -> tuple[TipPlan, str]:  # fmt: skip
     """Plan with feedback; if that is impossible, the unchanged plan, and the reason."""
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
@@ -86,8 +87,8 @@ def with_feedback(
         return plan, f"the limits leave no room for corrections ({error})"
     driven = CompiledModel(plant.step_model(plan.dof, "driven"))
     payloads = tuple(
-        msgspec.structs.replace(one, stiffness=_stiffness_slopes(twin, inverter, inverse, driven))
-        for one, inverse in zip(plan.payloads, inverses, strict=True)
+        msgspec.structs.replace(one, stiffness=_stiffness_slopes(twin, inverter, run, driven))
+        for one, run in zip(plan.payloads, runs, strict=True)
     )
     return msgspec.structs.replace(guided, payloads=payloads), ""
 
@@ -241,7 +242,7 @@ def _margins(loop: ShapedLoops) -> LoopMargins:
 
 
 def _stiffness_slopes(
-    twin: TipTwin, inverter: Inverter, inverse: Inverse, driven: CompiledModel
+    twin: TipTwin, inverter: Inverter, run: TwinRun, driven: CompiledModel
 ) -> StiffnessSlopes:
     """Derivatives of a plan for one payload by the relative stiffness of the link.
 
@@ -249,30 +250,29 @@ def _stiffness_slopes(
     """
     stiffer = twin.scaled({STIFFNESS: 1.0 + CHANGE})
     rubbing = twin.scaled({(*DRY_FRICTION, "viscous_friction_"): 1.0 + CHANGE})
-    follows = inverter.invert_on(stiffer, inverse)
-    currents = twin.current_a(inverse.outputs)
+    follows = inverter.invert_on(stiffer, run)
     unmatched, friction = (
-        twin.current_a(other.run(inverse.goals_rad, inverse.payload_kg)) - currents
-        for other in (stiffer, rubbing)
+        other.run(run.goals_rad, run.payload_kg).current_a for other in (stiffer, rubbing)
     )
-    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, inverse)
-    moved = twin.tip_m(follows.outputs) - twin.tip_m(inverse.outputs)
-    rate = np.gradient(twin.angle_rad(inverse.outputs), twin.period_s, axis=0)
-    decimals = 5  # of goals 10 µrad, of the tip 10 µm
+    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, run)
+    rate = np.gradient(run.angle_rad, twin.period_s, axis=0)
+
+    def slope(change: Array) -> Columns:
+        return as_columns(change / CHANGE, 5)  # goals to 10 µrad, the tip to 10 µm
+
     return StiffnessSlopes(
-        goals_rad=as_columns((follows.goals_rad - inverse.goals_rad) / CHANGE, decimals),
-        current_a=as_columns((twin.current_a(follows.outputs) - currents) / CHANGE, decimals),
-        unmatched_a=as_columns(unmatched / CHANGE, decimals),
-        friction_a=as_columns(friction / CHANGE, decimals),
-        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), decimals),
-        unseen_m=as_columns((moved - estimated) / CHANGE, decimals),
+        goals_rad=slope(follows.goals_rad - run.goals_rad),
+        current_a=slope(follows.current_a - run.current_a),
+        unmatched_a=slope(unmatched - run.current_a),
+        friction_a=slope(friction - run.current_a),
+        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), 5),
+        unseen_m=slope(follows.tip_m - run.tip_m - estimated),
     )
 
 
-def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, inverse: Inverse) -> Array:
+def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, run: TwinRun) -> Array:
     """Tip of the observer's link for the joint angles of a run, shape (n, dof)."""
-    angle = twin.angle_rad(inverse.outputs)
-    u = np.column_stack([angle, np.full(len(angle), inverse.payload_kg)])
+    u = np.column_stack([run.angle_rad, np.full(len(run.angle_rad), run.payload_kg)])
     p = driven.model.parameter_values()
     y = driven.simulate(u[1:], twin.period_s, p, driven.start(u[0], p))
     places = [names(driven.model.outputs).index(n) for n in ("tip_x_m", "tip_y_m")[: twin.dof]]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from models.plan.paths import Timeline
-from models.plan.tip_twin import TipTwin
+from models.plan.tip_twin import TipTwin, TwinRun
 from models.shared.kinematics import pointing_angles_rad
 
 Array = NDArray[np.float64]
@@ -40,16 +39,6 @@ GOOD_STEP: Final = 0.7
 """Cost after a step over that before, above which the derivatives are renewed [assumed]."""
 ENOUGH: Final = 0.97
 """The same ratio above which the search ends, if the derivatives are new [assumed]."""
-
-
-@dataclass(frozen=True)
-class Inverse:
-    """Goals for one payload."""
-
-    payload_kg: float
-    goals_rad: Array  # (n, dof), one row per control period
-    outputs: Array  # (n, outputs), outputs of the twin with these goals
-    residual_rms_m: float  # Distance of its tip from the path
 
 
 class Inverter:
@@ -70,13 +59,8 @@ class Inverter:
         height = np.sqrt(np.maximum(self._twin.reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
         return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
 
-    def response(self, goals_rad: Array, payload_kg: float) -> Inverse:
-        """Response of the twin to goals of shape (n, dof)."""
-        y = self._twin.run(goals_rad, payload_kg)
-        return Inverse(payload_kg, goals_rad, y, rms(self._twin.tip_m(y) - self._line.desired_m))
-
-    def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
-        """Goals for each payload, in the order of the payloads.
+    def invert(self, payloads_kg: Sequence[float]) -> list[TwinRun]:
+        """Run of the twin along the path for each payload.
 
         The search begins with the middle payload and goes outwards, each from the solutions for the
         payloads before it.
@@ -96,23 +80,25 @@ class Inverter:
                 start = solved[inner]
             solved[k] = self._solve(start, payloads_kg[k], MOST_DERIVATIVES)
             self._report(f"{payloads_kg[k]:g} kg inverted")
-        return [self.response(self._splines.goals(solved[k]), m) for k, m in enumerate(payloads_kg)]
+        return [
+            self._twin.run(self._splines.goals(solved[k]), m) for k, m in enumerate(payloads_kg)
+        ]
 
-    def invert_on(self, twin: TipTwin, inverse: Inverse) -> Inverse:
-        """Goals for another twin of the plant, with the present derivatives.
+    def invert_on(self, twin: TipTwin, run: TwinRun) -> TwinRun:
+        """Goals for another twin of the plant, from those of a run, with the present derivatives.
 
         They are renewed at most once: a link that is a fifth stiffer needs no more.
         """
         other = copy.copy(self)
         other._twin = twin
-        c = other._solve(self._splines.fit(inverse.goals_rad), inverse.payload_kg, 1)
-        return other.response(self._splines.goals(c), inverse.payload_kg)
+        c = other._solve(self._splines.fit(run.goals_rad), run.payload_kg, 1)
+        return twin.run(self._splines.goals(c), run.payload_kg)
 
     def _solve(self, start: Array, payload_kg: float, most_derivatives: int) -> Array:
         twin, splines = self._twin, self._splines
 
         def error(c: Array) -> Array:
-            tip = twin.tip_m(twin.run(splines.goals(c), payload_kg))
+            tip = twin.run(splines.goals(c), payload_kg).tip_m
             return np.append(tip - self._line.desired_m, splines.rough @ c)
 
         def slopes(c: Array) -> Array:

@@ -26,7 +26,6 @@ that delay is measured on the recorded angles, and all goals are advanced by it.
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from dataclasses import dataclass
 from itertools import pairwise
@@ -318,19 +317,30 @@ class _Step:
         self._plan, self._run, self._desired = plan, run, plan.desired_tip_m()
         self._rest = round(plan.rest_s / plan.period_s)
         line = Timeline(self._desired, self._rest, plan.start_row, plan.end_row, plan.drawn)
-        self._splines = GoalSplines(line, plan.period_s, CHANGE_M_S2)
-        outputs = twin.run(run.goals_rad, run.payload_kg)
-        self.delay_s = _delay_s(twin.angle_rad(outputs), run.angle_rad, plan.period_s)
-        self._sent = self._late(run.goals_rad)
+        self._splines = splines = GoalSplines(line, plan.period_s, CHANGE_M_S2)
+        modelled_rad = twin.run(run.goals_rad, run.payload_kg).angle_rad
+        self.delay_s = _delay_s(modelled_rad, run.angle_rad, plan.period_s)
+        sent = self._late(run.goals_rad)
         self._twin, self.stiffness, self.damping = recorded_twin(
-            twin, self._sent, run.tip_m, run.payload_kg
+            twin, sent, run.tip_m, run.payload_kg
         )
-        self._twin_tip = self._twin.tip_m(self._twin.run(self._sent, run.payload_kg))
+        # Error that repeats from run to run
+        self._repeats = run.tip_m - self._twin.run(sent, run.payload_kg).tip_m
+
+        def error(c: Array) -> Array:
+            tip = self._predicted(run.goals_rad + splines.goals(c))
+            return np.append(tip - self._desired, splines.rough @ c)
+
+        def slopes(c: Array) -> Array:
+            by_c = self._twin.slopes(sent, self._late(splines.basis), run.payload_kg)
+            return np.concatenate([by_c.reshape(-1, len(c)), splines.rough])
+
+        c, _ = gauss_newton(error, slopes, np.zeros(len(splines.rough)), 1)
+        self._change = splines.goals(c)
 
     def plan(self, gain: float) -> tuple[TipPlan, float]:
         """Plan with a part of the change, and the RMS error that it predicts for the next run."""
-        plan, run, twin, splines = self._plan, self._run, self._twin, self._splines
-        wanted = run.goals_rad + splines.goals(gain * self._change)
+        plan, run = self._plan, self._run
         lead_s = self.delay_s - plan.goal_lead_s
         tables = [self._moved(table, lead_s) for table in plan.goals_rad()]
         weights = payload_weights(plan, run.goals_payload_kg)
@@ -338,20 +348,20 @@ class _Step:
         spread = payload_correlation(plan.grid_kg, plan.grid_kg) @ weights
         spread = spread / float(weights @ spread)
         base = np.einsum("p,pnj->nj", weights, np.array(tables))
-        change = splines.goals(splines.fit(wanted - base))
-        repeats = run.tip_m - self._twin_tip
+        change = run.goals_rad + gain * self._change - base
+        change = self._splines.goals(self._splines.fit(change))
         unknown_m = unknown_error_m(plan, run, plan.grid_kg)
         payloads = []
         for one, table, part, off_m in zip(plan.payloads, tables, spread, unknown_m, strict=True):
             goals = table + part * change
             goals[: self._rest] = 0.0
-            outputs = twin.run(self._late(goals), one.payload_kg)
-            tip = twin.tip_m(outputs) + part * repeats
+            twin_run = self._twin.run(self._late(goals), one.payload_kg)
+            tip = twin_run.tip_m + part * self._repeats
             residual_m = rms(tip - self._desired)
             payloads.append(
                 replace(
                     one, goals_rad=as_columns(goals, 7), tip_m=as_columns(tip, 6),
-                    current_a=as_columns(twin.current_a(outputs), 4), residual_rms_m=residual_m,
+                    current_a=as_columns(twin_run.current_a, 4), residual_rms_m=residual_m,
                     expected_rms_m=float(np.hypot(residual_m, off_m)),
                 )
             )  # fmt: skip
@@ -359,25 +369,9 @@ class _Step:
         predicted = self._predicted(interpolated(improved, run.goals_payload_kg))
         return improved, rms(predicted - self._desired)
 
-    @functools.cached_property
-    def _change(self) -> Array:
-        """Coefficients of the change, as far as the shifted twin predicts that it helps."""
-        splines, run = self._splines, self._run
-
-        def error(c: Array) -> Array:
-            tip = self._predicted(run.goals_rad + splines.goals(c))
-            return np.append(tip - self._desired, splines.rough @ c)
-
-        def slopes(c: Array) -> Array:
-            by_c = self._twin.slopes(self._sent, self._late(splines.basis), run.payload_kg)
-            return np.concatenate([by_c.reshape(-1, len(c)), splines.rough])
-
-        return gauss_newton(error, slopes, np.zeros(len(splines.rough)), 1)[0]
-
     def _predicted(self, goals_rad: Array) -> Array:
-        """Tip of the recorded run with other goals: the measured tip plus the twin's change."""
-        outputs = self._twin.run(self._late(goals_rad), self._run.payload_kg)
-        return self._run.tip_m + self._twin.tip_m(outputs) - self._twin_tip
+        """Tip of the recorded run with other goals."""
+        return self._twin.run(self._late(goals_rad), self._run.payload_kg).tip_m + self._repeats
 
     def _late(self, table: Array) -> Array:
         return self._moved(table, -self.delay_s)
@@ -446,7 +440,7 @@ def recorded_twin(
 
     def off(logs: Array) -> Array:
         other = scaled(logs)
-        error = tip_m - other.tip_m(other.run(goals_rad, payload_kg))
+        error = tip_m - other.run(goals_rad, payload_kg).tip_m
         return np.concatenate([weight * (error - error.mean(axis=0)).ravel(), logs / sd])
 
     logs = least_squares(off, np.zeros(2), bounds=(-4.0 * sd, 4.0 * sd), x_scale=sd, xtol=1e-3).x

@@ -25,10 +25,10 @@ from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
 from models.plan.feedback import with_feedback
-from models.plan.inversion import Inverse, Inverter
+from models.plan.inversion import Inverter, rms
 from models.plan.paths import DesiredPath, Timeline, timeline
 from models.plan.probing import design_probe
-from models.plan.tip_twin import TipTwin
+from models.plan.tip_twin import TipTwin, TwinRun
 from models.plant.linear_twin import LinearMode, LinearTwins, resting_modes
 from models.plant.parameter import check_payload
 from models.plant.plant import Plant
@@ -77,17 +77,17 @@ def plan_path(
     report("path within reach")
 
     inverter = Inverter(twin, line, report)
-    rigid = [inverter.response(inverter.pointing_rad(), m) for m in payloads]
+    rigid = [twin.run(inverter.pointing_rad(), m) for m in payloads]
     if request.method == "inverse":
-        inverses = inverter.invert(payloads)
+        runs = inverter.invert(payloads)
     else:
         tables = _comparison_goals(inverter.pointing_rad(), line, request)
-        inverses = [inverter.response(t, m) for t, m in zip(tables, payloads, strict=True)]
-    plan = _document(path, request, line, twin, inverses, rigid)
+        runs = [twin.run(table, m) for table, m in zip(tables, payloads, strict=True)]
+    plan = _document(path, request, line, runs, rigid)
     check_plan_goals(plan, limits, where)
 
     if request.feedback and request.method == "inverse":
-        plan, refusal = with_feedback(plan, plant, limits, twin, inverter, inverses)
+        plan, refusal = with_feedback(plan, plant, limits, twin, inverter, runs)
         report(f"no feedback: {refusal}" if refusal else "feedback designed")
         if request.probe and refusal:
             raise InputError("--probe", f"needs feedback of the tip: {refusal}", "leave it out")
@@ -95,8 +95,8 @@ def plan_path(
         plan = msgspec.structs.replace(plan, probe=design_probe(plant, twin, payloads, limits))
         check_plan_goals(plan, limits, where)
         report("probing motion designed")
-    for inverse in inverses:
-        _check_prediction(twin, inverse, limits, where)
+    for run in runs:
+        _check_prediction(run, request, where)
     return plan
 
 
@@ -157,13 +157,14 @@ def _place(tip_m: Array) -> str:
 
 
 def _document(
-    path: DesiredPath, request: PlanRequest, line: Timeline, twin: TipTwin,
-    inverses: Sequence[Inverse], rigid: Sequence[Inverse],
+    path: DesiredPath, request: PlanRequest, line: Timeline, runs: Sequence[TwinRun],
+    rigid: Sequence[TwinRun],
 ) -> TipPlan:  # fmt: skip
     held_out = request.plant.provenance.held_out
     plant_error = held_out.dof.get(str(request.dof)) if held_out else None
     plant_m = plant_error.tip_rms_m if plant_error else None
-    moving = [line.desired_m] if request.method == "inverse" else [i.goals_rad for i in inverses]
+    moving = [line.desired_m] if request.method == "inverse" else [run.goals_rad for run in runs]
+    residuals_m = [rms(run.tip_m - line.desired_m) for run in runs]
     return TipPlan(
         schema=TipPlan.VERSION,
         path=path.name,
@@ -177,15 +178,15 @@ def _document(
         desired_m=as_columns(line.desired_m, 6),
         payloads=tuple(
             PayloadPlan(
-                payload_kg=inverse.payload_kg,
-                goals_rad=as_columns(inverse.goals_rad, 7),
-                tip_m=as_columns(twin.tip_m(inverse.outputs), 6),
-                current_a=as_columns(twin.current_a(inverse.outputs), 4),
-                residual_rms_m=inverse.residual_rms_m,
-                rigid_rms_m=straight.residual_rms_m,
-                expected_rms_m=math.hypot(inverse.residual_rms_m, plant_m or 0.0),
+                payload_kg=run.payload_kg,
+                goals_rad=as_columns(run.goals_rad, 7),
+                tip_m=as_columns(run.tip_m, 6),
+                current_a=as_columns(run.current_a, 4),
+                residual_rms_m=residual_m,
+                rigid_rms_m=rms(straight.tip_m - line.desired_m),
+                expected_rms_m=math.hypot(residual_m, plant_m or 0.0),
             )
-            for inverse, straight in zip(inverses, rigid, strict=True)
+            for run, straight, residual_m in zip(runs, rigid, residuals_m, strict=True)
         ),
         payload_rate_kg_s=PAYLOAD_RATE_KG_S,
         plant_error_rms_m=plant_m,
@@ -205,18 +206,17 @@ def _rows_until_rest(table: Array) -> int:
     return int(np.flatnonzero(steps > 1e-7).max(initial=0)) + 1  # rad or m in a period
 
 
-def _check_prediction(twin: TipTwin, inverse: Inverse, limits: Limits, where: str) -> None:
+def _check_prediction(run: TwinRun, request: PlanRequest, where: str) -> None:
     """Refuse a plan in which the twin violates a limit of measured signals, and name the row."""
-    y = inverse.outputs
-    angle, current, tip = twin.angle_rad(y), twin.current_a(y), twin.tip_in_space_m(y)
-    for row in range(1, len(y)):
-        violation = limits.sample_violation(
-            angle[row].tolist(), current[row].tolist(), tip[row].tolist(), 0.0,
-            goal=inverse.goals_rad[row - 1].tolist(), angle_before=angle[row - 1].tolist(),
+    angle = run.angle_rad.tolist()
+    for row in range(1, len(angle)):
+        violation = request.limits.sample_violation(
+            angle[row], run.current_a[row].tolist(), run.position_m[row].tolist(), 0.0,
+            goal=run.goals_rad[row - 1].tolist(), angle_before=angle[row - 1],
         )  # fmt: skip
         if violation:
             raise InputError(
-                where, f"row {row} ({row * twin.period_s:.2f} s), {inverse.payload_kg:g} kg: the "
+                where, f"row {row} ({row * request.period_s:.2f} s), {run.payload_kg:g} kg: the "
                 f"twin predicts that {violation}",
                 "make the path slower or smaller, or widen the limit",
             )  # fmt: skip

@@ -22,7 +22,7 @@ from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
-from models.plan.tip_twin import MOVING_RAD_S, TipTwin
+from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun
 from models.plant.linear_twin import STIFFNESS, linearise, link_modes
 from models.plant.plant import Plant
 
@@ -106,9 +106,9 @@ def design_probe(
     for change in STIFFNESS_GRID:
         other = twin.scaled({STIFFNESS: 1.0 + change})
         for mass in masses:
-            y = other.run(goals, mass)
-            _check(other, goals, y, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
-            currents.append(other.current_a(y).T.ravel())
+            run = other.run(goals, mass)
+            _check(run, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
+            currents.append(run.current_a.T.ravel())
     factor = np.linalg.cholesky(_noise(twin, goals, payloads_kg))
     white = np.linalg.solve(factor, np.transpose(currents)).T
     _, _, directions = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
@@ -150,16 +150,16 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
     masses = payloads_kg[0], 0.5 * (payloads_kg[0] + payloads_kg[-1]), payloads_kg[-1]
     slopes, slowest = [], np.full((rows, dof), np.inf)
     for mass in masses:
-        y = twin.run(goals, mass)
-        current = twin.current_a(y)
-        slowest = np.minimum(slowest, np.abs(np.gradient(twin.angle_rad(y), twin.period_s, axis=0)))
+        run = twin.run(goals, mass)
+        rate = np.abs(np.gradient(run.angle_rad, twin.period_s, axis=0))
+        slowest = np.minimum(slowest, rate)
         for begins, deviation in UNKNOWN.items():
             step = min(0.05, 0.1 * deviation)
             for own in twin.parameters(begins) if begins.endswith("_") else (begins,):
                 other = twin.scaled({own: 1.0 + step})
-                change = other.current_a(other.run(goals, mass)) - current
+                change = other.run(goals, mass).current_a - run.current_a
                 slopes.append(deviation / step * change)
-        late = UNKNOWN_DELAY_S * np.gradient(current, twin.period_s, axis=0)
+        late = UNKNOWN_DELAY_S * np.gradient(run.current_a, twin.period_s, axis=0)
         slopes += [late * unit for unit in np.eye(dof)]
     resting = RESTING_A**2 * MOVING_RAD_S**2 / np.maximum(slowest**2, 1e-4)
     total += np.diag(np.minimum(resting, 1.0).T.ravel())
@@ -168,10 +168,10 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
     return np.asarray(total + np.kron(np.eye(dof), np.full((rows, rows), UNKNOWN_BIAS_A**2)))
 
 
-def _check(twin: TipTwin, goals: Array, outputs: Array, limits: Limits, whose: str) -> None:
+def _check(run: TwinRun, limits: Limits, whose: str) -> None:
     """Refuse a motion whose predicted currents or angles use more than 0.9 of the limits."""
-    current_a = np.max(np.abs(twin.current_a(outputs)))
-    away_rad = np.max(np.abs(twin.angle_rad(outputs)[1:] - goals[:-1]))
+    current_a = np.max(np.abs(run.current_a))
+    away_rad = np.max(np.abs(run.angle_rad[1:] - run.goals_rad[:-1]))
     for value, unit, limit, name in (
         (current_a, "A of current", limits.current_a, "current_a"),
         (away_rad, "rad of following error", limits.following_error_rad, "following_error_rad"),

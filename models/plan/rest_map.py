@@ -115,7 +115,7 @@ def _shortfall_m(twin: TipTwin, places: Array, relaxed: Array, payload_kg: float
         at = sparse[list(index)]
         goal = relaxed[tuple(at)]
         if not np.isnan(goal).any():
-            apart = places[at] - twin.tip_m(twin.run(ramp * goal, payload_kg))[-1]
+            apart = places[at] - twin.run(ramp * goal, payload_kg).tip_m[-1]
             if np.linalg.norm(apart) < 0.1:  # farther: the link has folded [assumed]
                 short[index] = apart
     missing = np.isnan(short[..., 0])

@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import casadi as ca
@@ -27,6 +27,18 @@ Array = NDArray[np.float64]
 MOVING_RAD_S: Final = 0.1
 """Joint rate below which dry friction can take any value: at this rate a sample of the current has
 half its weight. It is the observer's `learning_rate_rad_s`."""
+
+
+@dataclass(frozen=True)
+class TwinRun:
+    """Run of a twin, one row per control period."""
+
+    payload_kg: float
+    goals_rad: Array  # (n, dof)
+    angle_rad: Array  # (n, dof)
+    current_a: Array  # (n, dof)
+    position_m: Array  # (n, 3), tip in the world frame
+    tip_m: Array  # (n, dof), its planned coordinates: x, and y with two joints
 
 
 class TipTwin:
@@ -62,29 +74,19 @@ class TipTwin:
         """Names of the parameters with that beginning."""
         return [n for n in names(self._model.parameters) if n.startswith(begins)]
 
-    def run(self, goals_rad: Array, payload_kg: float) -> Array:
-        """Outputs at every row of a table of goals (n, dof), from rest at the first row."""
+    def run(self, goals_rad: Array, payload_kg: float) -> TwinRun:
+        """Run of a table of goals (n, dof), from rest at the first row."""
         u = np.column_stack([goals_rad, np.full(len(goals_rad), payload_kg)])
         x = self._plain.start(u[0], self._p)
-        return self._plain.simulate(u[:-1], self.period_s, self._p, x)
-
-    def tip_m(self, outputs: Array) -> Array:
-        """Planned coordinates of the tip, shape (n, dof)."""
-        return outputs[:, self._tip3[: self.dof]]
-
-    def tip_in_space_m(self, outputs: Array) -> Array:
-        """Tip in the world frame, shape (n, 3)."""
-        return outputs[:, self._tip3]
-
-    def current_a(self, outputs: Array) -> Array:
-        return outputs[:, self._current]
-
-    def angle_rad(self, outputs: Array) -> Array:
-        return outputs[:, self._angle]
+        y = self._plain.simulate(u[:-1], self.period_s, self._p, x)
+        return TwinRun(
+            payload_kg, goals_rad, y[:, self._angle], y[:, self._current], y[:, self._tip3],
+            y[:, self._tip3[: self.dof]],
+        )  # fmt: skip
 
     def resting_tip_m(self, goal_rad: Array, payload_kg: float) -> Array:
         """Tip of the relaxed arm at goals of shape (dof,), shape (dof,)."""
-        return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
+        return np.asarray(self.run(np.tile(goal_rad, (2, 1)), payload_kg).tip_m[0])
 
     def resting_slope(self, goal_rad: Array, payload_kg: float) -> Array:
         """Derivatives of the resting tip by the goals, by differences, shape (dof, dof)."""

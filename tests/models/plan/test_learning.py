@@ -53,13 +53,13 @@ def recorded(robot, plan, number, source="mocap", **conditions):
     noise = np.random.default_rng(number).normal(0.0, 3e-4, (len(goals), 1))
     conditions = {"goals_kg": PAYLOAD_KG, "payload_kg": PAYLOAD_KG} | conditions
     return RecordedRun(
-        goals, robot.angle_rad(outputs), robot.tip_m(outputs) + noise, conditions["payload_kg"],
+        goals, outputs.angle_rad, outputs.tip_m + noise, conditions["payload_kg"],
         conditions["goals_kg"], source, sha256(str(number).encode()).hexdigest(),
     )  # fmt: skip
 
 
 def true_rms_m(robot, plan, **conditions):
-    return rms(robot.tip_m(tip_on(robot, plan, **conditions)[1]) - plan.desired_tip_m())
+    return rms(tip_on(robot, plan, **conditions)[1].tip_m - plan.desired_tip_m())
 
 
 def test_learning_removes_the_errors_of_the_plant(plant, planned, other):
@@ -85,7 +85,7 @@ def test_learning_removes_the_errors_of_the_plant(plant, planned, other):
 
 def test_a_perfect_run_changes_nothing(plant, planned, twin):
     run = recorded(twin, planned, 0, goals_kg=1.0, payload_kg=1.0)
-    exact = replace(run, tip_m=twin.tip_m(twin.run(run.goals_rad, 1.0)))
+    exact = replace(run, tip_m=twin.run(run.goals_rad, 1.0).tip_m)
     improved, _ = improve_plan(planned, exact, plant, LIMITS)
     assert np.abs(improved.goals_rad() - planned.goals_rad()).max() < 1e-3
     learned = improved.learned[-1]
@@ -121,8 +121,8 @@ def test_the_payload_of_a_run_follows_from_its_goals(planned):
 def trial_of(twin, goals, directory, name="run", payload_kg=0.5):
     """Trial of two runs, the second with everything 2 % larger, between rests; its path."""
     outputs = twin.run(goals, payload_kg)
-    columns = {"goal_1_rad": goals, "angle_1_rad": twin.angle_rad(outputs)}
-    columns |= {"current_1_a": twin.current_a(outputs), "tip_x_m": twin.tip_m(outputs)}
+    columns = {"goal_1_rad": goals, "angle_1_rad": outputs.angle_rad}
+    columns |= {"current_1_a": outputs.current_a, "tip_x_m": outputs.tip_m}
     before, after = np.zeros(37), np.zeros(21)
     table = {
         key: np.concatenate([before, column[:, 0], 1.02 * column[:, 0], after])
@@ -143,7 +143,7 @@ def test_a_trial_is_read_from_its_last_whole_run(planned, twin, tmp_path):
     goals = interpolated(planned, 0.5)
     path = trial_of(twin, goals, tmp_path)
     run = read_plan_run(path, planned)
-    assert run.tip_m == pytest.approx(1.02 * twin.tip_m(twin.run(goals, 0.5)), abs=1e-5)
+    assert run.tip_m == pytest.approx(1.02 * twin.run(goals, 0.5).tip_m, abs=1e-5)
     assert (run.source, run.goals_rad.shape) == ("mocap", goals.shape)
     capital = path.rename(path.with_suffix(".CSV"))
     assert read_plan_run(capital, planned).sha256 == run.sha256

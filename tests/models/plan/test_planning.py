@@ -37,13 +37,13 @@ def test_the_derivatives_are_those_of_the_run(twin):
     slopes = twin.slopes(goals, basis, 1.0)
     for k in range(2):
         step = 1e-5 * basis[:, k : k + 1]
-        both = [twin.tip_m(twin.run(goals + sign * step, 1.0)) for sign in (1, -1)]
+        both = [twin.run(goals + sign * step, 1.0).tip_m for sign in (1, -1)]
         assert slopes[:, :, k] == pytest.approx((both[0] - both[1]) / 2e-5, abs=2e-4)
 
 
 def test_a_plan_leads_the_tip_of_the_twin_along_the_path(twin, planned):
     for one, table in zip(planned.payloads, planned.goals_rad(), strict=True):
-        tip = twin.tip_m(twin.run(table, one.payload_kg))
+        tip = twin.run(table, one.payload_kg).tip_m
         assert tip == pytest.approx(np.transpose(one.tip_m), abs=2e-6)
         error = rms(tip - planned.desired_tip_m())
         assert error == pytest.approx(one.residual_rms_m, abs=1e-6)
@@ -164,7 +164,7 @@ def test_the_first_mode_is_that_of_a_free_decay(plant, twin):
     (mode,) = resting_modes(LinearTwins(plant, 1, PERIOD_S), 1.0)
     goals = np.zeros((400, 1))
     goals[1:] = 1e-2
-    tip = twin.tip_m(twin.run(goals, 1.0))[60:, 0]
+    tip = twin.run(goals, 1.0).tip_m[60:, 0]
     tip = tip - np.mean(tip[-100:])
     crossings = np.flatnonzero(np.diff(np.sign(tip[:150]))) * PERIOD_S
     assert np.mean(np.diff(crossings)) == pytest.approx(mode.half_period_s, rel=0.1)
@@ -213,7 +213,7 @@ def test_the_tip_of_the_twin_comes_to_rest_where_the_map_says(plant, twin):
     for payload_kg in (0.0, 2.0):
         for place in (-0.55, 0.0, 0.123, 0.5):
             goals = np.outer(ramp, rest.goals_rad((place,), payload_kg))
-            assert twin.tip_m(twin.run(goals, payload_kg))[-1] == pytest.approx(place, abs=1e-3)
+            assert twin.run(goals, payload_kg).tip_m[-1] == pytest.approx(place, abs=1e-3)
     assert rest.goals_rad((0.61,), 1.0) is None
     light, heavy = (rest.mode(kg)[0][0] for kg in (0.0, 2.0))
     assert 0.1 < light < heavy < 0.5

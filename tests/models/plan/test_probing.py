@@ -22,7 +22,7 @@ def probe(plant, twin):
 def currents(twin, probe, changes, payload_kg, seed=1):
     """Currents of a twin with other parameters, and the noise that the design assumes."""
     goals = np.transpose(probe.goals_rad)
-    clean = twin.current_a(twin.scaled(changes).run(goals, payload_kg))
+    clean = twin.scaled(changes).run(goals, payload_kg).current_a
     noise, last = np.zeros(len(goals)), 0.0
     for k, white in enumerate(np.random.default_rng(seed).standard_normal(len(goals))):
         last = CORRELATION * last + np.sqrt(1 - CORRELATION**2) * white
@@ -85,7 +85,7 @@ def test_the_motion_begins_and_ends_at_rest_and_leaves_little_swing(twin, probe)
     assert 1.5 < (len(goals) - still) * PERIOD_S < 3.0
     goals = np.concatenate([goals, np.zeros((60, 1))])
     for payload_kg in (0.0, 0.7, 2.0):
-        tip = twin.tip_m(twin.run(goals, payload_kg))
+        tip = twin.run(goals, payload_kg).tip_m
         assert np.max(np.abs(tip[probe.rows :] - tip[0])) < 8e-3
 
 
