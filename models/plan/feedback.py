@@ -17,8 +17,7 @@ stiffness. So a plan also holds what such a link changes: goals, currents, and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import product
 from typing import Final
 
@@ -96,24 +95,21 @@ def with_feedback(
 def design_feedback(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
 ) -> FeedbackDesign:
-    twins, filters, responses = LinearTwins(plant, dof, period_s), [], {}
+    twins = LinearTwins(plant, dof, period_s)
+    filters, margins = [], []
     for payload_kg in payloads_kg:
-        plants = responses[payload_kg] = _responses(twins, payload_kg)
+        plants = tip_responses(twins, payload_kg)
         modes = link_modes(twins.at(payload_kg))
         notches = [m.frequency_rad_s for m in modes] or [0.25 * np.pi / period_s] * dof
         filters.append(
             tuple(_shaped([p[j, j] for p in plants], notches[j], period_s) for j in range(dof))
         )
-    design = FeedbackDesign(
-        filters=tuple(filters), margins=(), size_rad=SIZE_RAD, rate_rad_s=RATE_RAD_S,
-        innovation_a=INNOVATION_A,
+        loops = open_loops(filters[-1], plants, period_s)
+        margins.append([_margins(loop, payload_kg, period_s) for loop in loops])
+    return FeedbackDesign(
+        filters=tuple(filters), margins=tuple(zip(*margins, strict=True)), size_rad=SIZE_RAD,
+        rate_rad_s=RATE_RAD_S, innovation_a=INNOVATION_A,
     )  # fmt: skip
-    loops = _opened(design, period_s, responses)
-    margins = tuple(
-        tuple(_margins(loop) for loop in loops if loop.joint == joint)
-        for joint in range(1, dof + 1)
-    )
-    return msgspec.structs.replace(design, margins=margins)
 
 
 def keeps_margins(design: FeedbackDesign) -> bool:
@@ -131,13 +127,29 @@ def frequencies(period_s: float) -> Array:
                            np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
 
 
-def _responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
-    """Responses of the tip to the goals, one per variant, shape (dof, dof, n) each."""
+def tip_responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
+    """Responses of the tip to the goals, one per linearisation, shape (dof, dof, n) each."""
     z = np.exp(1j * frequencies(twins.period_s) * twins.period_s)
     return [
         tip_part(twins.at(payload_kg, sliding=sliding, stiffness=factor))(z, squeeze=False)
         for sliding, factor in VARIANTS
     ]
+
+
+def open_loops(
+    filters: Sequence[RateFilter], plants: Sequence[Response], period_s: float
+) -> list[list[Response]]:
+    """Loop of each joint for each linearisation, opened with the other joint's closed."""
+    shapes = [_integrated(as_system(f, period_s), period_s) for f in filters]
+    loops: list[list[Response]] = [[] for _ in shapes]
+    for j, shape in enumerate(shapes):
+        for p in plants:
+            path = p[j, j]
+            for o in {0, 1} - {j} if len(shapes) == 2 else ():
+                closed = shapes[o] / (1.0 + shapes[o] * p[o, o])
+                path = path - p[j, o] * closed * p[o, j]
+            loops[j].append(shape * path)
+    return loops
 
 
 def _shaped(plants: Sequence[Response], mode_rad_s: float, period_s: float) -> RateFilter:
@@ -182,62 +194,24 @@ def highest_gain(loops: Sequence[Response]) -> float:
     return limit
 
 
-@dataclass(frozen=True)
-class ShapedLoops:
-    """Loops of one joint at one payload."""
-
-    joint: int
-    payload_kg: float
-    rates_rad_s: Array  # (n,)
-    responses: list[Response]  # One per linearisation of `VARIANTS`
-
-
-def shaped_loops(
-    design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
-) -> list[ShapedLoops]:
-    """Responses of the loops by payload and joint, each opened with the other one closed."""
-    responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
-    return _opened(design, twins.period_s, responses)
-
-
-def _opened(
-    design: FeedbackDesign, period_s: float, responses: Mapping[float, Sequence[Response]]
-) -> list[ShapedLoops]:
-    rates, found = frequencies(period_s), []
-    for (payload_kg, plants), filters in zip(responses.items(), design.filters, strict=True):
-        shapes = [_integrated(as_system(f, period_s), period_s) for f in filters]
-        for j, shape in enumerate(shapes):
-            loops = []
-            for p in plants:
-                path = p[j, j]
-                for o in {0, 1} - {j} if len(shapes) == 2 else ():
-                    closed = shapes[o] / (1.0 + shapes[o] * p[o, o])
-                    path = path - p[j, o] * closed * p[o, j]
-                loops.append(shape * path)
-            found.append(ShapedLoops(j + 1, payload_kg, rates, loops))
-    return found
-
-
 def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
     return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
 
 
-def _margins(loop: ShapedLoops) -> LoopMargins:
-    """Least margins over the variants, and the crossover of the sliding one.
+def _margins(loop: Sequence[Response], payload_kg: float, period_s: float) -> LoopMargins:
+    """Least margins over the linearisations, and the crossover of the sliding one.
 
     The loop is an integrator around a stable plant, so it is stable at small gain, and stays so up
     to the least gain at which its response reaches −1.
     """
-    every = [
-        control.stability_margins(control.frd(response, loop.rates_rad_s), returnall=True)
-        for response in loop.responses
-    ]
-    gains, phases_deg = (np.concatenate([own[k] for own in every]) for k in (0, 1))
+    rates = frequencies(period_s)
+    margins = [control.stability_margins(control.frd(r, rates), returnall=True) for r in loop]
+    gains, phases_deg = (np.concatenate([m[k] for m in margins]) for k in (0, 1))
     return LoopMargins(
-        payload_kg=loop.payload_kg,
+        payload_kg=payload_kg,
         gain_db=20.0 * float(np.log10(gains.min(initial=np.inf))),
         phase_rad=float(np.radians(np.abs(phases_deg).min(initial=np.inf))),
-        crossover_rad_s=float(every[0][4].min(initial=loop.rates_rad_s[-1])),
+        crossover_rad_s=float(margins[0][4].min(initial=rates[-1])),
     )
 
 

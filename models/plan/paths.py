@@ -85,11 +85,8 @@ def _check(name: str, dof: int, options: PathOptions) -> None:
     """Refuse an unknown path, and options out of range or without effect."""
     is_text = name.startswith("text:")
     if name not in SHAPES and not is_text:
-        if Path(name).is_file():
-            wrong = f"ends in {Path(name).suffix!r}"
-            raise InputError(name, wrong, "name a CSV file, which ends in .csv")
         remedy = f"choose {', '.join(SHAPES)}, text:… or a CSV file"
-        raise InputError(f"path {name}", "is no built-in path and no file", remedy)
+        raise InputError(f"path {name}", "is no built-in path and no CSV file", remedy)
     if dof == 1 and name not in FOR_ONE_JOINT:
         remedy = f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints"
         raise InputError(f"path {name}", "lies in the plane, the arm has one joint", remedy)

@@ -111,29 +111,25 @@ def check_grid(plant: Plant, payloads_kg: Sequence[float]) -> None:
 def _check_reach(
     twin: TipTwin, line: Timeline, payloads_kg: Sequence[float], limits: Limits, where: str
 ) -> None:
-    """Refuse a path whose farthest points the resting tip cannot reach within the angle limits.
+    """Refuse a path, or ways to and from it, that the resting tip cannot reach within the limits.
 
-    The path is checked first, then the ways there and back, which swing out if the path is fast at
-    its ends.
+    The farthest points are tried: the first rows of the largest distance and coordinates.
     """
-    path = slice(line.start_row, line.end_row)
-    for part, what, remedy in (
-        (path, "leads", "make the path smaller, or move its centre"),
-        (slice(0, None), "of the way there or back leads", "let the path begin and end slower"),
-    ):
-        desired_m = line.desired_m[part]
-        # First rows of the largest distance, and of the largest and smallest coordinates
-        rows = {np.sum(desired_m**2, axis=1).argmax(), *desired_m.argmax(0), *desired_m.argmin(0)}
-        for row, payload_kg in product(sorted(rows), (payloads_kg[0], payloads_kg[-1])):
-            nearest = nearest_rest_m(twin, desired_m[row], payload_kg, limits)
-            if np.linalg.norm(nearest - desired_m[row]) > 2e-3:
-                at = part.start + row
-                raise InputError(
-                    where, f"row {at} ({at * twin.period_s:.2f} s) {what} to "
-                    f"{_place(desired_m[row])}, which the tip cannot reach with "
-                    f"{payload_kg:g} kg and goals within limits.angle_rad; the nearest place "
-                    f"is {_place(nearest)}", remedy,
-                )  # fmt: skip
+    farthest = np.sum(line.desired_m**2, axis=1).argmax()
+    rows = {farthest, *line.desired_m.argmax(axis=0), *line.desired_m.argmin(axis=0)}
+    for row, payload_kg in product(sorted(rows), (payloads_kg[0], payloads_kg[-1])):
+        wanted = line.desired_m[row]
+        nearest = nearest_rest_m(twin, wanted, payload_kg, limits)
+        if np.linalg.norm(nearest - wanted) > 2e-3:
+            on_path = line.start_row <= row < line.end_row
+            raise InputError(
+                where, f"row {row} ({row * twin.period_s:.2f} s) "
+                f"{'leads' if on_path else 'of the way there or back leads'} to {_place(wanted)}, "
+                f"which the tip cannot reach with {payload_kg:g} kg and goals within "
+                f"limits.angle_rad; the nearest place is {_place(nearest)}",
+                "make the path smaller, or move its centre" if on_path
+                else "let the path begin and end slower",
+            )  # fmt: skip
 
 
 def nearest_rest_m(twin: TipTwin, wanted_m: Array, payload_kg: float, limits: Limits) -> Array:

@@ -58,8 +58,7 @@ def test_every_letter_fills_its_cell_and_a_text_lifts_between_strokes():
 @pytest.mark.parametrize(
     ("name", "dof", "options", "sentence"),
     [
-        ("spiral", 2, {}, "no built-in path and no file"),
-        (__file__, 2, {}, r"ends in '\.py'; name a CSV file"),
+        ("spiral", 2, {}, "no built-in path and no CSV file"),
         ("circle", 1, {}, "the arm has one joint"),
         ("text:Ü", 2, {}, "which the font lacks"),
         ("text: ", 2, {}, "is empty"),
