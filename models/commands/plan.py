@@ -167,7 +167,7 @@ def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) ->
         return built_in_path(args.path, dof, period_s, options)
     if options != PathOptions():
         raise InputError(
-            args.path, "has its own size, place and time",
+            args.path, "contains size, place and time",
             "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
         )  # fmt: skip
     return read_path(Path(args.path), dof, period_s)
@@ -238,7 +238,5 @@ def _in_words(plan: TipPlan, out: Path) -> list[str]:
             f"± {unknown:.0%} where it is not"
         )
     if plan.plant_error_rms_m is None:
-        lines.append(
-            "the plant does not state its own error: expected is what the inversion leaves"
-        )
+        lines.append("the plant does not state its error: expected is what the inversion leaves")
     return lines

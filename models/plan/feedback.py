@@ -6,7 +6,7 @@ The loop of a joint is filter, integrator, delay and twin::
 
 The integrator is the correction itself; one period of delay stands for the loop and the bus. F is a
 gain and a notch at the first mode of the link, whose frequency falls with the payload: without it
-the mode limits the gain. The estimate of the tip is assumed exact: the observer is the twin's own
+the mode limits the gain. The estimate of the tip is assumed exact: the observer has the twin's
 link, driven by the measured angles. The gain is the highest with which all linearisations at that
 payload keep the margins, at rest and sliding, and with a link 20 % stiffer or softer than the
 plant.
@@ -115,8 +115,8 @@ def design_feedback(
 def keeps_margins(design: FeedbackDesign) -> bool:
     return all(
         m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
-        for own in design.margins
-        for m in own
+        for of_joint in design.margins
+        for m in of_joint
     )
 
 
@@ -162,10 +162,10 @@ def _shaped(plants: Sequence[Response], mode_rad_s: float, period_s: float) -> R
         shape = _integrated(notch, period_s)
         notches.append((highest_gain([shape * p for p in plants]), notch))
     gain, best = max(notches, key=lambda one: one[0])
-    own = control.ss(best)
+    notch = control.ss(best)
     a, b, c, d = (
         tuple(tuple(row) for row in np.asarray(m, dtype=np.float64).tolist())
-        for m in (own.A, own.B, gain * own.C, gain * own.D)
+        for m in (notch.A, notch.B, gain * notch.C, gain * notch.D)
     )
     return RateFilter(a=a, b=b, c=c, d=d)
 
@@ -194,8 +194,9 @@ def highest_gain(loops: Sequence[Response]) -> float:
     return limit
 
 
-def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
-    return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
+def as_system(filter_: RateFilter, period_s: float) -> control.StateSpace:
+    matrices = (filter_.a, filter_.b, filter_.c, filter_.d)
+    return control.ss(*(np.array(m) for m in matrices), period_s)
 
 
 def _margins(loop: Sequence[Response], payload_kg: float, period_s: float) -> LoopMargins:

@@ -126,9 +126,9 @@ def _of_log(path: Path, plan: TipPlan) -> tuple[Array, float | None, float | Non
         raise InputError(path, f"ends before the {plan.rows} rows of the plan", "run it once whole")
     grid = np.arange((runs - 1) * plan.rows, runs * plan.rows, dtype=np.float64)
     inside = fresh & (tick >= grid[0]) & (tick <= grid[-1])
-    missing = plan.rows - np.count_nonzero(inside)
-    if missing > (1.0 - LEAST_FRESH) * plan.rows:
-        wrong = f"misses {missing} of {plan.rows} measurements"
+    measured = np.count_nonzero(inside)
+    if measured < LEAST_FRESH * plan.rows:
+        wrong = f"misses {plan.rows - measured} of {plan.rows} measurements"
         raise InputError(path, wrong, "record the run again")
     facts, estimate = logged_run(log), columns["payload_kg"][inside]
     assumed_kg = facts.assumed_payload_kg

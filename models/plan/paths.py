@@ -326,8 +326,8 @@ def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
 
 
 def _way(start: Array, end: Array, speed: Array, period_s: float) -> Array:
-    """Quintic from rest at a place to a speed at another, without acceleration; the end is left
-    out.
+    """Quintic from rest at a place to a speed at another, without acceleration and without its
+    last row.
 
     Coefficients from the conditions at both ends, e.g. Spong, Hutchinson and Vidyasagar, *Robot
     Modeling and Control* (2006), section 5.5.2.

@@ -120,7 +120,7 @@ def design_probe(
         weights=tuple(as_columns(w.T, 5) for w in weights),
         stiffness=tuple(np.round(STIFFNESS_GRID, 6).tolist()),
         payloads_kg=tuple(np.round(masses, 6).tolist()),
-        expected=tuple(tuple(tuple(f) for f in own) for own in np.round(expected, 4).tolist()),
+        expected=tuple(tuple(map(tuple, row)) for row in np.round(expected, 4).tolist()),
     )
 
 
@@ -155,8 +155,8 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
         slowest = np.minimum(slowest, rate)
         for begins, deviation in UNKNOWN.items():
             step = min(0.05, 0.1 * deviation)
-            for own in twin.parameters(begins) if begins.endswith("_") else (begins,):
-                other = twin.scaled({own: 1.0 + step})
+            for name in twin.parameters(begins) if begins.endswith("_") else (begins,):
+                other = twin.scaled({name: 1.0 + step})
                 change = other.run(goals, mass).current_a - run.current_a
                 slopes.append(deviation / step * change)
         late = UNKNOWN_DELAY_S * np.gradient(run.current_a, twin.period_s, axis=0)

@@ -100,8 +100,8 @@ class TipTwin:
     def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
         """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
 
-        `basis`, shape (n, count): value of each basis function at each row; every joint has its own
-        coefficients.
+        `basis`, shape (n, count): value of each basis function at each row. The coefficients of the
+        first joint come first.
         """
         stepper, sizes, count = self._stepper, len(self._model.states), basis.shape[1]
         payload, tip = np.array([[payload_kg]]), self._tip3[: self.dof]

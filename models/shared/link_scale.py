@@ -93,7 +93,7 @@ class LinkScale:
         """Displacement across the link in m and turn of the section in rad at heights z.
 
         Timoshenko's beam on a root patch of stiffness k, with a force F at its tip and q per length
-        (its own weight):
+        (its weight):
 
             w(z) = (F L + q L²/2) z/k + [F z + q (L z - z²/2)] / κGA
                    + [F (L z²/2 - z³/6) + q z² (6 L² - 4 L z + z²)/24] / EI
@@ -125,14 +125,16 @@ class LinkScale:
         For a link that stands or hangs it is one half at 30°, for a lying one all at zero.
         """
         link, reach = self.link, self.link.base_offset_m + self.link.length_m
-        own = self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
+        link_kg_m = (
+            self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
+        )
         x, y, z = link.gravity.unit
         levers = [
             abs(across * math.cos(q) - z * math.sin(q))
             for across in (x, y)[: link.joints]
             for q in (-math.pi / 6, 0.0, math.pi / 6)
         ]
-        return max(levers) * link.gravity.size_m_s2 * (own + link.payload_kg * reach)
+        return max(levers) * link.gravity.size_m_s2 * (link_kg_m + link.payload_kg * reach)
 
     @property
     def holding_of_limit(self) -> float:
@@ -146,13 +148,13 @@ class LinkScale:
     @cached_property
     def servo_ratios(self) -> dict[str, float]:
         """Ratios of the servo's preset to that of the study's servo."""
-        own, study = self.link.preset, STUDY_LINK.preset
+        servo, study = self.link.preset, STUDY_LINK.preset
         names = (
             "torque_constant_nm_a", "coulomb_friction_nm", "viscous_friction_nm_s_rad",
             "load_friction", "rotor_inertia_kg_m2", "backlash_rad", "current_limit_a",
             "speed_limit_rad_s", "mass_kg", "torque_limit_nm",
         )  # fmt: skip
-        return {name: getattr(own, name) / getattr(study, name) for name in names}
+        return {name: getattr(servo, name) / getattr(study, name) for name in names}
 
 
 _STUDY: Final = LinkScale(STUDY_LINK)

@@ -10,6 +10,7 @@ import csv
 import math
 import re
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -42,11 +43,9 @@ def check_columns(path: Path, names: Sequence[str]) -> None:
     if len(names) > MOST_COLUMNS:
         what = f"has {len(names)} columns, more than {MOST_COLUMNS}"
         raise InputError(path, what, "leave out what is not needed")
-    seen: set[str] = set()
-    for name in filter(None, names):
-        if name in seen:
+    for name, count in Counter(filter(None, names)).items():
+        if count > 1:
             raise InputError(path, f"column {name!r} stands twice", "rename or remove one of them")
-        seen.add(name)
 
 
 def read_rows(

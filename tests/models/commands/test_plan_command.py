@@ -22,10 +22,10 @@ from tests.firmware_py.goals.small_plan import small_plan
         ("point_to_point", ["--rigid", "--zvd"], "--zvd: is set beside --rigid; leave one out"),
         ("line", ["--fastest"], "--fastest: is for the inverse of point_to_point"),
         ("point_to_point", ["--fastest", "--move", "1"], "without --move; leave it out"),
-        ("own.CSV", ["--size", "0.1"], "has its own size, place and time; leave --size"),
+        ("a.CSV", ["--size", "0.1"], "contains size, place and time; leave --size"),
         ("line", ["--probe", "--open-loop"], "--probe: is for plans with feedback of the tip"),
         ("point_to_point", ["--probe"], "--probe: is for plans with feedback of the tip"),
-        ("own.CSV", ["--out", "own.svg"], "is the name of the picture"),
+        ("a.CSV", ["--out", "a.svg"], "is the name of the picture"),
     ],
 )
 def test_unfit_options_are_refused(bare_bundle, tmp_path, capsys, path, options, sentence):

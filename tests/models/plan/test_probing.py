@@ -1,4 +1,4 @@
-"""Probing motion: stiffness and payload from the currents of the plant's own twin; limits."""
+"""Probing motion: stiffness and payload from the currents of the plant's twin; limits."""
 
 import numpy as np
 import pytest
