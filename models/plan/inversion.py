@@ -48,7 +48,9 @@ class Inverter:
         self, twin: TipTwin, line: Timeline, report: Callable[[str], None] = lambda text: None
     ) -> None:
         self._twin, self._line, self._report = twin, line, report
-        self._splines = GoalSplines(line, twin.period_s, WEIGHT_M_S2)
+        self._splines = GoalSplines(
+            line.desired_m.shape, line.rest_rows, twin.period_s, WEIGHT_M_S2
+        )
         self._slopes: Array | None = None  # those of the last payload that was inverted
 
     def pointing_rad(self) -> Array:
@@ -154,14 +156,16 @@ def gauss_newton(
 
 
 class GoalSplines:
-    """Cubic B-splines of the goals after the rest of a timeline.
+    """Cubic B-splines of goals of a shape (n, dof) that begin at rest.
 
     `weight_m_s2`: tip error that an acceleration of 1 rad/s² outweighs.
     """
 
-    def __init__(self, line: Timeline, period_s: float, weight_m_s2: float) -> None:
-        rows, self._dof = line.desired_m.shape
-        begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
+    def __init__(
+        self, shape: tuple[int, ...], rest_rows: int, period_s: float, weight_m_s2: float
+    ) -> None:
+        rows, self._dof = shape
+        begin_s, end_s = rest_rows * period_s, (rows - 1) * period_s
         count = max(4, round((end_s - begin_s) / KNOT_S)) - 3
         knots = begin_s + (end_s - begin_s) / (count + 3) * np.arange(count + 4)
         at_s = np.arange(rows) * period_s

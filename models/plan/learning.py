@@ -47,7 +47,6 @@ from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.signals import tip_names
 from models.plan.inversion import GoalSplines, gauss_newton, rms
-from models.plan.paths import Timeline
 from models.plan.tip_twin import TipTwin
 from models.plant.linear_twin import STIFFNESS
 from models.plant.plant import Plant
@@ -316,8 +315,8 @@ class _Step:
     def __init__(self, plan: TipPlan, run: RecordedRun, twin: TipTwin) -> None:
         self._plan, self._run, self._desired = plan, run, plan.desired_tip_m()
         self._rest = round(plan.rest_s / plan.period_s)
-        line = Timeline(self._desired, self._rest, plan.start_row, plan.end_row, plan.drawn)
-        self._splines = splines = GoalSplines(line, plan.period_s, CHANGE_M_S2)
+        splines = GoalSplines(self._desired.shape, self._rest, plan.period_s, CHANGE_M_S2)
+        self._splines = splines
         modelled_rad = twin.run(run.goals_rad, run.payload_kg).angle_rad
         self.delay_s = _delay_s(modelled_rad, run.angle_rad, plan.period_s)
         sent = self._late(run.goals_rad)

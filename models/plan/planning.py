@@ -271,12 +271,10 @@ def _comparison_goals(pointing_rad: Array, line: Timeline, request: PlanRequest)
 def rate_limited(start_rad: Array, end_rad: Array, limits: Limits, period_s: float) -> Array:
     """Goals of the fastest move within rate and acceleration, all joints together, shape (n, dof).
 
-    The last row is the end. Shapes: `start_rad`, `end_rad` (dof,).
+    The last row is the end.
     """
     distance, most = float(np.max(np.abs(end_rad - start_rad))), limits.acceleration_rad_s2
     rate = min(limits.rate_rad_s, math.sqrt(distance * most))
-    if distance == 0.0:
-        return np.asarray(end_rad)[None, :]
     rise_s, total_s = rate / most, distance / rate + rate / most
     at_s = np.minimum(period_s * np.arange(1, math.ceil(total_s / period_s) + 1), total_s)
     # Ramps of the rate at both ends; sampled, no mean rate over a period exceeds them.
