@@ -72,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--fastest", action="store_true", help="shortest move that keeps the limits")
     add("--open-loop", action="store_true", help="leave the feedback of the estimated tip out")
     add("--probe", action="store_true", help="begin the first run with a short motion whose "
-        "currents tell the link's stiffness and payload")  # fmt: skip
+        "currents show the link's stiffness and payload")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:

@@ -27,8 +27,6 @@ from models.plant.linear_twin import STIFFNESS, linearise, link_modes
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
-
-
 TONES: Final = (
     (0.54, 0.030, 0.0, 1.0),
     (1.08, 0.012, 0.0, 0.67),
@@ -131,9 +129,8 @@ def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = F
     """
     p, masses = np.array(probe.expected), np.array(probe.payloads_kg)
     i = int(np.argmin(np.abs(probe.stiffness)))
-    j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)
-    by_k = (p[i + 1, j] - p[i - 1, j]) / (probe.stiffness[i + 1] - probe.stiffness[i - 1])
-    by_m = (p[i, j + 1] - p[i, j - 1]) / (masses[j + 1] - masses[j - 1])
+    j = int(np.clip(np.argmin(np.abs(masses - payload_kg)), 1, len(masses) - 2))
+    by_k, by_m = (g[i, j] for g in np.gradient(p, probe.stiffness, masses, axis=(0, 1)))
     information = by_k @ by_k - (0.0 if known else (by_k @ by_m) ** 2 / (by_m @ by_m))
     return float(1.0 / np.sqrt(max(information, 1e-12)))
 
