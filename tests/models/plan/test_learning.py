@@ -23,7 +23,6 @@ from models.plan.learning import (
 from models.plan.probing import design_probe
 from models.plan.tip_twin import TipTwin
 from models.trials.files import write_trial
-from models.trials.trial import Trial, TrialMeta
 
 LIMITS = Limits(rate_rad_s=1.0)
 PAYLOAD_KG = 0.6
@@ -40,26 +39,19 @@ def other(plant):
     return TipTwin(plant.with_values(changed), 1, PERIOD_S)
 
 
-def tip_on(robot, plan, late=0, goals_kg=PAYLOAD_KG, payload_kg=PAYLOAD_KG):
-    """Goals of a plan, and outputs of a robot that takes them up some rows late."""
+def recorded(robot, plan, number, late=0, goals_kg=PAYLOAD_KG, payload_kg=PAYLOAD_KG,
+             source="mocap", noise_m=3e-4):  # fmt: skip
+    """Run of a plan on a robot that takes its goals up some rows late."""
     goals = interpolated(plan, goals_kg)
     taken = np.concatenate([np.repeat(goals[:1], late, axis=0), goals])[: len(goals)]
-    return goals, robot.run(taken, payload_kg)
-
-
-def recorded(robot, plan, number, source="mocap", **conditions):
-    """Run of a plan on a robot, with noise of 0.3 mm."""
-    goals, outputs = tip_on(robot, plan, **conditions)
-    noise = np.random.default_rng(number).normal(0.0, 3e-4, (len(goals), 1))
-    conditions = {"goals_kg": PAYLOAD_KG, "payload_kg": PAYLOAD_KG} | conditions
-    return RecordedRun(
-        goals, outputs.angle_rad, outputs.tip_m + noise, conditions["payload_kg"],
-        conditions["goals_kg"], source, sha256(str(number).encode()).hexdigest(),
-    )  # fmt: skip
+    run = robot.run(taken, payload_kg)
+    noise = np.random.default_rng(number).normal(0.0, noise_m, run.tip_m.shape)
+    name = sha256(str(number).encode()).hexdigest()
+    return RecordedRun(goals, run.angle_rad, run.tip_m + noise, payload_kg, goals_kg, source, name)
 
 
 def true_rms_m(robot, plan, **conditions):
-    return rms(tip_on(robot, plan, **conditions)[1].tip_m - plan.desired_tip_m())
+    return rms(recorded(robot, plan, 0, noise_m=0.0, **conditions).tip_m - plan.desired_tip_m())
 
 
 def test_learning_removes_the_errors_of_the_plant(plant, planned, other):
@@ -84,9 +76,8 @@ def test_learning_removes_the_errors_of_the_plant(plant, planned, other):
 
 
 def test_a_perfect_run_changes_nothing(plant, planned, twin):
-    run = recorded(twin, planned, 0, goals_kg=1.0, payload_kg=1.0)
-    exact = replace(run, tip_m=twin.run(run.goals_rad, 1.0).tip_m)
-    improved, _ = improve_plan(planned, exact, plant, LIMITS)
+    run = recorded(twin, planned, 0, goals_kg=1.0, payload_kg=1.0, noise_m=0.0)
+    improved, _ = improve_plan(planned, run, plant, LIMITS)
     assert np.abs(improved.goals_rad() - planned.goals_rad()).max() < 1e-3
     learned = improved.learned[-1]
     assert learned.predicted_rms_m <= learned.rms_m
@@ -118,30 +109,26 @@ def test_the_payload_of_a_run_follows_from_its_goals(planned):
     assert payload_weights(planned, 0.25) == pytest.approx([0.75, 0.25])
 
 
-def trial_of(twin, goals, directory, name="run", payload_kg=0.5):
-    """Trial of two runs, the second with everything 2 % larger, between rests; its path."""
-    outputs = twin.run(goals, payload_kg)
-    columns = {"goal_1_rad": goals, "angle_1_rad": outputs.angle_rad}
-    columns |= {"current_1_a": outputs.current_a, "tip_x_m": outputs.tip_m}
-    before, after = np.zeros(37), np.zeros(21)
-    table = {
-        key: np.concatenate([before, column[:, 0], 1.02 * column[:, 0], after])
-        for key, column in columns.items()
-    }
-    rows = len(table["goal_1_rad"])
-    table |= {"time_s": PERIOD_S * np.arange(rows)} | {f"tip_{a}_m": np.zeros(rows) for a in "yz"}
-    table |= {f"m{i:02d}_{a}_m": np.full(rows, np.nan) for i in range(1, 17) for a in "xyz"}
-    meta = TrialMeta(
-        dof=1, payload_kg=payload_kg, pressure_pa=41_300.0, trial=1, motion="plan_line",
-        source="test", period_s=1.0, amplitude_rad=0.2, base_offset_m=0.05, link_length_m=0.9,
-        link_width_m=0.1, rest_samples=10,
-    )  # fmt: skip
-    return write_trial(Trial(name, meta, table), directory)
+@pytest.fixture
+def trial_of(twin, make_trial, tmp_path):
+    """Path of a trial of two runs, the second with everything 2 % larger, between rests."""
+
+    def write(goals, name="run"):
+        run, before, after = twin.run(goals, 0.5), np.zeros((37, 1)), np.zeros((21, 1))
+        goal, angle, tip = (
+            np.concatenate([before, table, 1.02 * table, after])
+            for table in (run.goals_rad, run.angle_rad, run.tip_m)
+        )
+        trial = make_trial(angle, step_s=PERIOD_S, payload_kg=0.5, name=name)
+        trial.columns.update(goal_1_rad=goal[:, 0], tip_x_m=tip[:, 0])
+        return write_trial(trial, tmp_path)
+
+    return write
 
 
-def test_a_trial_is_read_from_its_last_whole_run(planned, twin, tmp_path):
+def test_a_trial_is_read_from_its_last_whole_run(planned, twin, trial_of):
     goals = interpolated(planned, 0.5)
-    path = trial_of(twin, goals, tmp_path)
+    path = trial_of(goals)
     run = read_plan_run(path, planned)
     assert run.tip_m == pytest.approx(1.02 * twin.run(goals, 0.5).tip_m, abs=1e-5)
     assert (run.source, run.goals_rad.shape) == ("mocap", goals.shape)
@@ -151,12 +138,12 @@ def test_a_trial_is_read_from_its_last_whole_run(planned, twin, tmp_path):
     with pytest.raises(InputError, match="is of 1 joints, the plan of 2"):
         read_plan_run(capital, msgspec.structs.replace(planned, dof=2))
     with pytest.raises(InputError, match="is no run of the plan line: its goals differ"):
-        read_plan_run(trial_of(twin, goals[::-1] ** 2, tmp_path, "other"), planned)
+        read_plan_run(trial_of(goals[::-1] ** 2, "other"), planned)
 
 
-def test_corrections_in_the_goals_are_not_taken_for_payload(planned, twin, tmp_path):
+def test_corrections_in_the_goals_are_not_taken_for_payload(planned, trial_of):
     """Feedback moved the goals as a payload 0.15 kg smaller would; the trial declares 0.5 kg."""
-    path = trial_of(twin, interpolated(planned, 0.35) / 1.02, tmp_path)
+    path = trial_of(interpolated(planned, 0.35) / 1.02)
     run = read_plan_run(path, planned)
     assert (run.payload_kg, run.goals_payload_kg) == (0.5, 0.5)
     run = read_plan_run(path, msgspec.structs.replace(planned, feedback=None))
