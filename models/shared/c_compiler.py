@@ -55,8 +55,9 @@ def load_library(
     with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
         directory = Path(scratch)
         path = compile_library(
-            write_sources(directory), directory / "model.so", include=[directory], flags=flags
-        )
+            write_sources(directory), directory / "model.so", include=[directory], flags=flags,
+            at_once=True,
+        )  # fmt: skip
         try:
             return ctypes.CDLL(str(path))  # stays mapped when the file is deleted
         except OSError as error:
@@ -73,22 +74,25 @@ def compile_library(
     include: Sequence[Path] = (),
     flags: Sequence[str] = (),
     target: str | None = None,
+    at_once: bool = False,
 ) -> Path:
     """Compile C sources into one shared library.
 
     Only symbols that a source marks with default visibility are exported; CasADi's are exported if
     `flags` defines CASADI_SYMBOL_EXPORT. `target` is zig's name of the platform, by default this
-    machine's.
+    machine's. `at_once` compiles two sources at a time; a library for macOS is then no longer the
+    same bytes in every build.
     """
     options = [*_FLAGS, "-fPIC", "-shared", *flags, *compiler_options()]
-    return _cached(sources, output, include, [*options, "-target", target or _target_here()])
+    options += ["-target", target or _target_here()]
+    return _cached(sources, output, include, options, _compile_at_once if at_once else _compile)
 
 
 def compile_program(
     source: Path, output: Path, *, target: str, include: Sequence[Path] = ()
 ) -> Path:
     """Compile one C source into a program that links to the C library dynamically."""
-    _cached([source], output, include, [*_FLAGS, "-target", target])
+    _cached([source], output, include, [*_FLAGS, "-target", target], _compile)
     output.chmod(0o755)
     return output
 
@@ -109,14 +113,15 @@ def _target_here() -> str:
 
 
 def _cached(
-    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
-) -> Path:
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str],
+    compile_: Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None],
+) -> Path:  # fmt: skip
     cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
     if not cached.is_file():
         CACHE.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(dir=CACHE, prefix=".compile-") as scratch:
             fresh = Path(scratch) / output.name
-            _compile(sources, fresh, include, options)
+            compile_(sources, fresh, include, options)
             fresh.replace(cached)  # atomic: another process may build the same library
     output.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(cached, output)
@@ -133,25 +138,23 @@ def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str
     return digest.hexdigest()[:32]
 
 
-def _compile(
+def _compile_at_once(
     sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
 ) -> None:
-    """Compile and link; two sources at a time, each in a compiler process."""
-    if len(sources) > 1:
-        objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
-        alone = [option for option in options if option not in ("-shared", "-s")]
-        with ThreadPoolExecutor(2) as pool:
-            jobs = [
-                pool.submit(_run, [source], path, include, [*alone, "-c"])
-                for source, path in zip(sources, objects, strict=True)
-            ]
-            for job in jobs:
-                job.result()
-        sources = objects
-    _run(sources, output, include, options)
+    """Compile two sources at a time, each in a compiler process, and link them."""
+    objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
+    alone = [option for option in options if option not in ("-shared", "-s")]
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            pool.submit(_compile, [source], path, include, [*alone, "-c"])
+            for source, path in zip(sources, objects, strict=True)
+        ]
+        for job in jobs:
+            job.result()
+    _compile(objects, output, include, options)
 
 
-def _run(
+def _compile(
     sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
 ) -> None:
     command = [
