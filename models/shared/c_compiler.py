@@ -80,8 +80,7 @@ def compile_library(
 
     Only symbols that a source marks with default visibility are exported; CasADi's are exported if
     `flags` defines CASADI_SYMBOL_EXPORT. `target` is zig's name of the platform, by default this
-    machine's. `at_once` compiles two sources at a time; a library for macOS is then no longer the
-    same bytes in every build.
+    machine's. `at_once` compiles two sources at a time.
     """
     options = [*_FLAGS, "-fPIC", "-shared", *flags, *compiler_options()]
     options += ["-target", target or _target_here()]
