@@ -55,15 +55,15 @@ def run(args: argparse.Namespace) -> int:
     payloads_kg = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
     check_grid(plant, payloads_kg)
     compare_with_bundle(plant, args.plant, files, "this map")
-    found, modes = map_rest(plant, dof, period_s, payloads_kg, args.reach)
+    goal_map, modes = map_rest(plant, dof, period_s, payloads_kg, args.reach)
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    write_document(args.out, found)
+    write_document(args.out, goal_map)
 
-    reached = [sum(v is not None for v in own.goals_rad[0]) for own in found.payloads]
-    lines = [f"{args.out}: {len(found.places_m)} places along each axis, {dof}DOF"]
-    for payload_kg, count, own in zip(payloads_kg, reached, modes, strict=True):
+    places = [sum(v is not None for v in one.goals_rad[0]) for one in goal_map.payloads]
+    lines = [f"{args.out}: {len(goal_map.places_m)} places along each axis, {dof}DOF"]
+    for payload_kg, count, by_joint in zip(payloads_kg, places, modes, strict=True):
         lines.append(f"  {payload_kg:4g} kg: {count} places, first mode of the link:")
-        for joint, mode in enumerate(own, start=1):
+        for joint, mode in enumerate(by_joint, start=1):
             share = mode.shares[0]
             lines.append(
                 f"    joint {joint}: {mode.frequency_rad_s:.1f} rad/s, damping {mode.damping:.2f}, "
@@ -77,10 +77,10 @@ def run(args: argparse.Namespace) -> int:
                 )
     data = {
         "map": str(args.out),
-        "places": reached,
+        "places": places,
         "modes": [
             [{"frequency_rad_s": m.frequency_rad_s, "damping": m.damping, "share": m.shares[0]}
-             for m in own] for own in modes
+             for m in by_joint] for by_joint in modes
         ],
     }  # fmt: skip
     emit(args, data, "\n".join(lines))

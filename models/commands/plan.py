@@ -12,11 +12,12 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
+import numpy as np
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
 from firmware_py.console import DONE, Progress, emit
@@ -24,7 +25,6 @@ from firmware_py.display_units import ANGLE, CURRENT, LENGTH, TIME
 from firmware_py.documents import write_document
 from firmware_py.errors import InputError
 from firmware_py.goals.payload_beyond_plan import recording_beyond_plan
-from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
@@ -32,7 +32,7 @@ from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.limits import Limits
 from models.bundle.plant import compare_with_bundle
 from models.commands.output_paths import check_output_file
-from models.plan.paths import DEFAULT_SIZE_M, DesiredPath, PathOptions, built_in_path, read_path
+from models.plan.paths import DesiredPath, PathOptions, built_in_path, read_path
 from models.plant.plant import Plant, read_plant
 
 if TYPE_CHECKING:
@@ -57,8 +57,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--config", type=Path, metavar="ROBOT",
         help="robot.toml, for its limits (default: those of one without [limits] that names the "
         "plant's link)")  # fmt: skip
-    add("--size", type=float, default=DEFAULT_SIZE_M, metavar="M",
-        help="half of the largest extent, m (0.3)")  # fmt: skip
+    add("--size", type=float, default=0.3, metavar="M", help="half of the largest extent, m (0.3)")
     add("--centre", type=float, nargs="+", default=[], metavar="M", help="x, and y, in m (0)")
     add("--seconds", type=float, default=8.0, help="duration of one turn, or of the text (8)")
     add("--turns", type=int, default=1, help="times that the path is passed (1)")
@@ -73,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add("--fastest", action="store_true", help="shortest move that keeps the limits")
     add("--open-loop", action="store_true", help="leave the feedback of the estimated tip out")
     add("--probe", action="store_true", help="begin the first run with a short motion whose "
-        "currents tell the link's stiffness and payload")  # fmt: skip
+        "currents show the link's stiffness and payload")  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -92,10 +91,18 @@ def run(args: argparse.Namespace) -> int:
 def _plan(args: argparse.Namespace, files: BundleFiles) -> int:
     dof, period_s = files.manifest.dof, files.manifest.period_s
     path = _path(args, dof, period_s, args.move)
-    method = _method(args, path)
+    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
     feedback = not (args.open_loop or path.moves)
-    if args.probe and (not feedback or method != "inverse"):
-        raise InputError("--probe", "is for plans with feedback of the tip", "leave it out")
+    for option, is_wrong, what, remedy in (
+        ("--zvd", args.zvd and args.rigid, "is set beside --rigid", "leave one out"),
+        ("--zvd", args.zvd and not path.moves, "is for point_to_point", "leave it out"),
+        ("--fastest", args.fastest and (method != "inverse" or not path.moves or args.move),
+         "is for the inverse of point_to_point without --move", "leave it out"),
+        ("--probe", args.probe and (method != "inverse" or not feedback),
+         "is for plans with feedback of the tip", "leave it out"),
+    ):  # fmt: skip
+        if is_wrong:
+            raise InputError(option, what, remedy)
     plant = read_plant(args.plant)
     limits = _limits(args.config, plant)
     compare_with_bundle(plant, args.plant, files, "this plan")
@@ -111,13 +118,11 @@ def _plan(args: argparse.Namespace, files: BundleFiles) -> int:
     if args.fastest:
         seconds = shortest_move_s(lambda s: _path(args, dof, period_s, s), request)
         path = _path(args, dof, period_s, seconds)
-    plan = plan_path(path, request, progress.step)
-    _write(args, plan)
+    _write(args, plan_path(path, request, progress.step))
     return DONE
 
 
 def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
-    """Improve a plan by a recorded run of it."""
     plan = read_tip_plan(Path(args.path))
     if plan.bundle_sha256 != files.manifest_sha256:
         raise InputError(
@@ -125,29 +130,31 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
         )
     from models.plan.learning import improve_plan, read_plan_run
 
-    run = read_plan_run(args.improve, plan)
-    if beyond := recording_beyond_plan(plan, run.payload_kg):
+    recorded = read_plan_run(args.improve, plan)
+    if beyond := recording_beyond_plan(plan, recorded.payload_kg):
         print(f"warning: {args.improve}: {beyond}", file=sys.stderr)
     plant = read_plant(args.plant)
     compare_with_bundle(plant, args.plant, files, "this plan")
-    found = improve_plan(plan, run, plant, _limits(args.config, plant))
-    own = found.run
+    improved, went_back = improve_plan(plan, recorded, plant, _limits(args.config, plant))
+    run = improved.learned[-1]
     lines = [
-        f"{args.improve}: tip by {own.source}, {own.payload_kg:.2f} kg, off its path by "
-        f"{LENGTH.number(own.rms_m, 2)} mm RMS; {LENGTH.number(own.expected_rms_m, 2)} mm expected "
-        f"for the next run, {LENGTH.number(own.predicted_rms_m, 2)} mm where all errors repeat"
+        f"{args.improve}: tip by {run.source}, {run.payload_kg:.2f} kg, off its path by "
+        f"{LENGTH.number(run.rms_m, 2)} mm RMS; {LENGTH.number(run.expected_rms_m, 2)} mm expected "
+        f"for the next run, {LENGTH.number(run.predicted_rms_m, 2)} mm where all errors repeat"
     ]
-    if found.went_back:
+    if went_back:
         lines.append("this run was worse than the best one, from which half a step was taken")
-    if own.goal_delay_s:
-        delay = TIME.number(own.goal_delay_s, 4)
+    if run.goal_delay_s:
+        delay = TIME.number(run.goal_delay_s, 4)
         lines.append(f"the joints follow {delay} s later than the twin's")
     lines.append(
-        f"the link of the recording is {own.stiffness:.2f} times as stiff and {own.damping:.2f} "
+        f"the link of the recording is {run.stiffness:.2f} times as stiff and {run.damping:.2f} "
         "times as damped as the plant's"
     )
-    learned = [msgspec.to_builtins(r) for r in found.plan.learned]
-    _write(args, found.plan, lines, {"learned": learned, "went_back": found.went_back})
+    _write(
+        args, improved, lines,
+        learned=[msgspec.to_builtins(r) for r in improved.learned], went_back=went_back,
+    )  # fmt: skip
     return DONE
 
 
@@ -160,24 +167,10 @@ def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) ->
         return built_in_path(args.path, dof, period_s, options)
     if options != PathOptions():
         raise InputError(
-            args.path, "has its own size, place and time",
+            args.path, "contains size, place and time",
             "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
         )  # fmt: skip
     return read_path(Path(args.path), dof, period_s)
-
-
-def _method(args: argparse.Namespace, path: DesiredPath) -> Method:
-    """Method selected by the options; contradictory options are refused."""
-    if args.rigid and args.zvd:
-        raise InputError("--zvd", "is given beside --rigid", "leave one out")
-    if args.zvd and not path.moves:
-        raise InputError("--zvd", "is for point_to_point", "leave it out")
-    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
-    if args.fastest and (method != "inverse" or not path.moves or args.move):
-        raise InputError(
-            "--fastest", "is for the inverse of point_to_point without --move", "leave it out"
-        )
-    return method
 
 
 def _limits(path: Path | None, plant: Plant) -> Limits:
@@ -189,9 +182,8 @@ def _limits(path: Path | None, plant: Plant) -> Limits:
 
 
 def _write(
-    args: argparse.Namespace, plan: TipPlan, lines: Sequence[str] = (),
-    further: Mapping[str, Any] | None = None,
-) -> None:  # fmt: skip
+    args: argparse.Namespace, plan: TipPlan, lines: Sequence[str] = (), **further: Any
+) -> None:
     """Write a plan and its picture, and print both."""
     from models.plan.picture import draw_plan
 
@@ -203,10 +195,9 @@ def _write(
     result = {
         "plan": str(args.out), "path": plan.path, "seconds": plan.duration_s,
         "plant_error_rms_m": plan.plant_error_rms_m,
-        "payloads": [{name: getattr(own, name) for name in errors} for own in plan.payloads],
+        "payloads": [{name: getattr(one, name) for name in errors} for one in plan.payloads],
     }  # fmt: skip
-    text = "\n".join([*lines, *_in_words(plan, args.out), f"see {picture}"])
-    emit(args, result | dict(further or {}), text)
+    emit(args, result | further, "\n".join([*lines, *_in_words(plan, args.out), f"see {picture}"]))
 
 
 def _in_words(plan: TipPlan, out: Path) -> list[str]:
@@ -215,12 +206,11 @@ def _in_words(plan: TipPlan, out: Path) -> list[str]:
         f"{plan.dof}DOF",
         "tip error in mm, RMS    predicted  expected     rigid  largest current",
     ]
-    for own in plan.payloads:
-        current = max(abs(value) for column in own.current_a for value in column)
+    for one in plan.payloads:
         lines.append(
-            f"  {own.payload_kg:4g} kg            {LENGTH.number(own.residual_rms_m, 2):>10}"
-            f"{LENGTH.number(own.expected_rms_m, 2):>10}{LENGTH.number(own.rigid_rms_m):>10}"
-            f"{CURRENT.text(current):>17}"
+            f"  {one.payload_kg:4g} kg            {LENGTH.number(one.residual_rms_m, 2):>10}"
+            f"{LENGTH.number(one.expected_rms_m, 2):>10}{LENGTH.number(one.rigid_rms_m):>10}"
+            f"{CURRENT.text(np.max(np.abs(one.current_a))):>17}"
         )
     if any(run.source == "mocap" for run in plan.learned):
         lines.append(
@@ -228,32 +218,25 @@ def _in_words(plan: TipPlan, out: Path) -> list[str]:
             "was learned from motion capture"
         )
     elif plan.feedback is not None:
-        gain = min(m.gain_db for own in plan.feedback.margins for m in own)
-        phase = min(m.phase_rad for own in plan.feedback.margins for m in own)
+        margins = [m for of_joint in plan.feedback.margins for m in of_joint]
         lines.append(
-            f"feedback of the tip: gain margin {gain:.1f} dB, phase margin "
-            f"{ANGLE.text(phase)} at least over the grid"
+            f"feedback of the tip: gain margin {min(m.gain_db for m in margins):.1f} dB, phase "
+            f"margin {ANGLE.text(min(m.phase_rad for m in margins))} at least over the grid"
         )
     elif plan.method == "inverse":
         lines.append("no feedback of the tip")
     if plan.probe is not None:
-        lines.append(_probe_in_words(plan, plan.probe))
-    if plan.plant_error_rms_m is None:
-        lines.append(
-            "the plant does not state its own error: expected is what the inversion leaves"
+        from models.plan.probing import expected_deviation
+
+        known, unknown = (
+            max(expected_deviation(plan.probe, float(kg), known=known) for kg in plan.grid_kg)
+            for known in (True, False)
         )
+        lines.append(
+            f"a probing motion of {TIME.text(plan.probe.rows * plan.period_s, 1)} before the first "
+            f"run measures the stiffness to ± {known:.0%} where the payload is known, "
+            f"± {unknown:.0%} where it is not"
+        )
+    if plan.plant_error_rms_m is None:
+        lines.append("the plant does not state its error: expected is what the inversion leaves")
     return lines
-
-
-def _probe_in_words(plan: TipPlan, probe: ProbeDesign) -> str:
-    from models.plan.probing import expected_deviation
-
-    known, unknown = (
-        max(expected_deviation(probe, float(kg), known=known) for kg in plan.grid_kg)
-        for known in (True, False)
-    )
-    return (
-        f"a probing motion of {TIME.text(probe.rows * plan.period_s, 1)} before the first run "
-        f"measures the stiffness to ± {known:.0%} where the payload is known, ± {unknown:.0%} "
-        "where it is not"
-    )

@@ -6,7 +6,7 @@ The loop of a joint is filter, integrator, delay and twin::
 
 The integrator is the correction itself; one period of delay stands for the loop and the bus. F is a
 gain and a notch at the first mode of the link, whose frequency falls with the payload: without it
-the mode limits the gain. The estimate of the tip is assumed exact: the observer is the twin's own
+the mode limits the gain. The estimate of the tip is assumed exact: the observer has the twin's
 link, driven by the measured angles. The gain is the highest with which all linearisations at that
 payload keep the margins, at rest and sliding, and with a link 20 % stiffer or softer than the
 plant.
@@ -17,8 +17,7 @@ stiffness. So a plan also holds what such a link changes: goals, currents, and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import product
 from typing import Final
 
@@ -38,8 +37,8 @@ from firmware_py.goals.feedback_design import (
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import TipPlan, as_columns
 from firmware_py.safety.limits import Limits
-from models.plan.inversion import Inverse, Inverter
-from models.plan.tip_twin import MOVING_RAD_S, TipTwin
+from models.plan.inversion import Inverter
+from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun
 from models.plant.linear_twin import DRY_FRICTION, STIFFNESS, LinearTwins, link_modes, tip_part
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel
@@ -70,22 +69,13 @@ PLACES: Final = (0.95, 1.0, 1.1)
 CHANGE: Final = 0.2
 """Relative change of stiffness and of friction over which a plan is differentiated: a plan must
 tolerate a link as much stiffer."""
-DECIMALS: Final = 5
-"""Digits of the differences in the document: of goals 10 µrad, of the tip 10 µm."""
 
 
 def with_feedback(
-    plan: TipPlan,
-    plant: Plant,
-    limits: Limits,
-    twin: TipTwin,
-    inverter: Inverter,
-    found: Sequence[Inverse],
-) -> tuple[TipPlan, str]:
-    """Add feedback; if that is impossible, return the plan unchanged, and the reason.
-
-    Feedback needs loops that keep the margins, and limits that leave room for corrections.
-    """
+    plan: TipPlan, plant: Plant, limits: Limits, twin: TipTwin, inverter: Inverter,
+    runs: Sequence[TwinRun],
+) -> tuple[TipPlan, str]:  # fmt: skip
+    """Plan with feedback; if that is impossible, the unchanged plan, and the reason."""
     design = design_feedback(plant, plan.dof, plan.period_s, plan.grid_kg.tolist())
     if not keeps_margins(design):
         return plan, "no gain of a loop keeps its margins"
@@ -96,8 +86,8 @@ def with_feedback(
         return plan, f"the limits leave no room for corrections ({error})"
     driven = CompiledModel(plant.step_model(plan.dof, "driven"))
     payloads = tuple(
-        msgspec.structs.replace(own, stiffness=stiffness_slopes(twin, inverter, inverse, driven))
-        for own, inverse in zip(plan.payloads, found, strict=True)
+        msgspec.structs.replace(one, stiffness=_stiffness_slopes(twin, inverter, run, driven))
+        for one, run in zip(plan.payloads, runs, strict=True)
     )
     return msgspec.structs.replace(guided, payloads=payloads), ""
 
@@ -105,32 +95,28 @@ def with_feedback(
 def design_feedback(
     plant: Plant, dof: int, period_s: float, payloads_kg: Sequence[float]
 ) -> FeedbackDesign:
-    twins, filters, responses = LinearTwins(plant, dof, period_s), [], {}
+    twins = LinearTwins(plant, dof, period_s)
+    filters, margins = [], []
     for payload_kg in payloads_kg:
-        plants = responses[payload_kg] = _responses(twins, payload_kg)
+        plants = tip_responses(twins, payload_kg)
         modes = link_modes(twins.at(payload_kg))
         notches = [m.frequency_rad_s for m in modes] or [0.25 * np.pi / period_s] * dof
         filters.append(
             tuple(_shaped([p[j, j] for p in plants], notches[j], period_s) for j in range(dof))
         )
-    design = FeedbackDesign(
-        filters=tuple(filters), margins=(), size_rad=SIZE_RAD, rate_rad_s=RATE_RAD_S,
-        innovation_a=INNOVATION_A,
+        loops = open_loops(filters[-1], plants, period_s)
+        margins.append([_margins(loop, payload_kg, period_s) for loop in loops])
+    return FeedbackDesign(
+        filters=tuple(filters), margins=tuple(zip(*margins, strict=True)), size_rad=SIZE_RAD,
+        rate_rad_s=RATE_RAD_S, innovation_a=INNOVATION_A,
     )  # fmt: skip
-    loops = _opened(design, period_s, responses)
-    margins = tuple(
-        tuple(_margins(loop) for loop in loops if loop.joint == joint)
-        for joint in range(1, dof + 1)
-    )
-    return msgspec.structs.replace(design, margins=margins)
 
 
 def keeps_margins(design: FeedbackDesign) -> bool:
-    """Whether every loop keeps the required margins."""
     return all(
         m.gain_db >= LEAST_GAIN_DB and m.phase_rad >= LEAST_PHASE_RAD
-        for own in design.margins
-        for m in own
+        for of_joint in design.margins
+        for m in of_joint
     )
 
 
@@ -141,8 +127,8 @@ def frequencies(period_s: float) -> Array:
                            np.linspace(30.0, 0.999 * end, 40)])  # fmt: skip
 
 
-def _responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
-    """Responses of the tip to the goals, one per variant, shape (dof, dof, n) each."""
+def tip_responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
+    """Responses of the tip to the goals, one per linearisation, shape (dof, dof, n) each."""
     z = np.exp(1j * frequencies(twins.period_s) * twins.period_s)
     return [
         tip_part(twins.at(payload_kg, sliding=sliding, stiffness=factor))(z, squeeze=False)
@@ -150,28 +136,44 @@ def _responses(twins: LinearTwins, payload_kg: float) -> list[Response]:
     ]
 
 
+def open_loops(
+    filters: Sequence[RateFilter], plants: Sequence[Response], period_s: float
+) -> list[list[Response]]:
+    """Loop of each joint for each linearisation, opened with the other joint's closed."""
+    shapes = [_integrated(as_system(f, period_s), period_s) for f in filters]
+    loops: list[list[Response]] = [[] for _ in shapes]
+    for j, shape in enumerate(shapes):
+        for p in plants:
+            path = p[j, j]
+            for o in {0, 1} - {j} if len(shapes) == 2 else ():
+                closed = shapes[o] / (1.0 + shapes[o] * p[o, o])
+                path = path - p[j, o] * closed * p[o, j]
+            loops[j].append(shape * path)
+    return loops
+
+
 def _shaped(plants: Sequence[Response], mode_rad_s: float, period_s: float) -> RateFilter:
     """Notch and gain with the highest crossover that keeps the margins."""
-    best, gain = None, 0.0
+    notches = []
     for depth, width, place in product(DEPTHS, WIDTHS, PLACES):
         w = place * mode_rad_s
         notch = control.tf([1.0, 2 * depth * w, w * w], [1.0, 2 * width * w, w * w])
         notch = control.sample_system(notch, period_s, "tustin")
         shape = _integrated(notch, period_s)
-        highest = highest_gain([shape * p for p in plants])
-        if highest > gain:
-            best, gain = notch, highest
-    if best is None:  # a plant without gain: only zero feedback keeps the margins
-        return RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((0.0,),))
-    own = control.ss(best)
-    a, b, c, d = (_rows(m) for m in (own.A, own.B, gain * own.C, gain * own.D))
+        notches.append((highest_gain([shape * p for p in plants]), notch))
+    gain, best = max(notches, key=lambda one: one[0])
+    notch = control.ss(best)
+    a, b, c, d = (
+        tuple(tuple(row) for row in np.asarray(m, dtype=np.float64).tolist())
+        for m in (notch.A, notch.B, gain * notch.C, gain * notch.D)
+    )
     return RateFilter(a=a, b=b, c=c, d=d)
 
 
-def _integrated(own: control.lti.LTI, period_s: float) -> Response:
+def _integrated(filter_: control.lti.LTI, period_s: float) -> Response:
     """Response of filter, integrator and the period of delay, shape (n,)."""
     z = np.exp(1j * frequencies(period_s) * period_s)
-    return np.asarray(own(z) * period_s / (z - 1.0))
+    return np.asarray(filter_(z) * period_s / (z - 1.0))
 
 
 def highest_gain(loops: Sequence[Response]) -> float:
@@ -186,111 +188,66 @@ def highest_gain(loops: Sequence[Response]) -> float:
         near = size[np.abs(apart_rad) < LEAST_PHASE_RAD + SPARE_RAD]
         crossing = np.diff(np.signbit(apart_rad)) & (np.abs(apart_rad[1:]) < 0.5 * np.pi)
         at_180 = np.maximum(size[1:], size[:-1])[crossing]
-        largest = max(near.max(initial=0.0), _factor(LEAST_GAIN_DB) * at_180.max(initial=0.0))
+        margin = float(10.0 ** ((LEAST_GAIN_DB + SPARE_DB) / 20.0))
+        largest = max(near.max(initial=0.0), margin * at_180.max(initial=0.0))
         limit = min(limit, 1.0 / largest if largest else limit)
     return limit
 
 
-def _factor(gain_db: float) -> float:
-    return float(10.0 ** ((gain_db + SPARE_DB) / 20.0))
+def as_system(filter_: RateFilter, period_s: float) -> control.StateSpace:
+    matrices = (filter_.a, filter_.b, filter_.c, filter_.d)
+    return control.ss(*(np.array(m) for m in matrices), period_s)
 
 
-def _rows(matrix: Array) -> Columns:
-    return tuple(tuple(row) for row in np.asarray(matrix, dtype=np.float64).tolist())
-
-
-@dataclass(frozen=True)
-class ShapedLoops:
-    """Loops of one joint at one payload."""
-
-    joint: int
-    payload_kg: float
-    rates_rad_s: Array  # (n,)
-    responses: list[Response]  # One per linearisation of `VARIANTS`
-
-
-def shaped_loops(
-    design: FeedbackDesign, twins: LinearTwins, payloads_kg: Sequence[float]
-) -> list[ShapedLoops]:
-    """Responses of the loops by payload and joint, each opened with the other one closed."""
-    responses = {payload_kg: _responses(twins, payload_kg) for payload_kg in payloads_kg}
-    return _opened(design, twins.period_s, responses)
-
-
-def _opened(
-    design: FeedbackDesign, period_s: float, responses: Mapping[float, Sequence[Response]]
-) -> list[ShapedLoops]:
-    rates, found = frequencies(period_s), []
-    for (payload_kg, plants), filters in zip(responses.items(), design.filters, strict=True):
-        shapes = [_integrated(as_system(f, period_s), period_s) for f in filters]
-        for j, shape in enumerate(shapes):
-            loops = []
-            for p in plants:
-                path = p[j, j]
-                for o in {0, 1} - {j} if len(shapes) == 2 else ():
-                    closed = shapes[o] / (1.0 + shapes[o] * p[o, o])
-                    path = path - p[j, o] * closed * p[o, j]
-                loops.append(shape * path)
-            found.append(ShapedLoops(j + 1, payload_kg, rates, loops))
-    return found
-
-
-def as_system(own: RateFilter, period_s: float) -> control.StateSpace:
-    """Filter as a python-control system."""
-    return control.ss(*(np.array(m) for m in (own.a, own.b, own.c, own.d)), period_s)
-
-
-def _margins(loop: ShapedLoops) -> LoopMargins:
-    """Least margins over the variants, and the crossover of the sliding one.
+def _margins(loop: Sequence[Response], payload_kg: float, period_s: float) -> LoopMargins:
+    """Least margins over the linearisations, and the crossover of the sliding one.
 
     The loop is an integrator around a stable plant, so it is stable at small gain, and stays so up
     to the least gain at which its response reaches −1.
     """
-    every = [
-        control.stability_margins(control.frd(response, loop.rates_rad_s), returnall=True)
-        for response in loop.responses
-    ]
-    gains, phases_deg = (np.concatenate([own[k] for own in every]) for k in (0, 1))
+    rates = frequencies(period_s)
+    margins = [control.stability_margins(control.frd(r, rates), returnall=True) for r in loop]
+    gains, phases_deg = (np.concatenate([m[k] for m in margins]) for k in (0, 1))
     return LoopMargins(
-        payload_kg=loop.payload_kg,
+        payload_kg=payload_kg,
         gain_db=20.0 * float(np.log10(gains.min(initial=np.inf))),
         phase_rad=float(np.radians(np.abs(phases_deg).min(initial=np.inf))),
-        crossover_rad_s=float(every[0][4].min(initial=loop.rates_rad_s[-1])),
+        crossover_rad_s=float(margins[0][4].min(initial=rates[-1])),
     )
 
 
-def stiffness_slopes(
-    twin: TipTwin, inverter: Inverter, found: Inverse, driven: CompiledModel
+def _stiffness_slopes(
+    twin: TipTwin, inverter: Inverter, run: TwinRun, driven: CompiledModel
 ) -> StiffnessSlopes:
-    """Differentiate a plan for one payload by the relative stiffness of the link.
+    """Derivatives of a plan for one payload by the relative stiffness of the link.
 
     `driven`: the link of the observer, driven by measured angles at a known payload.
     """
     stiffer = twin.scaled({STIFFNESS: 1.0 + CHANGE})
     rubbing = twin.scaled({(*DRY_FRICTION, "viscous_friction_"): 1.0 + CHANGE})
-    follows = inverter.on(stiffer).invert_from(found)
-    currents = twin.current_a(found.outputs)
+    follows = inverter.invert_on(stiffer, run)
     unmatched, friction = (
-        twin.current_a(other.run(found.goals_rad, found.payload_kg)) - currents
-        for other in (stiffer, rubbing)
+        other.run(run.goals_rad, run.payload_kg).current_a for other in (stiffer, rubbing)
     )
-    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, found)
-    moved = twin.tip_m(follows.outputs) - twin.tip_m(found.outputs)
-    rate = np.gradient(twin.angle_rad(found.outputs), twin.period_s, axis=0)
+    estimated = _estimated_tip_m(driven, twin, follows) - _estimated_tip_m(driven, twin, run)
+    rate = np.gradient(run.angle_rad, twin.period_s, axis=0)
+
+    def slope(change: Array) -> Columns:
+        return as_columns(change / CHANGE, 5)  # goals to 10 µrad, the tip to 10 µm
+
     return StiffnessSlopes(
-        goals_rad=as_columns((follows.goals_rad - found.goals_rad) / CHANGE, DECIMALS),
-        current_a=as_columns((twin.current_a(follows.outputs) - currents) / CHANGE, DECIMALS),
-        unmatched_a=as_columns(unmatched / CHANGE, DECIMALS),
-        friction_a=as_columns(friction / CHANGE, DECIMALS),
-        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), DECIMALS),
-        unseen_m=as_columns((moved - estimated) / CHANGE, DECIMALS),
+        goals_rad=slope(follows.goals_rad - run.goals_rad),
+        current_a=slope(follows.current_a - run.current_a),
+        unmatched_a=slope(unmatched - run.current_a),
+        friction_a=slope(friction - run.current_a),
+        weight=as_columns(rate**2 / (rate**2 + MOVING_RAD_S**2), 5),
+        unseen_m=slope(follows.tip_m - run.tip_m - estimated),
     )
 
 
-def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, own: Inverse) -> Array:
+def _estimated_tip_m(driven: CompiledModel, twin: TipTwin, run: TwinRun) -> Array:
     """Tip of the observer's link for the joint angles of a run, shape (n, dof)."""
-    angle = twin.angle_rad(own.outputs)
-    u = np.column_stack([angle, np.full(len(angle), own.payload_kg)])
+    u = np.column_stack([run.angle_rad, np.full(len(run.angle_rad), run.payload_kg)])
     p = driven.model.parameter_values()
     y = driven.simulate(u[1:], twin.period_s, p, driven.start(u[0], p))
     places = [names(driven.model.outputs).index(n) for n in ("tip_x_m", "tip_y_m")[: twin.dof]]

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
 from models.plan.paths import Timeline
-from models.plan.tip_twin import TipTwin
+from models.plan.tip_twin import TipTwin, TwinRun
 from models.shared.kinematics import pointing_angles_rad
 
 Array = NDArray[np.float64]
@@ -42,31 +41,16 @@ ENOUGH: Final = 0.97
 """The same ratio above which the search ends, if the derivatives are new [assumed]."""
 
 
-@dataclass(frozen=True)
-class Inverse:
-    """Goals for one payload."""
-
-    payload_kg: float
-    goals_rad: Array  # (n, dof), one row per control period
-    outputs: Array  # (n, outputs), outputs of the twin with these goals
-    residual_rms_m: float  # Distance of its tip from the path
-
-
 class Inverter:
-    """Inversion of a twin along a timeline.
-
-    `reach_m`: length of the rigid link from the joint axes, used for the start.
-    """
+    """Inversion of a twin along a timeline."""
 
     def __init__(
-        self,
-        twin: TipTwin,
-        line: Timeline,
-        reach_m: float,
-        report: Callable[[str], None] = lambda text: None,
+        self, twin: TipTwin, line: Timeline, report: Callable[[str], None] = lambda text: None
     ) -> None:
-        self._twin, self._line, self._reach_m, self._report = twin, line, reach_m, report
-        self._splines = GoalSplines(line, twin.period_s, WEIGHT_M_S2)
+        self._twin, self._line, self._report = twin, line, report
+        self._splines = GoalSplines(
+            line.desired_m.shape, line.rest_rows, twin.period_s, WEIGHT_M_S2
+        )
         self._slopes: Array | None = None  # those of the last payload that was inverted
 
     def pointing_rad(self) -> Array:
@@ -74,62 +58,49 @@ class Inverter:
         offset = self._line.desired_m[0]  # the arm stands there with its goals at zero
         lateral = np.zeros((len(self._line.desired_m), 2))
         lateral[:, : self._twin.dof] = self._line.desired_m - offset
-        height = np.sqrt(np.maximum(self._reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
+        height = np.sqrt(np.maximum(self._twin.reach_m**2 - np.sum(lateral**2, axis=1), 1e-6))
         return pointing_angles_rad(np.column_stack([lateral, height]))[:, : self._twin.dof]
 
-    def response(self, goals_rad: Array, payload_kg: float) -> Inverse:
-        """Response of the twin to goals of shape (n, dof)."""
-        y = self._twin.run(goals_rad, payload_kg)
-        error = self._twin.tip_m(y) - self._line.desired_m
-        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        return Inverse(payload_kg, goals_rad, y, rms)
-
-    def invert(self, payloads_kg: Sequence[float]) -> list[Inverse]:
-        """Goals for each payload, in the order of the payloads.
+    def invert(self, payloads_kg: Sequence[float]) -> list[TwinRun]:
+        """Run of the twin along the path for each payload.
 
         The search begins with the middle payload and goes outwards, each from the solutions for the
         payloads before it.
         """
         middle = len(payloads_kg) // 2
-        found: dict[int, Array] = {}
+        solved: dict[int, Array] = {}
         for k in sorted(range(len(payloads_kg)), key=lambda k: abs(k - middle)):
             inner = k - 1 if k > middle else k + 1
             beyond = 2 * inner - k
-            if inner not in found:
+            if inner not in solved:
                 start = self._splines.fit(self.pointing_rad())
-            elif beyond in found:
+            elif beyond in solved:
                 step_kg = payloads_kg[inner] - payloads_kg[beyond]
                 part = (payloads_kg[k] - payloads_kg[inner]) / step_kg
-                start = found[inner] + part * (found[inner] - found[beyond])
+                start = solved[inner] + part * (solved[inner] - solved[beyond])
             else:
-                start = found[inner]
-            found[k] = self._solved(start, payloads_kg[k])
+                start = solved[inner]
+            solved[k] = self._solve(start, payloads_kg[k], MOST_DERIVATIVES)
             self._report(f"{payloads_kg[k]:g} kg inverted")
-        goals = (self._splines.goals(found[k]) for k in range(len(payloads_kg)))
-        return [self.response(g, m) for g, m in zip(goals, payloads_kg, strict=True)]
+        return [
+            self._twin.run(self._splines.goals(solved[k]), m) for k, m in enumerate(payloads_kg)
+        ]
 
-    def on(self, twin: TipTwin) -> Inverter:
-        """Inversion of another twin of the same plant, with the present derivatives."""
+    def invert_on(self, twin: TipTwin, run: TwinRun) -> TwinRun:
+        """Goals for another twin of the plant, from those of a run, with the present derivatives.
+
+        They are renewed at most once: a link that is a fifth stiffer needs no more.
+        """
         other = copy.copy(self)
         other._twin = twin
-        return other
+        c = other._solve(self._splines.fit(run.goals_rad), run.payload_kg, 1)
+        return twin.run(self._splines.goals(c), run.payload_kg)
 
-    def invert_from(self, found: Inverse) -> Inverse:
-        """Goals for a payload, starting from goals that already nearly follow the path.
-
-        The derivatives are renewed at most once: a link that is a fifth stiffer needs no more.
-        """
-        start = self._splines.fit(found.goals_rad)
-        c = self._solved(start, found.payload_kg, most_derivatives=1)
-        return self.response(self._splines.goals(c), found.payload_kg)
-
-    def _solved(
-        self, start: Array, payload_kg: float, most_derivatives: int = MOST_DERIVATIVES
-    ) -> Array:
+    def _solve(self, start: Array, payload_kg: float, most_derivatives: int) -> Array:
         twin, splines = self._twin, self._splines
 
         def error(c: Array) -> Array:
-            tip = twin.tip_m(twin.run(splines.goals(c), payload_kg))
+            tip = twin.run(splines.goals(c), payload_kg).tip_m
             return np.append(tip - self._line.desired_m, splines.rough @ c)
 
         def slopes(c: Array) -> Array:
@@ -138,6 +109,11 @@ class Inverter:
 
         c, self._slopes = gauss_newton(error, slopes, start, most_derivatives, self._slopes)
         return c
+
+
+def rms(error: Array) -> float:
+    """RMS length of the rows of a table."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 
 
 def gauss_newton(
@@ -180,17 +156,18 @@ def gauss_newton(
 
 
 class GoalSplines:
-    """Cubic B-splines of the goals after the rest of a timeline.
+    """Cubic B-splines of goals of a shape (n, dof) that begin at rest.
 
     `weight_m_s2`: tip error that an acceleration of 1 rad/s² outweighs.
     """
 
-    def __init__(self, line: Timeline, period_s: float, weight_m_s2: float) -> None:
-        rows, self._dof = line.desired_m.shape
-        begin_s, end_s = line.rest_rows * period_s, (rows - 1) * period_s
+    def __init__(
+        self, shape: tuple[int, ...], rest_rows: int, period_s: float, weight_m_s2: float
+    ) -> None:
+        rows, self._dof = shape
+        begin_s, end_s = rest_rows * period_s, (rows - 1) * period_s
         count = max(4, round((end_s - begin_s) / KNOT_S)) - 3
-        knot_s = (end_s - begin_s) / (count + 3)
-        knots = begin_s + knot_s * np.arange(count + 4)
+        knots = begin_s + (end_s - begin_s) / (count + 3) * np.arange(count + 4)
         at_s = np.arange(rows) * period_s
         self.basis, second = np.zeros((rows, count)), np.zeros((rows, count))
         for k in range(count):

@@ -8,7 +8,7 @@ speed. `timeline` adds the rest before a path, the way to it, the way back, and 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,21 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_text
+from firmware_py.files.input_files import read_lines
+from models.shared.numeric_text import read_header, read_numbers
 
 Array = NDArray[np.float64]
 
 SHAPES: Final = ("circle", "figure_eight", "line", "square", "star", "hold", "point_to_point")
 """Names of the built-in paths, beside `text:…`."""
 FOR_ONE_JOINT: Final = ("line", "hold", "point_to_point")
-DEFAULT_SIZE_M: Final = 0.3
-EASE_FRACTION: Final = 0.25
-"""Part of the first and of the last turn in which the speed rises and falls [assumed]."""
-CORNER_RAD: Final = 0.9
-"""Turn of a stroke above which the tip stops at the corner [assumed]."""
-TIME_EXPONENT: Final = 0.6
-"""Exponent of the length of a piece of a stroke in its share of the time: between equal speeds (1)
-and equal accelerations (1/2) [assumed]."""
+FARTHEST_M: Final = 2.0
+LONGEST_S: Final = 600.0
+"""Largest coordinate and longest path [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,7 @@ class DesiredPath:
 class PathOptions:
     """Size, place and time of a built-in path."""
 
-    size_m: float = DEFAULT_SIZE_M  # Half of the largest extent
+    size_m: float = 0.3  # Half of the largest extent
     centre_m: tuple[float, ...] = ()
     seconds: float = 8.0  # Duration of one turn, or of a whole text
     turns: int = 1
@@ -59,9 +55,7 @@ class PathOptions:
 
 
 def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) -> DesiredPath:
-    _check_options(options, dof)
-    _check_name(name, dof)
-    _check_use(options, name, dof)
+    _check(name, dof, options)
     centre = np.zeros(2)
     centre[: len(options.centre_m)] = options.centre_m
     direction = np.array([np.cos(options.angle_rad), np.sin(options.angle_rad)])
@@ -70,9 +64,9 @@ def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) ->
     drawn: tuple[tuple[int, int], ...] = ((0, rows),)
     moves: tuple[tuple[int, int], ...] = ()
     if name.startswith("text:"):
-        tip, drawn = _along(text_strokes(name[5:]), fraction, joined=False)
+        tip, drawn = _along(text_strokes(name[5:]), fraction)
     elif name in _CORNERS:
-        tip, drawn = _along([_polygon(name)] * options.turns, fraction, joined=True)
+        tip, _ = _along([_polygon(name)] * options.turns, fraction)
     elif name == "hold":
         tip = np.tile(direction, (rows, 1))
     elif name == "point_to_point":
@@ -80,46 +74,37 @@ def built_in_path(name: str, dof: int, period_s: float, options: PathOptions) ->
         ends = np.linspace(0, rows - 1, 2 * options.turns + 1).round().astype(int).tolist()
         moves = tuple(pairwise(ends))
     else:
-        turn = options.turns * _eased(fraction, EASE_FRACTION / options.turns)
-        tip = _CURVES[name](2.0 * np.pi * turn, direction)
+        # The speed rises and falls in a quarter of the first and of the last turn [assumed].
+        turn = options.turns * _eased(fraction, 0.25 / options.turns)
+        tip = _curve(name, 2.0 * np.pi * turn, direction)
     tip = options.size_m * tip + centre
     return DesiredPath(name, np.asarray(tip[:, :dof]), drawn, moves)
 
 
-def _check_options(options: PathOptions, dof: int) -> None:
-    for name, value, low, high in (
-        ("--size", options.size_m, 1e-3, 2.0),
-        ("--seconds", options.seconds, 0.5, 600.0),
+def _check(name: str, dof: int, options: PathOptions) -> None:
+    """Refuse an unknown path, and options out of range or without effect."""
+    is_text = name.startswith("text:")
+    if name not in SHAPES and not is_text:
+        remedy = f"choose {', '.join(SHAPES)}, text:… or a CSV file"
+        raise InputError(f"path {name}", "is no built-in path and no CSV file", remedy)
+    if dof == 1 and name not in FOR_ONE_JOINT:
+        remedy = f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints"
+        raise InputError(f"path {name}", "lies in the plane, the arm has one joint", remedy)
+    for option, value, low, high in (
+        ("--size", options.size_m, 1e-3, FARTHEST_M),
+        ("--seconds", options.seconds, 0.5, LONGEST_S),
         ("--turns", options.turns, 1, 100),
-        *(("--centre", value, -2.0, 2.0) for value in options.centre_m),
+        *(("--centre", value, -FARTHEST_M, FARTHEST_M) for value in options.centre_m),
         ("--angle-deg", math.degrees(options.angle_rad), -360.0, 360.0),
         ("--move", options.move_s, 0.0, 0.45 * options.seconds),
     ):
         if not low <= value <= high:
-            raise InputError(name, f"is {value:g}", f"choose {low:g} to {high:g}")
+            raise InputError(option, f"is {value:g}", f"choose {low:g} to {high:g}")
     if len(options.centre_m) > dof:
         raise InputError("--centre", f"has {len(options.centre_m)} coordinates", f"give {dof}")
-
-
-def _check_name(name: str, dof: int) -> None:
-    if name not in SHAPES and not name.startswith("text:"):
-        file = Path(name)
-        if file.is_file():
-            raise InputError(
-                name, f"ends in {file.suffix!r}", "name a CSV file, which ends in .csv"
-            )
-        remedy = f"choose {', '.join(SHAPES)}, text:… or a CSV file"
-        raise InputError(f"path {name}", "is no built-in path and no file", remedy)
-    if dof == 1 and name not in FOR_ONE_JOINT:
-        remedy = f"choose {', '.join(FOR_ONE_JOINT)}, or a bundle for two joints"
-        raise InputError(f"path {name}", "lies in the plane, the arm has one joint", remedy)
-
-
-def _check_use(options: PathOptions, name: str, dof: int) -> None:
-    """Refuse options that would have no effect."""
     turned = f"is for {', '.join(FOR_ONE_JOINT)} of an arm with two joints"
     for option, is_set, has_effect, what in (
-        ("--turns", options.turns != 1, not name.startswith("text:"), "a text is written once"),
+        ("--turns", options.turns != 1, not is_text, "a text is written once"),
         ("--move", options.move_s != 0.0, name == "point_to_point", "is for point_to_point"),
         ("--angle-deg", options.angle_rad != 0.0, name in FOR_ONE_JOINT and dof == 2, turned),
     ):
@@ -142,14 +127,13 @@ def _eased(fraction: Array, ease: float) -> Array:
     return np.asarray(np.interp(fraction, fine, distance / distance[-1]))
 
 
-_CURVES: Final[dict[str, Callable[[Array, Array], Array]]] = {
-    "circle": lambda phase, _: np.column_stack([np.cos(phase), np.sin(phase)]),
-    "figure_eight": lambda phase, _: np.column_stack(
-        [np.sin(phase), np.sin(phase) * np.cos(phase)]
-    ),
-    "line": lambda phase, direction: np.sin(phase)[:, None] * direction,
-}
-"""Shapes of size 1 over the phase; the line is a sinusoid of the time."""
+def _curve(name: str, phase: Array, direction: Array) -> Array:
+    """Shape of size 1 over the phase; the line is a sinusoid of the time."""
+    if name == "circle":
+        return np.column_stack([np.cos(phase), np.sin(phase)])
+    if name == "figure_eight":
+        return np.column_stack([np.sin(phase), np.sin(phase) * np.cos(phase)])
+    return np.asarray(np.sin(phase)[:, None] * direction)
 
 
 def _there_and_back(fraction: Array, options: PathOptions) -> Array:
@@ -172,20 +156,16 @@ def _polygon(name: str) -> Array:
     return np.asarray(corners / np.max(np.abs(corners)))
 
 
-def _along(
-    strokes: Sequence[Array], fraction: Array, *, joined: bool
-) -> tuple[Array, tuple[tuple[int, int], ...]]:
-    """Points along strokes and the connections between them, and the rows of each stroke.
-
-    `joined`: whether the strokes are drawn as one.
-    """
+def _along(strokes: Sequence[Array], fraction: Array) -> tuple[Array, tuple[tuple[int, int], ...]]:
+    """Points along strokes and the connections between them, and the rows of each stroke."""
     pieces: list[tuple[Array, int]] = []  # points, number of the stroke or -1
     for number, stroke in enumerate(strokes):
         if number and not np.allclose(strokes[number - 1][-1], stroke[0]):
             pieces.append((np.array([strokes[number - 1][-1], stroke[0]]), -1))
         pieces += [(piece, number) for piece in _split(stroke)]
     lengths = [np.append(0.0, np.cumsum(np.hypot(*np.diff(p, axis=0).T))) for p, _ in pieces]
-    share = np.array([length[-1] ** TIME_EXPONENT for length in lengths])
+    # Between equal speeds (exponent 1) and equal accelerations (1/2) [assumed]
+    share = np.array([length[-1] ** 0.6 for length in lengths])
     limits = np.concatenate([[0.0], np.cumsum(share / share.sum())])
     tip = np.empty((len(fraction), 2))
     rows: dict[int, list[int]] = {}
@@ -194,96 +174,76 @@ def _along(
         at = quintic((fraction[inside] - limits[k]) / (limits[k + 1] - limits[k])) * length[-1]
         tip[inside] = np.column_stack([np.interp(at, length, points[:, i]) for i in (0, 1)])
         if number >= 0 and len(inside):
-            rows.setdefault(0 if joined else number, []).extend(inside.tolist())
+            rows.setdefault(number, []).extend(inside.tolist())
     return tip, tuple((min(drawn), max(drawn) + 1) for drawn in rows.values())
 
 
 def _split(stroke: Array) -> list[Array]:
-    """Pieces of a stroke between its corners."""
+    """Pieces of a stroke between its corners, which turn by more than 0.9 rad [assumed]."""
     step = np.diff(stroke, axis=0)
     heading = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
-    corners = [0, *(np.flatnonzero(turn > CORNER_RAD) + 1).tolist(), len(stroke) - 1]
+    corners = [0, *(np.flatnonzero(turn > 0.9) + 1).tolist(), len(stroke) - 1]
     return [stroke[a : b + 1] for a, b in pairwise(corners)]
 
 
 WIDTH: Final = 4.0
 HEIGHT: Final = 6.0
-GAP: Final = 1.6
-"""Grid of a letter, and the space between two letters, in units of the grid."""
-ROUNDS: Final = 4
-"""Times that the corners of a round stroke are cut."""
+"""Grid of a letter."""
 GLYPHS: Final[dict[str, str]] = {
     " ": "",
     "A": "002640|1232", "B": "0006|~0646464303|~0343434000", "C": "~444626060000204042",
     "D": "0006|~06464640400000", "E": "46060040|0333", "F": "460600|0333",
     "G": "~44462606000020404043|4323", "H": "0006|4046|0343", "I": "2026", "J": "~464640200002",
     "K": "0006|460340", "L": "060040", "M": "0006234640", "N": "00064046",
-    "O": "~232606000020404046262606", "P": "0006|~0646464303", "Q": "~26060000404046462606|2240",
+    "O": "o", "P": "0006|~0646464303", "Q": "o|2240",
     "R": "0006|~0646464303|2340", "S": "~45462606040343424020000001", "T": "0646|2620",
     "U": "~06060000404046", "V": "062046", "W": "0610233046", "X": "0046|0640",
     "Y": "062346|2320", "Z": "06460040",
-    "0": "~26060000404046462606", "1": "052620", "2": "~0506264644230000|0040",
+    "0": "o", "1": "052620", "2": "~0506264644230000|0040",
     "3": "~0506464643232343434000000001", "4": "30360242", "5": "46060333|~2343434000000001",
     "6": "~4526060000404043432303", "7": "064610", "8": "~2306064646230000404023",
     "9": "~4323030606464640200001", "-": "1333", ".": "2021", "+": "2125|0343", "/": "0046",
 }  # fmt: skip
 """Single-stroke font, made for this project: the strokes of each character, separated by `|`. A
 stroke is a row of points on the grid, two digits each: column, row from below. The corners of one
-that begins with `~` are cut repeatedly (Chaikin 1974)."""
-ROUND_LETTERS: Final = {"O": (2.0, 3.0), "0": (2.0, 3.0), "Q": (2.0, 3.0)}
-"""Characters whose first stroke is an ellipse: its half axes."""
+that begins with `~` are cut repeatedly (Chaikin 1974). The stroke `o` is an ellipse."""
 
 
 def text_strokes(text: str) -> list[Array]:
-    """Strokes of a text in the order of writing, centred, with a largest extent of 2.
-
-    Shapes: each (points, 2).
-    """
+    """Strokes of a text in the order of writing, centred, with a largest extent of 2."""
     unknown = sorted({c for c in text.upper() if c not in GLYPHS})
     if unknown or not text.strip():
         wrong = f"has {' '.join(unknown)!r}, which the font lacks" if unknown else "is empty"
         raise InputError(f"text {text!r}", wrong, "use " + "".join(sorted(GLYPHS)).strip())
     strokes = []
     for place, letter in enumerate(text.upper()):
-        origin = np.array([place * (WIDTH + GAP), 0.0])
-        strokes += [origin + stroke for stroke in _strokes_of(letter)]
+        origin = np.array([place * (WIDTH + 1.6), 0.0])
+        strokes += [origin + _stroke(code) for code in GLYPHS[letter].split("|") if code]
     points = np.concatenate(strokes)
     low, high = points.min(axis=0), points.max(axis=0)
     scale = 2.0 / max(*(high - low), 1e-9)
     return [scale * (stroke - 0.5 * (low + high)) for stroke in strokes]
 
 
-def _strokes_of(letter: str) -> list[Array]:
-    result = []
-    for number, text in enumerate(filter(None, GLYPHS[letter].split("|"))):
-        if letter in ROUND_LETTERS and number == 0:
-            turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
-            half = np.array(ROUND_LETTERS[letter])
-            middle = 0.5 * np.array([WIDTH, HEIGHT])
-            result.append(middle + half * np.column_stack([np.cos(turn), np.sin(turn)]))
-            continue
-        points = np.array([float(c) for c in text.lstrip("~")]).reshape(-1, 2)
-        result.append(_rounded(points) if text.startswith("~") else points)
-    return result
+def _stroke(code: str) -> Array:
+    """Points of a stroke of the font, shape (points, 2)."""
+    if code == "o":
+        turn = 0.5 * np.pi + np.linspace(0.0, 2.0 * np.pi, 49)
+        half = 0.5 * np.array([WIDTH, HEIGHT])
+        return np.asarray(half + half * np.column_stack([np.cos(turn), np.sin(turn)]))
+    points = np.array([float(c) for c in code.lstrip("~")]).reshape(-1, 2)
+    return _rounded(points) if code.startswith("~") else points
 
 
 def _rounded(points: Array) -> Array:
     """Polyline whose corners are cut repeatedly; its ends stay."""
     points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=1))]
-    for _ in range(ROUNDS):
+    for _ in range(4):
         a, b = points[:-1], points[1:]
         cut = np.stack([0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b], axis=1).reshape(-1, 2)
         points = np.concatenate([points[:1], cut, points[-1:]])
     return points
-
-
-FARTHEST_M: Final = 2.0
-"""Largest coordinate of a file, the same as for built-in paths."""
-LONGEST_S: Final = 600.0
-"""Longest path [assumed]."""
-MOST_PATH_BYTES: Final = 10_000_000
-"""Largest file of a path: 600 s at 1 kHz with 16 characters a row [assumed]."""
 
 
 def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
@@ -294,29 +254,24 @@ def read_path(path: Path, dof: int, period_s: float) -> DesiredPath:
     """
     names = ["time_s", "x_m", "y_m"][: dof + 1]
     remedy = f"give the columns {','.join(names)} in s and m"
-    lines = read_text(path, remedy, MOST_PATH_BYTES).split("\n")
-    if [name.strip() for name in lines[0].split(",")] != names:
-        raise InputError(path, f"has the columns {lines[0].strip()[:80]!r}", remedy)
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines[1:], start=2):
-        if not line.strip():
-            continue
-        try:
-            row = [float(cell) for cell in line.split(",")]
-        except ValueError:
-            row = []
-        if len(row) != len(names) or not np.isfinite(row).all():
-            wrong = f"row {number} is {line.strip()[:80]!r}"
-            raise InputError(path, wrong, f"write {len(names)} numbers")
-        if rows and row[0] <= rows[-1][0]:
-            raise InputError(path, f"row {number}: time_s does not rise", "sort the rows by time")
-        if (away_m := max(map(abs, row[1:]))) > FARTHEST_M:
-            wrong = f"row {number} leads {away_m:g} m away"
-            raise InputError(path, wrong, f"give places in m, {FARTHEST_M:g} at most")
-        rows.append(row)
-    if len(rows) < 2:
-        raise InputError(path, f"has {len(rows)} rows", "give 2 or more")
-    time_s, place_m = np.array(rows)[:, 0], np.array(rows)[:, 1:]
+    lines = read_lines(path, remedy)
+    header = read_header(path, next(lines, ""))
+    if header != names:
+        raise InputError(path, f"has the columns {','.join(header)[:80]!r}", remedy)
+    table = read_numbers(path, lines, header, range(len(header)))
+    time_s, place_m = table[:, 0], table[:, 1:]
+    away_m = np.abs(place_m).max(axis=1, initial=0.0)
+    for wrong, what, how in (
+        (np.isnan(table).any(axis=1), "has an empty cell", f"write {len(names)} numbers"),
+        (np.diff(time_s, prepend=-np.inf) <= 0.0, "time_s does not rise", "sort the rows by time"),
+        (away_m > FARTHEST_M, "leads far away", f"give places in m, {FARTHEST_M:g} at most"),
+    ):
+        if wrong.any():
+            row = int(wrong.argmax())
+            values = ",".join(f"{value:g}" for value in table[row])
+            raise InputError(path, f"row {row + 1} below the header, {values}: {what}", how)
+    if len(table) < 2:
+        raise InputError(path, f"has {len(table)} rows", "give 2 or more")
     if not 2 * period_s <= (lasts_s := time_s[-1] - time_s[0]) <= LONGEST_S:
         raise InputError(path, f"lasts {lasts_s:g} s", f"give {2 * period_s:g} to {LONGEST_S:g} s")
 
@@ -338,10 +293,6 @@ LEAD_S: Final = 0.4
 Measured on the twin of the demo, circle of 0.4 m in 8 s: without it 6.6 mm at the start."""
 SETTLE_S: Final = 1.0
 """Rest after the way back, in which the goals return to zero [assumed]."""
-LEAST_WAY_S: Final = 1.5
-"""Shortest time of the way to the path and back [assumed]."""
-WAY_SPEED_M_S: Final = 0.3
-"""Mean speed of a longer way [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -375,13 +326,14 @@ def timeline(path: DesiredPath, rest_tip_m: Array, period_s: float) -> Timeline:
 
 
 def _way(start: Array, end: Array, speed: Array, period_s: float) -> Array:
-    """Quintic from rest at a place to a speed at another, without acceleration; the end is left
-    out.
+    """Quintic from rest at a place to a speed at another, without acceleration and without its
+    last row.
 
     Coefficients from the conditions at both ends, e.g. Spong, Hutchinson and Vidyasagar, *Robot
     Modeling and Control* (2006), section 5.5.2.
     """
-    seconds = max(LEAST_WAY_S, float(np.linalg.norm(end - start)) / WAY_SPEED_M_S)
+    # At least 1.5 s, at a mean speed of 0.3 m/s at most [assumed]
+    seconds = max(1.5, float(np.linalg.norm(end - start)) / 0.3)
     rows = round(seconds / period_s)
     x = (np.arange(rows) / rows)[:, None]
     distance, slope = end - start, speed * rows * period_s

@@ -17,32 +17,34 @@ from firmware_py.goals.tip_plan import TipPlan
 from models.shared.drawing import FILE_STYLE
 from models.shared.palette import INK, MUTED, SERIES
 
-FLATTEST: Final = 0.3
-"""Least height of the picture of a path over its width: a line along an axis would have none."""
+LINES: Final = ("-", "--")
+"""Line of each joint."""
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
-    """Draw a plan as SVG."""
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     ramp = mpl.colormaps["viridis"](np.linspace(0.1, 0.85, len(plan.payloads)))
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
         figure = Figure(figsize=(8.5, 6.5), layout="constrained")
         axes: dict[str, Any] = figure.subplot_mosaic([["path", "error"], ["goals", "current"]])
         _draw_path(axes["path"], plan, ramp)
-        for colour, own in zip(ramp, plan.payloads, strict=True):
-            tip, label = np.transpose(own.tip_m), f"{own.payload_kg:g} kg"
-            away = LENGTH.shown(np.linalg.norm(tip - desired, axis=1))
-            axes["error"].plot(time_s, away, color=colour, lw=0.8, label=label)
-            for j in range(plan.dof):
-                style = ("-", "--")[j]
-                goal, current = own.goals_rad[j], own.current_a[j]
-                axes["goals"].plot(time_s, ANGLE.shown(goal), style, color=colour, lw=0.8)
-                axes["current"].plot(time_s, current, style, color=colour, lw=0.8)
+        for colour, one in zip(ramp, plan.payloads, strict=True):
+            away = LENGTH.shown(np.linalg.norm(np.transpose(one.tip_m) - desired, axis=1))
+            axes["error"].plot(time_s, away, color=colour, lw=0.8)
+            for goal, current, line in zip(one.goals_rad, one.current_a, LINES, strict=False):
+                axes["goals"].plot(time_s, ANGLE.shown(goal), line, color=colour, lw=0.8)
+                axes["current"].plot(time_s, current, line, color=colour, lw=0.8)
+        legend = []
         if plan.probe is not None:
             before_s = plan.period_s * np.arange(-plan.probe.rows, 0)
-            for column, style in zip(plan.probe.goals_rad, ("-", "--"), strict=False):
-                axes["goals"].plot(before_s, ANGLE.shown(column), style, color=MUTED, lw=0.8)
-            axes["goals"].plot([], [], color=MUTED, lw=0.8, label="probing motion")
+            for goal, line in zip(plan.probe.goals_rad, LINES, strict=False):
+                axes["goals"].plot(before_s, ANGLE.shown(goal), line, color=MUTED, lw=0.8)
+            legend = [("probing motion", MUTED, "-")]
+        if plan.dof == 2:
+            legend += [(f"joint {j + 1}", SERIES[0], LINES[j]) for j in (0, 1)]
+        for label, colour, line in legend:
+            axes["goals"].plot([], [], line, color=colour, lw=0.8, label=label)
+        if legend:
             axes["goals"].legend(fontsize="x-small", frameon=False)
         axes["error"].set(xlabel=TIME.label("time"), ylabel=LENGTH.label("predicted tip error"))
         axes["goals"].set(xlabel=TIME.label("time"), ylabel=ANGLE.label("goal"))
@@ -52,42 +54,35 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
             handles, labels, loc="outside lower center", ncols=len(labels), fontsize="small",
             frameon=False,
         )  # fmt: skip
-        most = max(own.residual_rms_m for own in plan.payloads)
-        rigid = [own.rigid_rms_m for own in plan.payloads]
+        most = max(one.residual_rms_m for one in plan.payloads)
+        rigid = [one.rigid_rms_m for one in plan.payloads]
         figure.suptitle(
             f"{plan.path}, {plan.method}: predicted error {LENGTH.number(most, 2)} mm RMS at most; "
             f"rigid kinematics {LENGTH.number(min(rigid))} to {LENGTH.number(max(rigid))} mm"
         )
-        for joint in range(plan.dof if plan.dof > 1 else 0):
-            name = f"joint {joint + 1}"
-            axes["goals"].plot([], [], ("-", "--")[joint], color=SERIES[0], label=name)
-            axes["goals"].legend(fontsize="x-small", frameon=False)
         figure.savefig(path, metadata={"Date": None})
 
 
 def _draw_path(ax: Any, plan: TipPlan, colours: Any) -> None:
-    """Draw path and predicted tips: for two joints in the plane, without the tips' way there and
-    back.
-    """
-    desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
-    both = plan.dof == 2
-    drawn = plan.drawn if both else ((0, plan.rows),)
-    if both:
-        ax.plot(*desired.T, color=MUTED, lw=0.7, ls=":", label="way")
-    own = [
-        (c, p.tip_m, f"{p.payload_kg:g} kg") for c, p in zip(colours, plan.payloads, strict=True)
-    ]
-    for colour, columns, label in [(INK, plan.desired_m, "desired"), *own]:
-        tip, width = np.transpose(columns), 1.6 if label == "desired" else 0.8
-        for start, end in drawn:
-            line = tip[start:end].T if both else (time_s, tip[:, 0])
-            ax.plot(*line, color=colour, lw=width, label=label if start == drawn[0][0] else None)
-    if both:
-        ax.set(xlabel=POSITION.label("tip x"), ylabel=POSITION.label("tip y"), aspect="equal")
-        least = FLATTEST * float(np.max(np.ptp(desired, axis=0)))
-        for values, put in zip(desired.T, (ax.set_xlim, ax.set_ylim), strict=True):
-            if np.ptp(values) < least:
-                middle = 0.5 * float(values.min() + values.max())
-                put(middle - 0.5 * least, middle + 0.5 * least)
-    else:
+    """Path and predicted tips: in the plane, without the ways; or one coordinate over time."""
+    curves = [(INK, 1.6, "desired", plan.desired_m)]
+    for colour, one in zip(colours, plan.payloads, strict=True):
+        curves.append((colour, 0.8, f"{one.payload_kg:g} kg", one.tip_m))
+    if plan.dof == 1:
+        time_s = plan.period_s * np.arange(plan.rows)
+        for colour, width, label, (x,) in curves:
+            ax.plot(time_s, x, color=colour, lw=width, label=label)
         ax.set(xlabel=TIME.label("time"), ylabel=POSITION.label("tip x"))
+        return
+    ax.plot(*plan.desired_m, color=MUTED, lw=0.7, ls=":", label="way")
+    for colour, width, label, (x, y) in curves:
+        for start, end in plan.drawn:
+            name = label if start == plan.drawn[0][0] else None
+            ax.plot(x[start:end], y[start:end], color=colour, lw=width, label=name)
+    ax.set(xlabel=POSITION.label("tip x"), ylabel=POSITION.label("tip y"), aspect="equal")
+    # A line along an axis gets some height and width.
+    least = 0.3 * float(np.max(np.ptp(plan.desired_m, axis=1)))
+    for values, set_limits in zip(plan.desired_m, (ax.set_xlim, ax.set_ylim), strict=True):
+        if np.ptp(values) < least:
+            middle = 0.5 * (min(values) + max(values))
+            set_limits(middle - 0.5 * least, middle + 0.5 * least)

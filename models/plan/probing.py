@@ -12,7 +12,6 @@ those in which stiffness and payload stand out from all of that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,35 +22,24 @@ from firmware_py.goals.probe_design import ProbeDesign
 from firmware_py.goals.tip_plan import as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits
-from models.plan.tip_twin import MOVING_RAD_S, TipTwin
+from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun
 from models.plant.linear_twin import STIFFNESS, linearise, link_modes
 from models.plant.plant import Plant
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Tone:
-    """Tone of the motion, with an amplitude that rises and falls."""
-
-    over_mode: float  # Frequency over that of the first mode with the heaviest payload
-    amplitude_rad: float
-    begin: float
-    end: float
-
-
 TONES: Final = (
-    Tone(0.54, 0.030, 0.0, 1.0),
-    Tone(1.08, 0.012, 0.0, 0.67),
-    Tone(1.62, 0.012, 0.25, 0.92),
-    Tone(2.20, 0.010, 0.5, 1.0),
+    (0.54, 0.030, 0.0, 1.0),
+    (1.08, 0.012, 0.0, 0.67),
+    (1.62, 0.012, 0.25, 0.92),
+    (2.20, 0.010, 0.5, 1.0),
 )
-"""The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
+"""Tones by their frequency over that of the first mode with the heaviest payload, amplitude in rad,
+and the parts of the motion between which the amplitude rises and falls.
+
+The tone near the mode of heavy payloads comes first, because they swing for long; light payloads
 have their mode near the last ones and come to rest soon. Chosen on rigs with 0.85 to 1.25 times the
 stiffness, 0.8 and 1.3 times the damping, 0.4 and 1.3 kg: tones of one amplitude over the whole
 motion are no more informative and leave 20 mm of swing after it instead of 6 mm."""
-LIGHT: Final = 0.3
-"""Damping ratio below which the tones excite the mode [assumed]."""
 PERIODS: Final = 4.44
 REST_PERIODS: Final = 3.0
 """Duration of the tones and of the rest after them in periods of the first mode with the heaviest
@@ -79,8 +67,6 @@ one value for each joint [assumed]."""
 UNKNOWN_DELAY_S: Final = 0.002
 UNKNOWN_BIAS_A: Final = 0.05
 """The same for the timing of the currents and a constant offset of each [assumed]."""
-ROOM: Final = 0.9
-"""Part of the limits of current and following error that the predicted motion may use [assumed]."""
 
 
 def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
@@ -92,11 +78,11 @@ def probe_goals(mode_rad_s: float, dof: int, period_s: float) -> Array:
     rows, still = (round(n * period_rows) for n in (PERIODS, REST_PERIODS))
     angle, part = mode_rad_s * period_s * np.arange(rows), np.arange(rows) / (rows - 1)
     goals = np.zeros((rows + still, dof))
-    for k, tone in enumerate(TONES):
-        inside = np.clip((part - tone.begin) / (tone.end - tone.begin), 0.0, 1.0)
-        size = tone.amplitude_rad * np.sin(np.pi * inside) ** 2
+    for k, (over_mode, amplitude_rad, begin, end) in enumerate(TONES):
+        inside = np.clip((part - begin) / (end - begin), 0.0, 1.0)
+        size = amplitude_rad * np.sin(np.pi * inside) ** 2
         for j in range(dof):
-            goals[:rows, j] += size * np.sin(tone.over_mode * angle + 0.5 * np.pi * j + k)
+            goals[:rows, j] += size * np.sin(over_mode * angle + 0.5 * np.pi * j + k)
     return goals
 
 
@@ -104,9 +90,10 @@ def design_probe(
     plant: Plant, twin: TipTwin, payloads_kg: Sequence[float], limits: Limits
 ) -> ProbeDesign:
     linear = linearise(plant, payloads_kg[-1], dof=twin.dof, period_s=twin.period_s)
-    light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < LIGHT]
+    # Modes that the tones can excite, by their damping ratio [assumed]
+    light = [m.frequency_rad_s for m in link_modes(linear) if m.damping < 0.3]
     mode_rad_s = min(light, default=np.inf)
-    if mode_rad_s * TONES[-1].over_mode * twin.period_s > 0.5 * np.pi:
+    if mode_rad_s * TONES[-1][0] * twin.period_s > 0.5 * np.pi:
         raise InputError("--probe", "finds no slow mode of the link", "leave it out")
     goals = probe_goals(mode_rad_s, twin.dof, twin.period_s)
     over_study = (plant.link or STUDY_LINK).payload_kg / STUDY_LINK.payload_kg
@@ -117,9 +104,9 @@ def design_probe(
     for change in STIFFNESS_GRID:
         other = twin.scaled({STIFFNESS: 1.0 + change})
         for mass in masses:
-            y = other.run(goals, mass)
-            _check(other, goals, y, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
-            currents.append(other.current_a(y).T.ravel())
+            run = other.run(goals, mass)
+            _check(run, limits, f"{mass:g} kg and {1.0 + change:g} times the stiffness")
+            currents.append(run.current_a.T.ravel())
     factor = np.linalg.cholesky(_noise(twin, goals, payloads_kg))
     white = np.linalg.solve(factor, np.transpose(currents)).T
     _, _, directions = np.linalg.svd(white - white.mean(axis=0), full_matrices=False)
@@ -131,7 +118,7 @@ def design_probe(
         weights=tuple(as_columns(w.T, 5) for w in weights),
         stiffness=tuple(np.round(STIFFNESS_GRID, 6).tolist()),
         payloads_kg=tuple(np.round(masses, 6).tolist()),
-        expected=tuple(tuple(tuple(f) for f in own) for own in np.round(expected, 4).tolist()),
+        expected=tuple(tuple(map(tuple, row)) for row in np.round(expected, 4).tolist()),
     )
 
 
@@ -142,9 +129,8 @@ def expected_deviation(probe: ProbeDesign, payload_kg: float, *, known: bool = F
     """
     p, masses = np.array(probe.expected), np.array(probe.payloads_kg)
     i = int(np.argmin(np.abs(probe.stiffness)))
-    j = min(max(int(np.argmin(np.abs(masses - payload_kg))), 1), len(masses) - 2)
-    by_k = (p[i + 1, j] - p[i - 1, j]) / (probe.stiffness[i + 1] - probe.stiffness[i - 1])
-    by_m = (p[i, j + 1] - p[i, j - 1]) / (masses[j + 1] - masses[j - 1])
+    j = int(np.clip(np.argmin(np.abs(masses - payload_kg)), 1, len(masses) - 2))
+    by_k, by_m = (g[i, j] for g in np.gradient(p, probe.stiffness, masses, axis=(0, 1)))
     information = by_k @ by_k - (0.0 if known else (by_k @ by_m) ** 2 / (by_m @ by_m))
     return float(1.0 / np.sqrt(max(information, 1e-12)))
 
@@ -161,16 +147,16 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
     masses = payloads_kg[0], 0.5 * (payloads_kg[0] + payloads_kg[-1]), payloads_kg[-1]
     slopes, slowest = [], np.full((rows, dof), np.inf)
     for mass in masses:
-        y = twin.run(goals, mass)
-        current = twin.current_a(y)
-        slowest = np.minimum(slowest, np.abs(np.gradient(twin.angle_rad(y), twin.period_s, axis=0)))
+        run = twin.run(goals, mass)
+        rate = np.abs(np.gradient(run.angle_rad, twin.period_s, axis=0))
+        slowest = np.minimum(slowest, rate)
         for begins, deviation in UNKNOWN.items():
             step = min(0.05, 0.1 * deviation)
-            for own in twin.parameters(begins) if begins.endswith("_") else (begins,):
-                other = twin.scaled({own: 1.0 + step})
-                change = other.current_a(other.run(goals, mass)) - current
+            for name in twin.parameters(begins) if begins.endswith("_") else (begins,):
+                other = twin.scaled({name: 1.0 + step})
+                change = other.run(goals, mass).current_a - run.current_a
                 slopes.append(deviation / step * change)
-        late = UNKNOWN_DELAY_S * np.gradient(current, twin.period_s, axis=0)
+        late = UNKNOWN_DELAY_S * np.gradient(run.current_a, twin.period_s, axis=0)
         slopes += [late * unit for unit in np.eye(dof)]
     resting = RESTING_A**2 * MOVING_RAD_S**2 / np.maximum(slowest**2, 1e-4)
     total += np.diag(np.minimum(resting, 1.0).T.ravel())
@@ -179,18 +165,16 @@ def _noise(twin: TipTwin, goals: Array, payloads_kg: Sequence[float]) -> Array:
     return np.asarray(total + np.kron(np.eye(dof), np.full((rows, rows), UNKNOWN_BIAS_A**2)))
 
 
-def _check(twin: TipTwin, goals: Array, outputs: Array, limits: Limits, whose: str) -> None:
-    """Refuse a motion whose predicted currents or angles come near the limits."""
-    current = float(np.max(np.abs(twin.current_a(outputs))))
-    if current > ROOM * limits.current_a:
-        raise InputError(
-            "--probe", f"takes {current:.2f} A with {whose}, {ROOM:.0%} of limits.current_a are "
-            f"{ROOM * limits.current_a:.2f} A", "leave it out, or widen the limit",
-        )  # fmt: skip
-    away = float(np.max(np.abs(twin.angle_rad(outputs)[1:] - goals[:-1])))
-    if away > ROOM * limits.following_error_rad:
-        raise InputError(
-            "--probe", f"leaves joints {away:.3f} rad from their goals with {whose}, {ROOM:.0%} of "
-            f"limits.following_error_rad are {ROOM * limits.following_error_rad:.3f} rad",
-            "leave it out, or widen the limit",
-        )  # fmt: skip
+def _check(run: TwinRun, limits: Limits, whose: str) -> None:
+    """Refuse a motion whose predicted currents or angles use more than 0.9 of the limits."""
+    current_a = np.max(np.abs(run.current_a))
+    away_rad = np.max(np.abs(run.angle_rad[1:] - run.goals_rad[:-1]))
+    for value, unit, limit, name in (
+        (current_a, "A of current", limits.current_a, "current_a"),
+        (away_rad, "rad of following error", limits.following_error_rad, "following_error_rad"),
+    ):
+        if value > 0.9 * limit:
+            raise InputError(
+                "--probe", f"takes {value:.3g} {unit} with {whose}, more than 90% of "
+                f"limits.{name}, {limit:g}", "leave it out, or widen the limit",
+            )  # fmt: skip

@@ -11,33 +11,47 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.errors import InputError
+from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel
-from models.plant.step_model import StepModel, Variable, names
+from models.plant.step_model import Variable, names
 
 Array = NDArray[np.float64]
-PROBE_RAD: Final = 1e-3
-"""Difference of goals over which the slope of the resting tip is taken."""
 MOVING_RAD_S: Final = 0.1
 """Joint rate below which dry friction can take any value: at this rate a sample of the current has
 half its weight. It is the observer's `learning_rate_rad_s`."""
 
 
+@dataclass(frozen=True)
+class TwinRun:
+    """Run of a twin, one row per control period."""
+
+    payload_kg: float
+    goals_rad: Array  # (n, dof)
+    angle_rad: Array  # (n, dof)
+    current_a: Array  # (n, dof)
+    position_m: Array  # (n, 3), tip in the world frame
+    tip_m: Array  # (n, dof), its planned coordinates: x, and y with two joints
+
+
 class TipTwin:
-    """The twin of a plant, driven by goals, with its tip in the horizontal plane.
+    """The twin of a plant of the link, driven by goals, with its tip in the horizontal plane."""
 
-    `model`: twin with the inputs `goal_j_rad` and `payload_kg` and the outputs `tip_x_m`,
-    `tip_y_m`.
-    """
-
-    def __init__(self, model: StepModel, dof: int, period_s: float) -> None:
+    def __init__(self, plant: Plant, dof: int, period_s: float) -> None:
+        if plant.load != "link":
+            raise InputError(
+                f"plant {plant.name!r}", "is not the link", "plans are made for the link alone"
+            )
+        model = plant.step_model(dof)
         self.dof, self.period_s = dof, period_s
+        self.reach_m = sum(plant.parameters[n].value for n in ("base_offset_m", "link_length_m"))
         self._model, self._plain = model, CompiledModel(model)
         self._p = model.parameter_values()
         outputs = names(model.outputs)
@@ -60,48 +74,34 @@ class TipTwin:
         """Names of the parameters with that beginning."""
         return [n for n in names(self._model.parameters) if n.startswith(begins)]
 
-    def run(self, goals_rad: Array, payload_kg: float) -> Array:
-        """Outputs at every row of a table of goals (n, dof), shape (n, outputs).
-
-        The twin starts at rest at the first row.
-        """
+    def run(self, goals_rad: Array, payload_kg: float) -> TwinRun:
+        """Run of a table of goals (n, dof), from rest at the first row."""
         u = np.column_stack([goals_rad, np.full(len(goals_rad), payload_kg)])
         x = self._plain.start(u[0], self._p)
-        return self._plain.simulate(u[:-1], self.period_s, self._p, x)
-
-    def tip_m(self, outputs: Array) -> Array:
-        """Planned coordinates of the tip, from outputs, shape (n, dof)."""
-        return outputs[:, self._tip3[: self.dof]]
-
-    def tip_in_space_m(self, outputs: Array) -> Array:
-        """Tip in the world frame, from outputs, shape (n, 3)."""
-        return outputs[:, self._tip3]
-
-    def current_a(self, outputs: Array) -> Array:
-        """Motor currents, from outputs, shape (n, dof)."""
-        return outputs[:, self._current]
-
-    def angle_rad(self, outputs: Array) -> Array:
-        """Joint angles, from outputs, shape (n, dof)."""
-        return outputs[:, self._angle]
+        y = self._plain.simulate(u[:-1], self.period_s, self._p, x)
+        return TwinRun(
+            payload_kg, goals_rad, y[:, self._angle], y[:, self._current], y[:, self._tip3],
+            y[:, self._tip3[: self.dof]],
+        )  # fmt: skip
 
     def resting_tip_m(self, goal_rad: Array, payload_kg: float) -> Array:
-        """Tip of the arm at rest at goals of shape (dof,), shape (dof,)."""
-        return np.asarray(self.tip_m(self.run(np.tile(goal_rad, (2, 1)), payload_kg))[0])
+        """Tip of the relaxed arm at goals of shape (dof,), shape (dof,)."""
+        return np.asarray(self.run(np.tile(goal_rad, (2, 1)), payload_kg).tip_m[0])
 
     def resting_slope(self, goal_rad: Array, payload_kg: float) -> Array:
-        """Derivatives of the resting tip by the goals, shape (dof, dof)."""
+        """Derivatives of the resting tip by the goals, by differences, shape (dof, dof)."""
+        step_rad = 1e-3
         tip = self.resting_tip_m(goal_rad, payload_kg)
-        probes = (goal_rad + PROBE_RAD * unit for unit in np.eye(self.dof))
+        probes = (goal_rad + step_rad * unit for unit in np.eye(self.dof))
         return np.column_stack(
-            [(self.resting_tip_m(p, payload_kg) - tip) / PROBE_RAD for p in probes]
+            [(self.resting_tip_m(p, payload_kg) - tip) / step_rad for p in probes]
         )
 
     def slopes(self, goals_rad: Array, basis: Array, payload_kg: float) -> Array:
         """Derivatives of the tip by the coefficients of the goals, shape (n, dof, dof * count).
 
-        `basis`, shape (n, count): value of each basis function at each row; every joint has its own
-        coefficients.
+        `basis`, shape (n, count): value of each basis function at each row. The coefficients of the
+        first joint come first.
         """
         stepper, sizes, count = self._stepper, len(self._model.states), basis.shape[1]
         payload, tip = np.array([[payload_kg]]), self._tip3[: self.dof]
@@ -120,17 +120,18 @@ class TipTwin:
 
     @functools.cached_property
     def _stepper(self) -> CompiledModel:
-        """One step of the model, with its initial state and the held goals as parameters."""
+        """One step of the model, with its initial state and the goals as parameters."""
         model = self._model
         states = tuple(Variable(f"start_of_{v.name}", v.unit) for v in model.states)
         goals = tuple(Variable(f"held_goal_{j + 1}_rad", "rad") for j in range(self.dof))
         known, size = len(model.parameters), len(model.states)
 
-        def own(u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
+        # The model's inputs are the goals and, last, the payload.
+        def inputs_and_parameters(u: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
             return ca.vertcat(p[known + size :], u), p[:known]
 
         name, parameters = f"{model.name}_one_step", model.parameters + states + goals
-        driven = model.rewired(name, (model.inputs[-1],), parameters, own)
+        driven = model.rewired(name, (model.inputs[-1],), parameters, inputs_and_parameters)
         x, u, p = ca.SX.sym("x", size), ca.SX.sym("u"), ca.SX.sym("p", len(parameters))
         driven = replace(
             driven,

@@ -31,14 +31,11 @@ TARGETS: Final[Mapping[str, str]] = {
     "aarch64-darwin": "aarch64-macos.11.0",
 }
 """Zig's names of platforms, by those of FMI 3.0: Linux with the glibc of 2012, macOS 11."""
-
 CACHE: Final = Path(__file__).parents[2] / "build" / "cache"
 """Directory of compiled libraries, by hash of sources, headers, options and compiler."""
-
 OPTIONS_VARIABLE: Final = "DROPSTITCH_CC_OPTIONS"
 """Environment variable with further options. "-O0" compiles large models in a tenth of the
 time; the code is four times slower and gives the same bits. The tests of short runs use it."""
-
 _FLAGS: Final = (
     "-O2", "-std=c99", "-ffp-contract=off", "-fvisibility=hidden",
     "-fno-sanitize=undefined", "-DCASADI_SYMBOL_EXPORT=", "-s", "-Wl,--build-id=none",
@@ -47,29 +44,8 @@ _FLAGS: Final = (
 )  # fmt: skip
 
 
-_LIBRARY: Final = ("-fPIC", "-shared")
-
-_Compile = Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None]
-"""Function of sources, output, directories of headers, and options."""
-
-
-def target_here() -> str:
-    """Return Zig's name of the platform of this process."""
-    here = platform_here()
-    if here not in TARGETS:
-        raise InputError(
-            f"platform {here}", "is none that models are compiled for",
-            f"use a machine of {', '.join(TARGETS)}",
-        )  # fmt: skip
-    return TARGETS[here]
-
-
 def load_library(
-    write_sources: Callable[[Path], Sequence[Path]],
-    *,
-    include: Sequence[Path] = (),
-    flags: Sequence[str] = (),
-    at_once: bool = False,
+    write_sources: Callable[[Path], Sequence[Path]], flags: Sequence[str] = ()
 ) -> ctypes.CDLL:
     """Compile C sources for this machine and load the library.
 
@@ -79,8 +55,8 @@ def load_library(
     with TemporaryDirectory(prefix="dropstitch-", ignore_cleanup_errors=True) as scratch:
         directory = Path(scratch)
         path = compile_library(
-            write_sources(directory), directory / "model.so", include=[directory, *include],
-            flags=flags, at_once=at_once,
+            write_sources(directory), directory / "model.so", include=[directory], flags=flags,
+            at_once=True,
         )  # fmt: skip
         try:
             return ctypes.CDLL(str(path))  # stays mapped when the file is deleted
@@ -106,28 +82,39 @@ def compile_library(
     `flags` defines CASADI_SYMBOL_EXPORT. `target` is zig's name of the platform, by default this
     machine's. `at_once` compiles two sources at a time.
     """
-    target = target or target_here()
-    options = [*_FLAGS, *_LIBRARY, *flags, *compiler_options(), "-target", target]
-    compile_ = _compile_at_once if at_once else _compile
-    return _compile_cached(sources, output, include, options, compile_)
+    options = [*_FLAGS, "-fPIC", "-shared", *flags, *compiler_options()]
+    options += ["-target", target or _target_here()]
+    return _cached(sources, output, include, options, _compile_at_once if at_once else _compile)
 
 
 def compile_program(
     source: Path, output: Path, *, target: str, include: Sequence[Path] = ()
 ) -> Path:
     """Compile one C source into a program that links to the C library dynamically."""
-    _compile_cached([source], output, include, [*_FLAGS, "-target", target], _compile)
+    _cached([source], output, include, [*_FLAGS, "-target", target], _compile)
     output.chmod(0o755)
     return output
 
 
-def _compile_cached(
-    sources: Sequence[Path],
-    output: Path,
-    include: Sequence[Path],
-    options: Sequence[str],
-    compile_: _Compile,
-) -> Path:
+def compiler_options() -> list[str]:
+    """Additional options of the compiler, from the environment."""
+    return os.environ.get(OPTIONS_VARIABLE, "").split()
+
+
+def _target_here() -> str:
+    here = platform_here()
+    if here not in TARGETS:
+        raise InputError(
+            f"platform {here}", "is none that models are compiled for",
+            f"use a machine of {', '.join(TARGETS)}",
+        )  # fmt: skip
+    return TARGETS[here]
+
+
+def _cached(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str],
+    compile_: Callable[[Sequence[Path], Path, Sequence[Path], Sequence[str]], None],
+) -> Path:  # fmt: skip
     cached = CACHE / f"{_key(sources, include, options)}{output.suffix}"
     if not cached.is_file():
         CACHE.mkdir(parents=True, exist_ok=True)
@@ -140,9 +127,30 @@ def _compile_cached(
     return output
 
 
-def compiler_options() -> list[str]:
-    """Additional options of the compiler, from the environment."""
-    return os.environ.get(OPTIONS_VARIABLE, "").split()
+def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str]) -> str:
+    """Hash of sources, headers in the include directories, options and compiler version."""
+    digest = hashlib.sha256(importlib.metadata.version("ziglang").encode())
+    digest.update("\0".join(options).encode())
+    headers = sorted(h for directory in include for h in directory.glob("*.h"))
+    for path in (*sources, *headers):
+        digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _compile_at_once(
+    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
+) -> None:
+    """Compile two sources at a time, each in a compiler process, and link them."""
+    objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
+    alone = [option for option in options if option not in ("-shared", "-s")]
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [
+            pool.submit(_compile, [source], path, include, [*alone, "-c"])
+            for source, path in zip(sources, objects, strict=True)
+        ]
+        for job in jobs:
+            job.result()
+    _compile(objects, output, include, options)
 
 
 def _compile(
@@ -152,39 +160,9 @@ def _compile(
         sys.executable, "-m", "ziglang", "cc", *options,
         *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, env=_environment(), check=False)
+    environment = dict(os.environ)
+    if not environment.get("HOME"):  # Zig's cache is in the home directory by default
+        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
-
-
-def _compile_at_once(
-    sources: Sequence[Path], output: Path, include: Sequence[Path], options: Sequence[str]
-) -> None:
-    """Compile two sources at a time, each in a compiler process of its own."""
-    objects = [output.with_name(f"{k}_{path.stem}.o") for k, path in enumerate(sources)]
-    alone = [option for option in options if option not in ("-shared", "-s")]
-    with ThreadPoolExecutor(2) as pool:
-        for done in [
-            pool.submit(_compile, [source], path, include, [*alone, "-c"])
-            for source, path in zip(sources, objects, strict=True)
-        ]:
-            done.result()
-    _compile(objects, output, include, options)
-
-
-def _environment() -> dict[str, str]:
-    """Environment of the compiler; without a home directory, its cache is in `CACHE`."""
-    environment = dict(os.environ)
-    if not environment.get("HOME"):
-        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
-    return environment
-
-
-def _key(sources: Sequence[Path], include: Sequence[Path], options: Sequence[str]) -> str:
-    """Hash of sources, headers in the include directories, options and compiler version."""
-    digest = hashlib.sha256(importlib.metadata.version("ziglang").encode())
-    digest.update("\0".join(options).encode())
-    headers = sorted(h for directory in include for h in directory.glob("*.h"))
-    for path in (*sources, *headers):
-        digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
-    return digest.hexdigest()[:32]

@@ -27,7 +27,7 @@ LEAK_TIME_S: Final = 10.0
 """Time in which the leaking fraction is lost."""
 
 
-class EffectRow(NamedTuple):
+class Row(NamedTuple):
     """Row of the catalogue."""
 
     port: Port  # Place where the effect acts
@@ -36,67 +36,51 @@ class EffectRow(NamedTuple):
     size: float = math.nan  # Strength that would be noticed on the bench; NaN for none
 
 
-CATALOGUE: Final[dict[str, EffectRow]] = {
-    "coulomb_friction": EffectRow("servo_torque", "N.m", "dry friction torque at the output", 2),
-    "viscous_friction": EffectRow("servo_torque", "N.m.s/rad", "friction torque per joint rate", 3),
-    "stribeck_friction": EffectRow("servo_torque", "N.m", "extra friction near standstill", 3),
-    "stiction": EffectRow("servo_torque", "N.m", "breakaway torque above sliding friction", 3),
-    "load_dependent_friction": EffectRow(
-        "servo_torque", "1", "friction per transmitted torque", 0.08
-    ),
-    "cogging": EffectRow("servo_torque", "N.m", "amplitude of the torque periodic in the angle", 2),
-    "backlash": EffectRow("servo_torque", "rad", "full backlash of the gear", 0.006),
-    "joint_elasticity": EffectRow("servo_torque", "rad/(N.m)", "gear wind-up per torque", 0.0005),
-    "dead_time": EffectRow(
-        "command", "s", "delay of the goal on its way to the servo's loop", 0.03
-    ),
-    "position_gain_change": EffectRow(
-        "command", "1", "relative change of the position loop's gain", 0.2
-    ),
-    "current_saturation": EffectRow("command", "A", "reduction of the current limit", 7),
-    "torque_constant_drift": EffectRow(
-        "servo_torque", "1", "relative loss of torque per ampere", 0.1
-    ),
-    "unmodelled_payload": EffectRow(
-        "mass", "kg", "mass at the tip beyond the declared payload", 0.3
-    ),
-    "payload_offset": EffectRow("mass", "1", "payload's offset towards +x per link length", 0.03),
-    "prebend": EffectRow("bend_torque", "rad", "bend of the unloaded link towards +x", 0.03),
-    "directional_stiffness": EffectRow(
-        "stiffness", "1", "stiffer for positive bend, softer else", 0.15
-    ),
-    "stiffness_softening": EffectRow("stiffness", "1", "stiffness lost at 0.1 rad of bend", 0.15),
-    "stiffness_hardening": EffectRow("stiffness", "1", "stiffness gained at 0.1 rad of bend", 0.3),
-    "pressure_leak": EffectRow("stiffness", "1", "fraction of stiffness lost per 10 s", 0.1),
-    "hysteresis": EffectRow("bend_torque", "1", "Bouc-Wen fraction of the bending stiffness", 0.3),
-    "creep": EffectRow("bend_torque", "1", "relaxing fraction of the stiffness", 0.3),
-    "aerodynamic_drag": EffectRow("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic", 2),
-    "cross_axis_coupling": EffectRow(
-        "bend_torque", "1", "torque of one plane per other plane's", 0.2
-    ),
-    "encoder_offset": EffectRow(
+CATALOGUE: Final[dict[str, Row]] = {
+    "coulomb_friction": Row("servo_torque", "N.m", "dry friction torque at the output", 2),
+    "viscous_friction": Row("servo_torque", "N.m.s/rad", "friction torque per joint rate", 3),
+    "stribeck_friction": Row("servo_torque", "N.m", "extra friction near standstill", 3),
+    "stiction": Row("servo_torque", "N.m", "breakaway torque above sliding friction", 3),
+    "load_dependent_friction": Row("servo_torque", "1", "friction per transmitted torque", 0.08),
+    "cogging": Row("servo_torque", "N.m", "amplitude of the torque periodic in the angle", 2),
+    "backlash": Row("servo_torque", "rad", "full backlash of the gear", 0.006),
+    "joint_elasticity": Row("servo_torque", "rad/(N.m)", "gear wind-up per torque", 0.0005),
+    "dead_time": Row("command", "s", "delay of the goal on its way to the servo's loop", 0.03),
+    "position_gain_change": Row("command", "1", "relative change of the position loop's gain", 0.2),
+    "current_saturation": Row("command", "A", "reduction of the current limit", 7),
+    "torque_constant_drift": Row("servo_torque", "1", "relative loss of torque per ampere", 0.1),
+    "unmodelled_payload": Row("mass", "kg", "mass at the tip beyond the declared payload", 0.3),
+    "payload_offset": Row("mass", "1", "payload's offset towards +x per link length", 0.03),
+    "prebend": Row("bend_torque", "rad", "bend of the unloaded link towards +x", 0.03),
+    "directional_stiffness": Row("stiffness", "1", "stiffer for positive bend, softer else", 0.15),
+    "stiffness_softening": Row("stiffness", "1", "stiffness lost at 0.1 rad of bend", 0.15),
+    "stiffness_hardening": Row("stiffness", "1", "stiffness gained at 0.1 rad of bend", 0.3),
+    "pressure_leak": Row("stiffness", "1", "fraction of stiffness lost per 10 s", 0.1),
+    "hysteresis": Row("bend_torque", "1", "Bouc-Wen fraction of the bending stiffness", 0.3),
+    "creep": Row("bend_torque", "1", "relaxing fraction of the stiffness", 0.3),
+    "aerodynamic_drag": Row("joint_torque", "N.m", "drag torque at 1 rad/s, quadratic", 2),
+    "cross_axis_coupling": Row("bend_torque", "1", "torque of one plane per other plane's", 0.2),
+    "encoder_offset": Row(
         "sensor", "rad", "constant error of the measured angle, which the servo controls", 0.02
     ),
-    "encoder_ripple": EffectRow(
-        "sensor", "rad", "amplitude of the encoder's periodic error", 0.004
-    ),
-    "load_offset": EffectRow("joint_torque", "N.m", "constant torque on the joint", 3),
-    "current_bias": EffectRow("sensor", "A", "constant error of the measured current", 0.2),
-    "current_scale": EffectRow("sensor", "1", "relative error of the measured current", 0.1),
-    "marker_frame_tilt": EffectRow("sensor", "rad", "tilt of the mocap frame about y", 0.015),
-    "marker_scale": EffectRow("sensor", "1", "relative error of the mocap's scale", 0.01),
-    "sync_offset": EffectRow("sensor", "s", "delay of the mocap behind the servo", 0.03),
-    "sensor_lag": EffectRow("sensor", "s", "low-pass time of the measured current", 0.02),
-}
+    "encoder_ripple": Row("sensor", "rad", "amplitude of the encoder's periodic error", 0.004),
+    "load_offset": Row("joint_torque", "N.m", "constant torque on the joint", 3),
+    "current_bias": Row("sensor", "A", "constant error of the measured current", 0.2),
+    "current_scale": Row("sensor", "1", "relative error of the measured current", 0.1),
+    "marker_frame_tilt": Row("sensor", "rad", "tilt of the mocap frame about y", 0.015),
+    "marker_scale": Row("sensor", "1", "relative error of the mocap's scale", 0.01),
+    "sync_offset": Row("sensor", "s", "delay of the mocap behind the servo", 0.03),
+    "sensor_lag": Row("sensor", "s", "low-pass time of the measured current", 0.02),
+}  # fmt: skip
 
-BEYOND_THE_RIG: Final[dict[str, EffectRow]] = {
-    "directional_friction": EffectRow(
+BEYOND_THE_RIG: Final[dict[str, Row]] = {
+    "directional_friction": Row(
         "servo_torque", "N.m.s/rad", "viscous friction forwards above its mean of both directions"
-    ),
+    )
 }
 """Effects that the rig cannot hide, because they need another load."""
 
-EVERY_EFFECT: Final[dict[str, EffectRow]] = CATALOGUE | BEYOND_THE_RIG
+EVERY_EFFECT: Final[dict[str, Row]] = CATALOGUE | BEYOND_THE_RIG
 """Every effect that a plant may have."""
 
 
@@ -110,32 +94,24 @@ def effect_and_joint(hidden: str) -> tuple[str, int | None]:
     return effect, int(joint)
 
 
-def parse_strength(argument: str) -> tuple[str, float]:
-    """Split `NAME=STRENGTH`, or `NAME:JOINT=STRENGTH`, as given on a command line."""
-    name, _, value = argument.partition("=")
-    effect, _ = effect_and_joint(name)
-    if effect not in CATALOGUE:
-        raise InputError(
-            f"--hide {argument}", f"{effect!r} is no effect", "choose from " + ", ".join(CATALOGUE)
-        )
-    try:
-        return name, float(value)
-    except ValueError:
-        raise InputError(
-            f"--hide {argument}",
-            f"{value!r} is not a number",
-            f"write {name}=STRENGTH with STRENGTH in {CATALOGUE[effect].unit}",
-        ) from None
-
-
 def parse_strengths(arguments: Sequence[str]) -> dict[str, float]:
-    """Strengths by effect, from all `--hide EFFECT=STRENGTH` of a command line."""
+    """Strengths by effect, from every `--hide NAME=STRENGTH` or `NAME:JOINT=STRENGTH`."""
     strengths: dict[str, float] = {}
     for argument in arguments:
-        effect, strength = parse_strength(argument)
-        if effect in strengths:
-            raise InputError(f"--hide {argument}", "hides the same effect twice", "add them up")
+        where = f"--hide {argument}"
+        name, _, value = argument.partition("=")
+        effect, _ = effect_and_joint(name)
+        if effect not in CATALOGUE:
+            remedy = "choose from " + ", ".join(CATALOGUE)
+            raise InputError(where, f"{effect!r} is no effect", remedy)
+        try:
+            strength = float(value)
+        except ValueError:
+            remedy = f"write {name}=STRENGTH with STRENGTH in {CATALOGUE[effect].unit}"
+            raise InputError(where, f"{value!r} is not a number", remedy) from None
+        if name in strengths:
+            raise InputError(where, "hides the same effect twice", "add them up")
         if not math.isfinite(strength):
-            raise InputError(f"--hide {argument}", "is not finite", "give a finite strength")
-        strengths[effect] = strength
+            raise InputError(where, "is not finite", "give a finite strength")
+        strengths[name] = strength
     return strengths

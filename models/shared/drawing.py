@@ -25,7 +25,6 @@ matplotlib.use("svg")
 
 SIZE_IN: Final = (4.3, 2.9)
 """Size of a drawing: its 9 pt text is about 10 px high on a phone, about 15 px in two columns."""
-
 STYLE: Final = {
     "svg.fonttype": "none", "svg.hashsalt": "dropstitch", "font.size": 9,
     "axes.prop_cycle": cycler(color=SERIES),
@@ -37,12 +36,6 @@ STYLE: Final = {
     "figure.facecolor": "none", "axes.facecolor": "none", "path.simplify_threshold": 0.3,
 }  # fmt: skip
 """matplotlib's settings for drawings inside a page."""
-THIN: Final = 1.1
-_WIDER: Final = 1.4
-_COINCIDENT: Final = 0.005
-"""Distance of coincident lines, relative to the axis: about a line's width."""
-_POINTS_COMPARED: Final = 200
-
 FILE_STYLE: Final = STYLE | {"figure.facecolor": PAPER, "savefig.facecolor": PAPER}
 """The same for pictures in separate files."""
 
@@ -58,15 +51,13 @@ class Drawing:
     """
 
     def __init__(self, height_in: float = SIZE_IN[1]) -> None:
-        self._size_in = (SIZE_IN[0], height_in)
-        self._svg = ""
-        self._stack = ExitStack()
-        self._figure: Any = None
+        self._size_in, self._svg, self._stack = (SIZE_IN[0], height_in), "", ExitStack()
 
     def __enter__(self) -> tuple[Drawing, Any]:
         self._stack.enter_context(plt.rc_context(STYLE))
-        self._figure, ax = plt.subplots(figsize=self._size_in, layout="constrained")
-        self._stack.callback(plt.close, self._figure)
+        figure, ax = plt.subplots(figsize=self._size_in, layout="constrained")
+        self._stack.callback(plt.close, figure)
+        self._figure = figure
         return self, ax
 
     def __exit__(self, kind: object, *rest: object) -> None:
@@ -75,32 +66,29 @@ class Drawing:
                 self._svg = _to_svg(self._figure)
 
     def panel(self, title: str, alt: str) -> Panel:
-        """Panel with this drawing, its title and its description."""
-        return Panel(title, alt, _with_own_ids(self._svg, title + alt))
+        return Panel(title, alt, _with_unique_ids(self._svg, title + alt))
 
 
 def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[float]:
-    """Line widths that keep curves distinguishable, in drawing order.
+    """Line widths that keep curves (n, 2) distinguishable, in drawing order.
 
     If each curve covers the one before over at least half of its length, every line is narrower
-    than the one beneath; otherwise all are thin. Shapes: `curves` (n, 2). `shown` is the length of
-    the longer axis, in the unit of the points.
+    than the one beneath; otherwise all are thin. `shown` is the length of the longer axis, in the
+    unit of the points. Lines nearer than 0.005 of it, about a line's width, cover each other.
     """
-    thinned = [c[:: max(len(c) // _POINTS_COMPARED, 1)] for c in curves]
+    thinned = [c[:: max(len(c) // 200, 1)] for c in curves]
     covered = [
-        np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1) < _COINCIDENT * shown
+        np.mean(np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1) < 0.005 * shown)
         for lower, upper in itertools.pairwise(thinned)
     ]
-    if not covered or min(float(np.mean(near)) for near in covered) < 0.5:
-        return [THIN] * len(curves)
-    return [round(THIN + _WIDER * k, 2) for k in reversed(range(len(curves)))]
+    step = 1.4 if covered and min(covered) >= 0.5 else 0.0
+    return [round(1.1 + step * k, 2) for k in reversed(range(len(curves)))]
 
 
 def log_axis(ax: Any, values: Iterable[float]) -> None:
-    """Logarithmic y axis around `values`, labelled at 1, 2 and 5 in plain figures.
+    """Logarithmic y axis around the positive `values`, labelled at 1, 2 and 5 in plain figures.
 
-    With the values of every panel of a figure, its panels share one scale. Values that are not
-    positive are ignored.
+    With the values of every panel of a figure, its panels share one scale.
     """
     positive = [v for v in values if v > 0]
     ax.set(yscale="log", ylim=(0.8 * min(positive), 1.25 * max(positive)))
@@ -124,7 +112,7 @@ def _to_svg(figure: Any) -> str:
     return head + end + body.replace("xlink:href", "href")
 
 
-def _with_own_ids(svg: str, about: str) -> str:
+def _with_unique_ids(svg: str, about: str) -> str:
     """Make the ids of a drawing unique in the page.
 
     Definitions (markers, clips) are named by their content, which another figure may share, so each

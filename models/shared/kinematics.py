@@ -23,12 +23,7 @@ def base_rotation(angle_rad: Array) -> Array:
     q1 = angle_rad[:, 0]
     q2 = angle_rad[:, 1] if angle_rad.shape[1] > 1 else np.zeros_like(q1)
     c1, s1, c2, s2 = np.cos(q1), np.sin(q1), np.cos(q2), np.sin(q2)
-    zero = np.zeros_like(q1)
-    rows = [
-        [c1, -s1 * s2, s1 * c2],
-        [zero, c2, s2],
-        [-s1, -c1 * s2, c1 * c2],
-    ]
+    rows = [[c1, -s1 * s2, s1 * c2], [np.zeros_like(q1), c2, s2], [-s1, -c1 * s2, c1 * c2]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -41,17 +36,11 @@ def base_corners_m(
 
 
 def rigid_tip_m(angle_rad: Array, base_offset_m: float, length_m: float) -> Array:
-    """Tip of a rigid link in the world frame, in m, shape (n, 3).
-
-    `base_offset_m` is the distance of the base plate from the joint axes.
-    """
+    """Tip of a rigid link in the world frame, shape (n, 3)."""
     return base_rotation(angle_rad)[:, :, 2] * (base_offset_m + length_m)
 
 
 def pointing_angles_rad(position_m: Array) -> Array:
-    """Joint angles (n, 2) of a straight link through points (n, 3): the inverse of `rigid_tip_m`.
-
-    The points are anywhere on the link's axis, in the world frame.
-    """
+    """Angles (n, 2) of a straight link through points (n, 3): the inverse of `rigid_tip_m`."""
     x, y, z = position_m.T
     return np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))])

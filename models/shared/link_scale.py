@@ -14,7 +14,6 @@ does not depend on it. The limit moment is in proportion to pressure.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -36,8 +35,6 @@ TIP_MASS_KG_M2: Final = 0.25 / 0.15**2
 """Mass of the hardware at the tip per area of the section."""
 PATCH_LENGTH_RATIO: Final = 135.0 / 350.0 / 0.15
 """Length of link that bends like the root patch, relative to the width: 350 N·m/rad at 135 N·m²."""
-HELD_RAD: Final = math.radians(30.0)
-"""Largest angle of the study's motions."""
 LEAST_SPAN_POSITION: Final = 0.15
 """Nearest place of the span's hinge to the root: the piece of link between two hinges that are
 nearer swings too fast for the steps of a simulation."""
@@ -45,104 +42,58 @@ MODAL_MASS_FRACTION: Final = 0.236
 """Fraction of a cantilever's mass that moves with its tip: 33/140 (Rayleigh, static deflection)."""
 
 
-@dataclass(frozen=True)
 class LinkScale:
-    """Properties that follow from a link's description."""
+    """Properties that follow from a link's description.
 
-    link: LinkDescription
+    `plate_m2` is the area that base plate and frame scale with.
+    """
 
-    def _by_section(self, square: float, round_: float) -> float:
-        return square if self.link.section == "square" else round_
+    def __init__(self, link: LinkDescription) -> None:
+        self.link = link
+        is_square = link.section == "square"
+        width_m, length_m, pressure_pa = link.width_m, link.length_m, link.pressure_pa
+        self.perimeter_m = (4.0 if is_square else math.pi) * width_m
+        self.area_m2 = (1.0 if is_square else math.pi / 4) * width_m**2
+        self.plate_m2 = width_m**2
 
-    @property
-    def perimeter_m(self) -> float:
-        return self._by_section(4.0, math.pi) * self.link.width_m
+        # Masses of link and hardware at the tip: as described, or from the areas
+        walls_kg = AREAL_MASS_KG_M2 * self.perimeter_m * length_m
+        self.mass_kg = walls_kg if link.mass_kg is None else link.mass_kg
+        tip_kg = TIP_MASS_KG_M2 * self.area_m2
+        self.tip_mass_kg = tip_kg if link.tip_mass_kg is None else link.tip_mass_kg
 
-    @property
-    def area_m2(self) -> float:
-        return self._by_section(1.0, math.pi / 4) * self.link.width_m**2
+        # Second moment of the walls per thickness, I/t: 2/3 h³ of a box, π r³ of a tube
+        self.second_moment_m3 = (2 / 3 if is_square else math.pi / 8) * width_m**3
+        # Tension of the straight walls by pressure, p A over the perimeter: p h/4
+        self.tension_n_m = pressure_pa * self.area_m2 / self.perimeter_m
+        # EI; the tension adds p A h²/6 of a box, p A r²/2 of a tube
+        self.bending_n_m2 = self.second_moment_m3 * (WALL_STIFFNESS_N_M + self.tension_n_m)
+        # The root patch bends like a piece of link.
+        self.root_nm_rad = self.bending_n_m2 / (PATCH_LENGTH_RATIO * width_m)
+        # κGA: 5/6 2h Gt of a box, π r Gt of a tube; pressure adds p A
+        self.wall_shear_n = (5 / 3 if is_square else math.pi / 2) * WALL_SHEAR_N_M * width_m
+        self.shear_n = self.wall_shear_n + pressure_pa * self.area_m2
 
-    @property
-    def mass_kg(self) -> float:
-        """Mass of the link: as described, or from the area of its walls."""
-        estimate = AREAL_MASS_KG_M2 * self.perimeter_m * self.link.length_m
-        return estimate if self.link.mass_kg is None else self.link.mass_kg
+        # One hinge at σ L stands for the span. A force P at the tip of a cantilever that bends and
+        # shears turns it by P L²/(2 EI) and moves it by P L³/(3 EI) + P L/κGA (Timoshenko). The
+        # hinge does both at σ = 1/3 - 2 EI/(κGA L²), with the stiffness (1 - σ) 2 EI/L. In a short
+        # link shear prevails: at `LEAST_SPAN_POSITION` it still moves the tip as the span does.
+        shear = 2 * self.bending_n_m2 / (self.shear_n * length_m**2)
+        self.span_position = max(1 / 3 - shear, LEAST_SPAN_POSITION)
+        lever_m = (1 - self.span_position) * length_m
+        compliance_m_n = length_m**3 / (3 * self.bending_n_m2) + length_m / self.shear_n
+        self.span_nm_rad = lever_m**2 / compliance_m_n
 
-    @property
-    def tip_mass_kg(self) -> float:
-        """Mass of the hardware at the tip: as described, or from the area of the section."""
-        estimate = TIP_MASS_KG_M2 * self.area_m2
-        return estimate if self.link.tip_mass_kg is None else self.link.tip_mass_kg
-
-    @property
-    def plate_m2(self) -> float:
-        """Area that base plate and frame scale with."""
-        return self.link.width_m**2
-
-    @property
-    def second_moment_m3(self) -> float:
-        """Second moment of the walls per thickness, I/t: 2/3 h³ of a box, π r³ of a tube."""
-        return self._by_section(2 / 3, math.pi / 8) * self.link.width_m**3
-
-    @property
-    def tension_n_m(self) -> float:
-        """Tension of the straight walls by pressure, p A over the perimeter: p h/4."""
-        return self.link.pressure_pa * self.area_m2 / self.perimeter_m
-
-    @property
-    def bending_n_m2(self) -> float:
-        """Bending stiffness EI; the tension adds p A h²/6 of a box, p A r²/2 of a tube."""
-        return self.second_moment_m3 * (WALL_STIFFNESS_N_M + self.tension_n_m)
-
-    @property
-    def root_nm_rad(self) -> float:
-        """Stiffness of the root patch, that of a piece of link."""
-        return self.bending_n_m2 / (PATCH_LENGTH_RATIO * self.link.width_m)
-
-    @property
-    def wall_shear_n(self) -> float:
-        """Shear stiffness of the walls, κGA: 5/6 2h Gt of a box, π r Gt of a tube."""
-        return self._by_section(5 / 3, math.pi / 2) * WALL_SHEAR_N_M * self.link.width_m
-
-    @property
-    def shear_n(self) -> float:
-        """Shear stiffness of walls and pressure, which adds p A."""
-        return self.wall_shear_n + self.link.pressure_pa * self.area_m2
-
-    @property
-    def span_position(self) -> float:
-        """Place σ of the hinge that stands for the span, relative to its length L.
-
-        A force P at the tip of a cantilever that bends and shears turns it by P L²/(2 EI) and moves
-        it by P L³/(3 EI) + P L/κGA (Timoshenko). One hinge has both at σ = 1/3 - 2 EI/(κGA L²),
-        with the stiffness (1 - σ) 2 EI/L. In a short link shear prevails: the hinge then keeps the
-        tip's deflection at `LEAST_SPAN_POSITION`.
-        """
-        shear = 2 * self.bending_n_m2 / (self.shear_n * self.link.length_m**2)
-        return max(1 / 3 - shear, LEAST_SPAN_POSITION)
-
-    @property
-    def span_nm_rad(self) -> float:
-        """Stiffness of that hinge, with which a force at the tip moves it as the span does."""
-        length, lever_m = self.link.length_m, (1 - self.span_position) * self.link.length_m
-        return lever_m**2 / (length**3 / (3 * self.bending_n_m2) + length / self.shear_n)
-
-    @property
-    def limit_moment_nm(self) -> float:
-        """Moment at which the section collapses: p h³/2 of a box, π p r³ of a tube.
-
-        The pressure pulls with p A on the axis; at collapse the wall farthest from the compressed
-        one carries all of it. Wrinkling begins earlier, where the compressed wall loses its
-        tension: p h³/3, or π p r³/2.
-        """
-        shape = self._by_section(1 / 2, math.pi / 8)
-        return shape * self.link.pressure_pa * self.link.width_m**3
+        # The section collapses at p h³/2 of a box, π p r³ of a tube. The pressure pulls with p A on
+        # the axis; at collapse the wall farthest from the compressed one carries all of it.
+        # Wrinkling begins earlier, where the compressed wall loses its tension: p h³/3, π p r³/2.
+        self.limit_moment_nm = (1 / 2 if is_square else math.pi / 8) * pressure_pa * width_m**3
 
     def deflection(self, z_m: Array, tip_n: float, own_n_m: float = 0.0) -> tuple[Array, Array]:
         """Displacement across the link in m and turn of the section in rad at heights z.
 
         Timoshenko's beam on a root patch of stiffness k, with a force F at its tip and q per length
-        (its own weight):
+        (its weight):
 
             w(z) = (F L + q L²/2) z/k + [F z + q (L z - z²/2)] / κGA
                    + [F (L z²/2 - z³/6) + q z² (6 L² - 4 L z + z²)/24] / EI
@@ -159,15 +110,12 @@ class LinkScale:
         return root * z + shear + bent / self.bending_n_m2, root + turn / self.bending_n_m2
 
     @property
-    def tip_stiffness_n_m(self) -> float:
-        """Force per displacement of the tip: root patch, bending and shear in series."""
-        return 1.0 / float(self.deflection(np.array(self.link.length_m), 1.0)[0])
-
-    @property
     def first_mode_rad_s(self) -> float:
         """Frequency of the first mode without payload, with a fixed base."""
+        # Root patch, bending and shear in series
+        tip_stiffness_n_m = 1.0 / float(self.deflection(np.array(self.link.length_m), 1.0)[0])
         swinging_kg = MODAL_MASS_FRACTION * self.mass_kg + self.tip_mass_kg
-        return math.sqrt(self.tip_stiffness_n_m / swinging_kg)
+        return math.sqrt(tip_stiffness_n_m / swinging_kg)
 
     @property
     def holding_nm(self) -> float:
@@ -177,14 +125,16 @@ class LinkScale:
         For a link that stands or hangs it is one half at 30°, for a lying one all at zero.
         """
         link, reach = self.link, self.link.base_offset_m + self.link.length_m
-        own = self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
+        link_kg_m = (
+            self.mass_kg * (link.base_offset_m + link.length_m / 2) + self.tip_mass_kg * reach
+        )
         x, y, z = link.gravity.unit
         levers = [
             abs(across * math.cos(q) - z * math.sin(q))
             for across in (x, y)[: link.joints]
-            for q in (-HELD_RAD, 0.0, HELD_RAD)
+            for q in (-math.pi / 6, 0.0, math.pi / 6)
         ]
-        return max(levers) * link.gravity.size_m_s2 * (own + link.payload_kg * reach)
+        return max(levers) * link.gravity.size_m_s2 * (link_kg_m + link.payload_kg * reach)
 
     @property
     def holding_of_limit(self) -> float:
@@ -198,13 +148,13 @@ class LinkScale:
     @cached_property
     def servo_ratios(self) -> dict[str, float]:
         """Ratios of the servo's preset to that of the study's servo."""
-        own, study = self.link.preset, STUDY_LINK.preset
+        servo, study = self.link.preset, STUDY_LINK.preset
         names = (
             "torque_constant_nm_a", "coulomb_friction_nm", "viscous_friction_nm_s_rad",
             "load_friction", "rotor_inertia_kg_m2", "backlash_rad", "current_limit_a",
             "speed_limit_rad_s", "mass_kg", "torque_limit_nm",
         )  # fmt: skip
-        return {name: getattr(own, name) / getattr(study, name) for name in names}
+        return {name: getattr(servo, name) / getattr(study, name) for name in names}
 
 
 _STUDY: Final = LinkScale(STUDY_LINK)

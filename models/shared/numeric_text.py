@@ -10,6 +10,7 @@ import csv
 import math
 import re
 from array import array
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -42,11 +43,9 @@ def check_columns(path: Path, names: Sequence[str]) -> None:
     if len(names) > MOST_COLUMNS:
         what = f"has {len(names)} columns, more than {MOST_COLUMNS}"
         raise InputError(path, what, "leave out what is not needed")
-    seen: set[str] = set()
-    for name in filter(None, names):
-        if name in seen:
+    for name, count in Counter(filter(None, names)).items():
+        if count > 1:
             raise InputError(path, f"column {name!r} stands twice", "rename or remove one of them")
-        seen.add(name)
 
 
 def read_rows(
@@ -54,8 +53,8 @@ def read_rows(
 ) -> Iterator[tuple[int, list[str]]]:
     """Number and cells of every row below a header, each as long as the header.
 
-    Blank lines and empty cells behind the last column are skipped. `above` lines stand above the
-    first row.
+    Blank lines, and empty cells behind the last column, are skipped. The first row has the number
+    `above` + 1.
     """
     for number, row in _rows(path, lines, delimiter, above):
         while len(row) > len(header) and not row[-1].strip():
@@ -80,10 +79,10 @@ def read_numbers(
     """
     numbers, number = array("d"), above
     end = _TableEnd(lines)
-    for number, row in read_rows(path, end.lines(), header, delimiter, above):
+    for number, row in read_rows(path, end, header, delimiter, above):
         if len(numbers) > MOST_CELLS:
             raise InputError(path, f"holds more than {MOST_CELLS} numbers", "divide it")
-        end.see(row[-1])
+        end.take(row[-1].strip())
         cells = [row[k] for k in used]
         try:
             values = [float(cell or "nan") for cell in cells]
@@ -138,7 +137,7 @@ def _cells_remedy(row: Sequence[str], width: int, delimiter: str) -> str:
 def _first_fault(path: Path, number: int, names: Sequence[str], cells: Sequence[str]) -> InputError:
     """Error of the first cell in a row that is no finite number."""
     for name, cell in zip(names, cells, strict=True):
-        place = f"row {number}, column {name!r}"
+        place, text = f"row {number}, column {name!r}", cell.strip().lower().lstrip("+-")
         try:
             value = math.nan if "_" in cell else float(cell or 0)
         except ValueError:
@@ -146,50 +145,46 @@ def _first_fault(path: Path, number: int, names: Sequence[str], cells: Sequence[
         if math.isinf(value):
             what = f"{place}: {cell[:80]!r} is not a finite number"
             return InputError(path, what, "correct the cell or leave it empty")
-        if math.isnan(value) and cell.strip().lower() not in ("nan", "+nan", "-nan"):
+        if math.isnan(value) and text != "nan":
             return not_a_number(path, place, cell)
     raise AssertionError("every cell is a number")
 
 
 _NUMBER: Final = re.compile(r"[-+]?(\d*)(?:[.,](\d*))?(?:[eE]([-+]?\d+))?")
-_FEWEST_ROWS: Final = 20
-"""Fewest rows for the test of the last number; in fewer, it may have the fewest decimals by chance
-[assumed]."""
 
 
-class _TableEnd:
-    """Detects a table that is truncated within its last number.
+class _TableEnd(Iterator[str]):
+    """Lines of a table, and whether it is truncated within its last number.
 
     A missing line break after the last row proves nothing, since many programs write none. The file
     counts as truncated if the last number also has fewer decimals than all others of its column, or
-    an exponent of one digit. A cut that this test misses costs the last digit of one number.
+    an exponent of one digit. A cut that this test misses costs the last digit of one number. It
+    needs more than 20 rows: in fewer, the last number may have the fewest decimals by chance
+    [assumed].
     """
 
     def __init__(self, lines: Iterator[str]) -> None:
-        self._lines, self._ended, self.last = lines, True, ""
-        self._fewest: int | None = None
-        self._rows = 0
+        self._lines, self._has_break, self._rows = lines, True, 0
+        self.last, self._fewest = "", math.inf
 
-    def lines(self) -> Iterator[str]:
-        for line in self._lines:
-            self._ended = line.endswith(("\n", "\r"))
-            yield line
+    def __next__(self) -> str:
+        line = next(self._lines)
+        self._has_break = line.endswith(("\n", "\r"))
+        return line
 
-    def see(self, cell: str) -> None:
+    def take(self, cell: str) -> None:
         """Record the last cell of a row."""
-        self._rows += 1
         before = _decimals(self.last)
-        if before is not None:
-            self._fewest = before if self._fewest is None else min(self._fewest, before)
-        self.last = cell.strip()
+        self._fewest = self._fewest if before is None else min(self._fewest, before)
+        self.last, self._rows = cell, self._rows + 1
 
     @property
     def is_cut(self) -> bool:
         decimals = _decimals(self.last)
-        if self._ended or decimals is None or self._fewest is None or self._rows <= _FEWEST_ROWS:
+        if self._has_break or decimals is None or self._rows <= 20 or math.isinf(self._fewest):
             return False
-        digits = self.last.lower().partition("e")[2].lstrip("+-")
-        return len(digits) == 1 or decimals < self._fewest
+        exponent = self.last.lower().partition("e")[2].lstrip("+-")
+        return len(exponent) == 1 or decimals < self._fewest
 
 
 def _decimals(cell: str) -> int | None:

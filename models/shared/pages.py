@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cache
 from pathlib import Path
 from typing import ClassVar, Final, NamedTuple
 
@@ -66,7 +65,6 @@ class Table:
 
     @property
     def cells(self) -> list[list[TableCell]]:
-        """Rows with every text as a cell."""
         return [[c if isinstance(c, TableCell) else TableCell(c) for c in row] for row in self.rows]
 
 
@@ -154,8 +152,7 @@ def missing_inputs(command: str) -> Paragraph:
     return Paragraph(text.format(command), "missing")
 
 
-HERE: Final = Path(__file__).parent
-STYLE: Final = HERE / "style.css"
+STYLE: Final = Path(__file__).with_name("style.css")
 
 
 def stylesheet() -> str:
@@ -164,27 +161,14 @@ def stylesheet() -> str:
 
 
 def render_page(
-    title: str,
-    lead: Sequence[Part],
-    sections: Sequence[Section],
-    made: datetime | None = None,
+    title: str, lead: Sequence[Part], sections: Sequence[Section], made: datetime | None = None
 ) -> str:
-    """Render a whole page, with a table of contents of its sections.
-
-    `made` is the time stamp of the page, in UTC.
-    """
-    return _environment().get_template("page.html").render(
-        title=title,
-        lead=lead,
-        sections=sections,
-        style=stylesheet(),
-        made=made.strftime("%d %B %Y, %H:%M UTC") if made else "",
-    )  # fmt: skip
-
-
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined,
+    """Whole page, with a table of contents of its sections; `made` is its time stamp in UTC."""
+    environment = Environment(
+        loader=FileSystemLoader(STYLE.parent), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("page.html").render(
+        title=title, lead=lead, sections=sections, style=stylesheet(),
+        made=made.strftime("%d %B %Y, %H:%M UTC") if made else "",
     )  # fmt: skip

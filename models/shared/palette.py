@@ -38,56 +38,34 @@ MEASURED: Final = INK
 SIMULATED: Final = ORANGE
 
 PAGE_COLOURS: Final = {
-    "ink": INK,
-    "paper": PAPER,
-    "quiet": "#5b6673",
-    "line": "#dfe4e9",
-    "strong-line": "#b9c2cb",
-    "shade": "#f5f7f9",
-    "link": "#1d5f8a",
-    "met": "#1f6f43",
-    "unmet": "#a3231b",
-    "simulated": "#8f4a12",
-    "measured": "#1d5f8a",
-    "mixed": "#6a3d9a",
-    "unknown": "#5b6673",
-}
+    "ink": INK, "paper": PAPER, "quiet": "#5b6673",
+    "line": "#dfe4e9", "strong-line": "#b9c2cb", "shade": "#f5f7f9",
+    "link": "#1d5f8a", "met": "#1f6f43", "unmet": "#a3231b",
+    "simulated": "#8f4a12", "measured": "#1d5f8a", "mixed": "#6a3d9a", "unknown": "#5b6673",
+}  # fmt: skip
 """Variables of `style.css`; text keeps a contrast of at least 4.5 on paper and shade."""
-
 DARK_PAGE_COLOURS: Final = {
-    "ink": "#e6eaee",
-    "paper": "#14181d",
-    "quiet": "#a9b3bd",
-    "line": "#2f3841",
-    "strong-line": "#5a6570",
-    "shade": "#1f262d",
-    "link": "#86bfe6",
-    "met": "#6cc795",
-    "unmet": "#f29186",
-    "simulated": "#eaa872",
-    "measured": "#86bfe6",
-    "mixed": "#c7abea",
-    "unknown": "#a9b3bd",
-}
+    "ink": "#e6eaee", "paper": "#14181d", "quiet": "#a9b3bd",
+    "line": "#2f3841", "strong-line": "#5a6570", "shade": "#1f262d",
+    "link": "#86bfe6", "met": "#6cc795", "unmet": "#f29186",
+    "simulated": "#eaa872", "measured": "#86bfe6", "mixed": "#c7abea", "unknown": "#a9b3bd",
+}  # fmt: skip
 """The same for readers who prefer dark pages; figures keep the light colours."""
-
 HEAT: Final = ("#fff7ec", "#fdcc8a", "#e34a33", "#7f0000")
 """White over orange to dark red (ColorBrewer, OrRd)."""
 
 
 def css_variables() -> str:
-    """The page colours as CSS variables: light, and dark for readers who prefer it on screen.
+    """The page colours as CSS variables: light, and dark for readers who prefer it on screen."""
 
-    A figure keeps the light colours, because they are built into its drawing.
-    """
-    light = _declared(":root", PAGE_COLOURS)
-    dark = _declared(":root", DARK_PAGE_COLOURS) + _declared(".figure", PAGE_COLOURS)
+    def declared(selector: str, colours: dict[str, str]) -> str:
+        rows = "".join(f"  --{name}: {colour};\n" for name, colour in colours.items())
+        return f"{selector} {{\n{rows}}}\n"
+
+    light = declared(":root", PAGE_COLOURS)
+    # A figure keeps the light colours, because they are built into its drawing.
+    dark = declared(":root", DARK_PAGE_COLOURS) + declared(".figure", PAGE_COLOURS)
     return f"{light}@media screen and (prefers-color-scheme: dark) {{\n{dark}}}\n"
-
-
-def _declared(selector: str, colours: dict[str, str]) -> str:
-    rows = "".join(f"  --{name}: {colour};\n" for name, colour in colours.items())
-    return f"{selector} {{\n{rows}}}\n"
 
 
 def ordered_colours(count: int) -> list[str]:

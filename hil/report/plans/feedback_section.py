@@ -9,7 +9,15 @@ import numpy as np
 
 from firmware_py.display_units import ANGLE
 from firmware_py.goals.tip_plan import TipPlan
-from models.plan.feedback import LEAST_GAIN_DB, LEAST_PHASE_RAD, ShapedLoops, shaped_loops
+from models.plan.feedback import (
+    LEAST_GAIN_DB,
+    LEAST_PHASE_RAD,
+    Array,
+    Response,
+    frequencies,
+    open_loops,
+    tip_responses,
+)
 from models.plant.linear_twin import LinearTwins
 from models.plant.plant import Plant
 from models.shared.drawing import Drawing
@@ -75,44 +83,54 @@ def _diagrams(plan: TipPlan, plant: Plant) -> list[Figure]:
     """Draw Bode and Nyquist diagrams of every joint, one curve for each payload."""
     if plan.feedback is None:
         return []
-    grid = plan.grid_kg.tolist()
-    loops = shaped_loops(plan.feedback, LinearTwins(plant, plan.dof, plan.period_s), grid)
+    grid, twins = plan.grid_kg.tolist(), LinearTwins(plant, plan.dof, plan.period_s)
+    loops = [
+        open_loops(filters, tip_responses(twins, payload_kg), plan.period_s)
+        for filters, payload_kg in zip(plan.feedback.filters, grid, strict=True)
+    ]
+    rates_rad_s = frequencies(plan.period_s)
     colours = ordered_colours(len(grid))
     legend = [LegendEntry(c, f"{m:g} kg") for c, m in zip(colours, grid, strict=True)]
     figures = []
     for joint in range(1, plan.dof + 1):
-        own = [loop for loop in loops if loop.joint == joint]
+        sliding = [of_payload[joint - 1][0] for of_payload in loops]
         name = f"{plan.dof}DOF, joint {joint}"
-        panels = [draw(own, colours, name) for draw in (_gain, _phase, _nyquist)]
+        panels = [draw(rates_rad_s, sliding, colours, name) for draw in (_gain, _phase, _nyquist)]
         note = "Nyquist: the red cross is −1; the marks are 6 dB and 45° beside it."
         figures.append(Figure(f"Loop of {name}", note, panels, legend=legend))
     return figures
 
 
-def _gain(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+def _gain(
+    rates_rad_s: Array, loops: Sequence[Response], colours: Sequence[str], name: str
+) -> Panel:
     with Drawing() as (drawing, ax):
         for loop, colour in zip(loops, colours, strict=True):
-            ax.loglog(loop.rates_rad_s, np.abs(loop.responses[0]), color=colour, lw=1.0)
+            ax.loglog(rates_rad_s, np.abs(loop), color=colour, lw=1.0)
         ax.axhline(1.0, color=MUTED, lw=0.8)
         ax.set(xlabel="frequency, rad/s", ylabel="gain")
     return drawing.panel("Bode, gain", f"Gain of the loop of {name} over frequency, by payload.")
 
 
-def _phase(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+def _phase(
+    rates_rad_s: Array, loops: Sequence[Response], colours: Sequence[str], name: str
+) -> Panel:
     with Drawing() as (drawing, ax):
         for loop, colour in zip(loops, colours, strict=True):
-            phase = ANGLE.shown(np.unwrap(np.angle(loop.responses[0])))
-            ax.semilogx(loop.rates_rad_s, phase, color=colour, lw=1.0)
+            phase = ANGLE.shown(np.unwrap(np.angle(loop)))
+            ax.semilogx(rates_rad_s, phase, color=colour, lw=1.0)
         ax.axhline(-180.0, color=MUTED, lw=0.8)
         ax.set(xlabel="frequency, rad/s", ylabel=ANGLE.label("phase"))
     return drawing.panel("Bode, phase", f"Phase of the loop of {name} over frequency, by payload.")
 
 
-def _nyquist(loops: Sequence[ShapedLoops], colours: Sequence[str], name: str) -> Panel:
+def _nyquist(
+    rates_rad_s: Array, loops: Sequence[Response], colours: Sequence[str], name: str
+) -> Panel:
     half = NYQUIST_HALF_WIDTH
     with Drawing(3.6) as (drawing, ax):
         for loop, colour in zip(loops, colours, strict=True):
-            ax.plot(loop.responses[0].real, loop.responses[0].imag, color=colour, lw=1.0)
+            ax.plot(loop.real, loop.imag, color=colour, lw=1.0)
         _marks(ax)
         ax.set(xlim=(-half, half), ylim=(-half, half), xlabel="real part", ylabel="imaginary part")
         ax.set_aspect("equal")

@@ -121,7 +121,7 @@ def _compiled(model: StepModel, index: Sequence[int]) -> tuple[ctypes.CDLL, ca.F
             start.append(initial)
             return [*sources, _DRIVER]
 
-        library = load_library(write, flags=flags, at_once=True)
+        library = load_library(write, flags=flags)
         _COMPILED[key] = library, start[0]
     return _COMPILED[key]
 

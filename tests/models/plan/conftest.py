@@ -1,4 +1,4 @@
-"""The nominal plant's twin of one joint, and a short path planned for one payload."""
+"""The nominal plant's twin of one joint, and a short path planned for two payloads."""
 
 import pytest
 
@@ -19,11 +19,10 @@ def plant():
 
 @pytest.fixture(scope="session")
 def twin(plant):
-    return TipTwin(plant.step_model(1), 1, PERIOD_S)
+    return TipTwin(plant, 1, PERIOD_S)
 
 
 @pytest.fixture(scope="session")
 def planned(plant):
-    """Two payloads, so that the robot has something to interpolate."""
     path = built_in_path("line", 1, PERIOD_S, PathOptions(size_m=0.2, seconds=2.0))
     return plan_path(path, PlanRequest(plant, 1, PERIOD_S, LIMITS, (0.0, 1.0)))

@@ -16,43 +16,31 @@ from models.plant.linear_twin import LinearTwins, tip_part
 from models.plant.plant import read_plant
 
 PERIOD_S, PAYLOADS_KG = 0.017, (0.0, 2.0)
+INTEGRAL = control.tf([PERIOD_S], [1.0, -1.0], PERIOD_S)
 
 
-@pytest.fixture(scope="module")
-def twins():
-    return LinearTwins(read_plant(), 1, PERIOD_S)
+def assert_stable(closed, twin):
+    """States of the twin that neither goals move nor the tip shows stay as they are."""
+    poles, drifting = (np.abs(np.linalg.eigvals(m)) for m in (closed.A, twin.A))
+    assert np.all(poles < 1.0 + 1e-6)
+    assert np.sum(poles > 1.0 - 1e-9) <= np.sum(drifting > 1.0 - 1e-9)
 
 
-@pytest.fixture(scope="module")
-def design():
-    return design_feedback(read_plant(), 1, PERIOD_S, PAYLOADS_KG)
-
-
-def loop_of(own, twin):
+def test_every_loop_is_stable_and_keeps_6_db_and_45_degrees():
     """Filter, integrator, one period of delay, twin."""
-    integral = control.tf([PERIOD_S], [1.0, -1.0], PERIOD_S)
-    return as_system(own, PERIOD_S) * integral * tip_part(twin)
-
-
-@pytest.mark.parametrize("k", [0, 1])
-@pytest.mark.parametrize(("sliding", "stiffness"), [(True, 1.0), (False, 1.0), (True, 1.2)])
-def test_every_loop_is_stable_and_keeps_6_db_and_45_degrees(twins, design, k, sliding, stiffness):
-    twin = twins.at(PAYLOADS_KG[k], sliding=sliding, stiffness=stiffness)
-    loop = loop_of(design.filters[k][0], twin)
-    poles = np.abs(np.linalg.eigvals(control.feedback(loop, 1).A))
-    drifting = np.sum(poles > 1.0 - 1e-9)  # states that neither goals move nor the tip shows
-    assert np.all(poles < 1.0 + 1e-6) and drifting <= np.sum(
-        np.abs(np.linalg.eigvals(twin.A)) > 1 - 1e-9
-    )
+    twins = LinearTwins(read_plant(), 1, PERIOD_S)
+    design = design_feedback(read_plant(), 1, PERIOD_S, PAYLOADS_KG)
     w = frequencies(PERIOD_S)
-    response = control.frd(loop(np.exp(1j * w * PERIOD_S)), w)
-    gains, phases, *_ = control.stability_margins(response, returnall=True)
-    assert min((g for g in gains if g > 1.0), default=np.inf) >= 10 ** (6.0 / 20.0)
-    assert all(g > 1.0 or g < 1e-3 for g in gains), "no gain below this one loses stability"
-    assert np.min(np.abs(phases), initial=180.0) >= 45.0
-
-
-def test_the_design_states_its_margins(design):
+    for payload_kg, (filter_,) in zip(PAYLOADS_KG, design.filters, strict=True):
+        for sliding, stiffness in ((True, 1.0), (False, 1.0), (True, 1.2)):
+            twin = twins.at(payload_kg, sliding=sliding, stiffness=stiffness)
+            loop = as_system(filter_, PERIOD_S) * INTEGRAL * tip_part(twin)
+            assert_stable(control.feedback(loop, 1), twin)
+            response = control.frd(loop(np.exp(1j * w * PERIOD_S)), w)
+            gains, phases, *_ = control.stability_margins(response, returnall=True)
+            assert min((g for g in gains if g > 1.0), default=np.inf) >= 10 ** (6.0 / 20.0)
+            assert all(g > 1.0 or g < 1e-3 for g in gains), "no lower gain loses stability"
+            assert np.min(np.abs(phases), initial=180.0) >= 45.0
     assert keeps_margins(design)
     assert wrong_in_feedback(design, (None, None), 1, 10) == ""
     light, heavy = design.margins[0]
@@ -62,14 +50,11 @@ def test_the_design_states_its_margins(design):
 def test_both_loops_of_two_joints_are_stable_together_and_keep_their_margins():
     """Closed loop of two filters and the coupled twin by its poles; each margin by the response."""
     design = design_feedback(read_plant(), 2, PERIOD_S, (1.0,))
-    assert [len(own) for own in design.margins] == [1, 1] and keeps_margins(design)
+    assert [len(margins) for margins in design.margins] == [1, 1] and keeps_margins(design)
     twin = LinearTwins(read_plant(), 2, PERIOD_S).at(1.0)
-    integral = control.tf([PERIOD_S], [1.0, -1.0], PERIOD_S)
-    filters = control.append(*(as_system(f, PERIOD_S) * integral for f in design.filters[0]))
-    closed = control.feedback(tip_part(twin) * filters, control.ss([], [], [], np.eye(2), True))
-    poles, own = (np.abs(np.linalg.eigvals(m)) for m in (closed.A, twin.A))
-    assert np.all(poles < 1.0 + 1e-6)
-    assert np.sum(poles > 1.0 - 1e-9) <= np.sum(own > 1.0 - 1e-9), "the integrators are closed"
+    filters = control.append(*(as_system(f, PERIOD_S) * INTEGRAL for f in design.filters[0]))
+    unit = control.ss([], [], [], np.eye(2), True)
+    assert_stable(control.feedback(tip_part(twin) * filters, unit), twin)
 
 
 def test_the_highest_gain_of_a_known_loop_keeps_both_margins():

@@ -9,18 +9,11 @@ import pytest
 from firmware_py.link.link_description import STUDY_LINK
 from models.shared.link_scale import LEAST_SPAN_POSITION, LinkScale
 
-ROUND = msgspec.structs.replace(STUDY_LINK, section="round")
 PARTS = 40_000
 
 
-def wall(section, width_m):
-    """Distance from the axis of bending, and length, of equal parts of the wall."""
-    if section == "round":
-        angle = 2 * np.pi * (np.arange(PARTS) + 0.5) / PARTS
-        return width_m / 2 * np.sin(angle), np.full(PARTS, np.pi * width_m / PARTS)
-    side = width_m * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
-    flat = np.full(PARTS, width_m / 2)
-    return np.concatenate([side, side, flat, -flat]), np.full(4 * PARTS, width_m / PARTS)
+def scale_of(**changes):
+    return LinkScale(msgspec.structs.replace(STUDY_LINK, **changes))
 
 
 def bent(section, width_m, pressure_pa, curvature):
@@ -28,8 +21,14 @@ def bent(section, width_m, pressure_pa, curvature):
 
     The stiffness of the wall is one; its mean strain is that at which it holds the pressure.
     """
-    distance_m, length_m = wall(section, width_m)
-    area_m2 = width_m**2 * (math.pi / 4 if section == "round" else 1.0)
+    if section == "round":
+        turn = 2 * np.pi * (np.arange(PARTS) + 0.5) / PARTS
+        distance_m, length_m = width_m / 2 * np.sin(turn), np.full(PARTS, np.pi * width_m / PARTS)
+        area_m2 = width_m**2 * math.pi / 4
+    else:
+        side, flat = width_m * ((np.arange(PARTS) + 0.5) / PARTS - 0.5), np.full(PARTS, width_m / 2)
+        distance_m = np.concatenate([side, side, flat, -flat])
+        length_m, area_m2 = np.full(4 * PARTS, width_m / PARTS), width_m**2
     low, high = -1e9, 1e9
     for _ in range(200):
         mean = (low + high) / 2
@@ -49,26 +48,15 @@ def test_onset_and_collapse_of_an_inflated_section(section, onset, collapse):
     before, least = bent(section, width_m, pressure_pa, 0.999 * slack)
     assert least > 0 > bent(section, width_m, pressure_pa, 1.001 * slack)[1]
     assert before == pytest.approx(onset * unit_nm, rel=2e-3)
-    assert bent(section, width_m, pressure_pa, 2e3 * slack)[0] == pytest.approx(
-        collapse * unit_nm, rel=2e-2
-    )
-    link = msgspec.structs.replace(STUDY_LINK, section=section)
-    assert LinkScale(link).limit_moment_nm == pytest.approx(collapse * unit_nm)
-
-
-def test_a_round_link_has_less_of_all_that_goes_by_its_section():
-    for name in ("limit_moment_nm", "tip_mass_kg", "mass_kg"):
-        assert LinkScale(ROUND).over_study(name) == pytest.approx(math.pi / 4), name
-        assert LinkScale(STUDY_LINK).over_study(name) == 1.0, name
+    collapsed, _ = bent(section, width_m, pressure_pa, 2e3 * slack)
+    assert collapsed == pytest.approx(collapse * unit_nm, rel=2e-2)
+    assert scale_of(section=section).limit_moment_nm == pytest.approx(collapse * unit_nm)
 
 
 @pytest.mark.parametrize(("section", "per_area"), [("square", 1 / 6), ("round", 1 / 8)])
 def test_pressure_enters_bending_by_prestress_and_shear_by_its_pull(section, per_area):
     """Le Van and Wielgosz (2005): p A I/S, which is p A h²/6 of a box and p A r²/2 of a tube."""
-    low, high = (
-        LinkScale(msgspec.structs.replace(STUDY_LINK, section=section, pressure_pa=pressure_pa))
-        for pressure_pa in (20_000.0, 50_000.0)
-    )
+    low, high = (scale_of(section=section, pressure_pa=p) for p in (20_000.0, 50_000.0))
     pull_n = 30_000.0 * low.area_m2
     assert high.bending_n_m2 - low.bending_n_m2 == pytest.approx(pull_n * per_area * 0.15**2)
     assert high.shear_n - low.shear_n == pytest.approx(pull_n)
@@ -76,17 +64,16 @@ def test_pressure_enters_bending_by_prestress_and_shear_by_its_pull(section, per
     assert high.root_nm_rad / low.root_nm_rad == pytest.approx(high.bending_n_m2 / low.bending_n_m2)
 
 
-def test_the_study_link_has_135_n_m2_at_its_pressure_of_which_2_6_percent_by_prestress():
-    empty = LinkScale(msgspec.structs.replace(STUDY_LINK, pressure_pa=0.0)).bending_n_m2
-    study = LinkScale(STUDY_LINK).bending_n_m2
-    assert study == pytest.approx(135.0) and (study - empty) / study == pytest.approx(
-        0.0258, abs=1e-4
-    )
+def test_values_of_the_study_link_and_of_a_round_one():
+    assert scale_of().bending_n_m2 == pytest.approx(135.0)
+    assert scale_of(pressure_pa=0.0).bending_n_m2 == pytest.approx(135.0 * (1 - 0.0258), abs=0.0135)
+    for name in ("limit_moment_nm", "tip_mass_kg", "mass_kg"):
+        assert scale_of(section="round").over_study(name) == pytest.approx(math.pi / 4), name
 
 
 @pytest.mark.parametrize("length_m", [0.5, 0.95, 2.0])
 def test_the_hinge_of_the_span_moves_and_turns_the_tip_as_the_span_does(length_m):
-    scale = LinkScale(msgspec.structs.replace(STUDY_LINK, length_m=length_m))
+    scale = scale_of(length_m=length_m)
     turn = (1 - scale.span_position) * length_m / scale.span_nm_rad
     across = turn * (1 - scale.span_position) * length_m
     exact = length_m**3 / (3 * scale.bending_n_m2) + length_m / scale.shear_n

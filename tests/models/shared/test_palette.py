@@ -1,3 +1,5 @@
+"""Colours: contrast of all text, and series that colour-blind readers can tell apart."""
+
 import itertools
 import re
 
@@ -6,19 +8,23 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from models.shared import palette
+from models.shared.drawing import Drawing
 from models.shared.pages import STYLE, stylesheet
+from models.trials.checks.page import Curve, chart
 
 # Simulation of colour blindness in linear RGB at full severity: Machado, Oliveira and Fernandes,
 # "A Physiologically-based Model for Simulation of Color Vision Deficiency", 2009, table 1.
-SEEN_BY = {
-    "everybody": np.eye(3),
-    "protanopes": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": np.array([[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
                             [-0.003882, -0.048116, 1.051998]]),
-    "deuteranopes": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
+    "deuteranopia": np.array([[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
                               [-0.011820, 0.042940, 0.968881]]),
-    "tritanopes": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
+    "tritanopia": np.array([[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
                             [0.004733, 0.691367, 0.303900]]),
 }  # fmt: skip
+TEXT, GRAPHICS = 4.5, 3.0
+"""Least contrast by WCAG 2.1."""
 
 
 def linear(colour):
@@ -47,35 +53,51 @@ def lab(rgb):
     return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
-@pytest.mark.parametrize("who", SEEN_BY)
-def test_series_can_be_told_apart(who):
-    for one, other in itertools.combinations((*palette.SERIES, palette.INK), 2):
-        seen = [lab(np.clip(SEEN_BY[who] @ linear(c), 0, 1)) for c in (one, other)]
-        assert np.linalg.norm(seen[0] - seen[1]) > 15, (one, other)
+@pytest.mark.parametrize("vision", VISION)
+def test_series_can_be_told_apart(vision):
+    for pair in itertools.combinations((*palette.SERIES, palette.INK), 2):
+        one, other = (lab(np.clip(VISION[vision] @ linear(c), 0, 1)) for c in pair)
+        assert np.linalg.norm(one - other) > 15, pair
 
 
-def test_lines_and_text_stand_out_from_paper():
+def test_lines_stand_out_from_paper_and_ramps_darken_all_the_way():
     for colour in (*palette.SERIES, palette.AMBER, palette.ALARM, palette.MUTED):
-        assert contrast(colour, palette.PAPER) >= 3.0  # WCAG 2.1, graphics
-    for name in ("ink", "quiet", "link", "met", "unmet"):
-        assert contrast(palette.PAGE_COLOURS[name], palette.PAPER) >= 4.5  # WCAG 2.1, text
+        assert contrast(colour, palette.PAPER) >= GRAPHICS
+    heat = [palette.heat_colours()(fraction) for fraction in np.linspace(0, 1, 20)]
+    for ramp in (palette.ordered_colours(1), palette.ordered_colours(12), heat):
+        values = [luminance(c) for c in ramp]
+        assert values == sorted(values, reverse=True)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 12])
-def test_ordered_colours_darken_all_the_way(count):
-    values = [luminance(c) for c in palette.ordered_colours(count)]
-    assert len(values) == count and values == sorted(values, reverse=True)
+@pytest.mark.parametrize("colours", [palette.PAGE_COLOURS, palette.DARK_PAGE_COLOURS])
+def test_text_of_pages_stands_out(colours):
+    kinds = ("simulated", "measured", "mixed", "unknown")
+    pairs = [(text, "paper") for text in ("ink", "quiet", "link", "met", "unmet")]
+    pairs += [(text, "shade") for text in ("ink", *kinds)]
+    pairs += [("paper", badge) for badge in ("met", "unmet", "quiet")]
+    for text, behind in pairs:
+        assert contrast(colours[text], colours[behind]) >= TEXT, (text, behind)
 
 
-def test_the_heat_ramp_runs_from_light_to_dark():
-    values = [luminance(palette.heat_colours()(fraction)) for fraction in np.linspace(0, 1, 20)]
-    assert values == sorted(values, reverse=True)
-
-
-def test_the_style_sheet_uses_the_palette_and_no_colour_of_its_own():
+def test_the_style_sheet_takes_its_colours_from_the_palette():
     text = STYLE.read_text(encoding="utf-8")
     assert not re.search(r"#[0-9a-fA-F]{3,8}\b", text)
     defined = set(re.findall(r"--([\w-]+):", stylesheet()))
     assert set(re.findall(r"var\(--([\w-]+)\)", text)) <= defined
-    for name, colour in palette.PAGE_COLOURS.items():
-        assert f"--{name}: {colour};" in stylesheet()
+    figure = stylesheet().split(".figure {", 1)[1].split("}", 1)[0]
+    assert f"--paper: {palette.PAPER};" in figure, "drawings are made for light paper"
+
+
+def test_text_of_drawings_stands_out_from_the_plate_behind_them():
+    with Drawing() as (drawing, ax):
+        ax.plot([0, 1], [0, 1], label="line")
+        ax.set(xlabel="x", ylabel="y", title="t")
+        ax.legend()
+    line = np.arange(3.0)
+    for svg in (drawing.panel("a", "b").svg, chart([Curve(line, line, palette.INK)], "x", "y")):
+        default = re.search(r"<svg[^>]* fill=\"(#\w+)\"", svg)
+        texts = re.findall(r"<text\b([^>]*)>", svg)
+        assert texts
+        for style in texts:  # the default is the drawing's fill, or black
+            colour = re.search(r"fill[:=]\s*\"?(#\w+)", style) or default
+            assert contrast(colour[1] if colour else "#000000", palette.PAPER) >= TEXT

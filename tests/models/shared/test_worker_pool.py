@@ -13,46 +13,33 @@ from firmware_py.errors import InputError
 from models.shared.worker_pool import worker_pool
 
 
-def test_results_arrive():
-    with worker_pool(1) as pool:
-        assert pool.submit(divmod, 7, 2).result() == (3, 1)
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
-def test_workers_end_with_the_command(error):
-    with pytest.raises(error), worker_pool(1) as pool:
-        assert pool.submit(abs, -1).result() == 1
-        pool.submit(signal.pause)  # a job that never ends
-        workers = multiprocessing.active_children()
-        assert workers
-        raise error
-    for worker in workers:
-        worker.join()
-        # The exit code may be missing here: the pool's own thread may have asked for it first.
-        with pytest.raises(ProcessLookupError):
-            os.kill(worker.pid, 0)
-
-
-def test_sigterm_ends_the_workers_as_an_interrupt_does():
-    of_the_tests = signal.signal(signal.SIGTERM, signal.SIG_DFL)
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, Terminated])
+def test_workers_return_results_and_end_with_the_command(error):
+    before = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
-        with pytest.raises(Terminated), worker_pool(1) as pool:
-            assert pool.submit(abs, -1).result() == 1
-            job = pool.submit(signal.pause)
+        with pytest.raises(error), worker_pool(1) as pool:
+            assert pool.submit(divmod, 7, 2).result() == (3, 1)
+            job = pool.submit(signal.pause)  # it never ends
             workers = multiprocessing.active_children()
+            assert workers
+            if error is not Terminated:
+                raise error
             signal.raise_signal(signal.SIGTERM)
             job.result()
     finally:
-        signal.signal(signal.SIGTERM, of_the_tests)
+        signal.signal(signal.SIGTERM, before)
     for worker in workers:
         worker.join()
+        # The exit code may be missing here: the pool's thread may have asked for it first.
         with pytest.raises(ProcessLookupError):
             os.kill(worker.pid, 0)
 
 
-def test_a_worker_that_is_killed_is_one_sentence_that_names_memory_and_the_option():
-    killed = pytest.raises(InputError, match=r"--processes 1: .*memory")
-    with killed, worker_pool(1, "--processes") as pool:
+def test_a_killed_worker_is_one_sentence_that_names_memory_and_the_option():
+    with (
+        pytest.raises(InputError, match=r"--processes 1: .*memory"),
+        worker_pool(1, "--processes") as pool,
+    ):
         pool.submit(os._exit, 9).result()
 
 
