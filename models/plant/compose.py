@@ -40,9 +40,8 @@ Outputs = dict[str, tuple[Variable, Expr]]
 """Outputs of a model by name, in their order."""
 
 FOLLOW_RATE: Final = Parameter(
-    name="follow_rate_per_s", unit="1/s", value=120.0, low=20.0, high=400.0,
-    description="bandwidth that follows the measured angle",
-    source="ten times the first mode, a tenth of the internal rate",
+    "follow_rate_per_s", "1/s", 120.0, 20.0, 400.0, "bandwidth that follows the measured angle",
+    "ten times the first mode, a tenth of the internal rate"
 )  # fmt: skip
 
 COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}

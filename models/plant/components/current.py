@@ -30,15 +30,12 @@ class Current(Drive):
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         j = joint
         return [
-            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=NO_DEFAULT,
-                      low=1e-3, high=1e3, description="torque at the output per ampere",
-                      source="data sheet of the drive"),
-            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.01, low=0.0,
-                      high=100.0, role="nuisance", description="rotor inertia at the output",
-                      source="assumed"),
-            Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
-                      description="distance in which dry friction reverses",
-                      source="assumed"),
+            Parameter(f"torque_constant_{j}_nm_a", "N.m/A", NO_DEFAULT, 1e-3, 1e3,
+                      "torque at the output per ampere", "data sheet of the drive"),
+            Parameter(f"rotor_inertia_{j}_kg_m2", "kg.m2", 0.01, 0.0, 100.0,
+                      "rotor inertia at the output", "assumed", role="nuisance"),
+            Parameter(f"presliding_{j}_rad", "rad", 0.002, 1e-4, 0.1,
+                      "distance in which dry friction reverses", "assumed"),
             start_offset_parameter(scope, j),
             start_rate_parameter(scope, j),
             friction_speed_parameter(scope, j),

@@ -82,10 +82,8 @@ def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
     """Offset of the first position, for a joint without a stiff position loop."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
-        value=0.0, low=-10.0, high=10.0,
-        description="first position, from the first goal or from zero; of a trial, as measured",
-        source="at the goal",
+        f"start_offset_{joint}_{angle}", SI_UNIT_OF[angle], 0.0, -10.0, 10.0,
+        "first position, from the first goal or from zero; of a trial, as measured", "at the goal"
     )  # fmt: skip
 
 
@@ -93,9 +91,8 @@ def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
     """Rate at the start, for a joint whose trial may begin in motion."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"start_joint_rate_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-        value=0.0, low=-100.0, high=100.0,
-        description="rate at the start; of a trial, as measured", source="at rest",
+        f"start_joint_rate_{joint}_{angle}_s", f"{SI_UNIT_OF[angle]}/s", 0.0, -100.0, 100.0,
+        "rate at the start; of a trial, as measured", "at rest"
     )  # fmt: skip
 
 
@@ -103,10 +100,10 @@ def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
     """Speed that regularises the dry friction of a drive."""
     angle = scope.suffix["angle"]
     return Parameter(
-        name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
-        description="speed below which dry friction is linear in the rate",
-        source="numerical: 3 % of the study's peak rate",
+        f"friction_speed_{joint}_{angle}_s", f"{SI_UNIT_OF[angle]}/s",
+        0.02 if angle == "rad" else 0.002, 0.005 if angle == "rad" else 1e-4, 0.2,
+        "speed below which dry friction is linear in the rate",
+        "numerical: 3 % of the study's peak rate"
     )  # fmt: skip
 
 

@@ -30,10 +30,8 @@ class Force(Drive):
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         torque = scope.suffix["torque"]
         return [
-            Parameter(name=f"force_constant_{joint}_{torque}_v", unit=f"{SI_UNIT_OF[torque]}/V",
-                      value=NO_DEFAULT, low=0.01, high=1e3,
-                      description="force per volt of command",
-                      source="data sheet of the drive"),
+            Parameter(f"force_constant_{joint}_{torque}_v", f"{SI_UNIT_OF[torque]}/V", NO_DEFAULT,
+                      0.01, 1e3, "force per volt of command", "data sheet of the drive"),
             start_offset_parameter(scope, joint),
             start_rate_parameter(scope, joint),
             friction_speed_parameter(scope, joint),

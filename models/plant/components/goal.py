@@ -80,24 +80,22 @@ def goal_shape_parameters(joint: int) -> list[Parameter]:
     """Interpolation, delay and profile of the goal, and the phase of the current's sample."""
     j = joint
     return [
-        Parameter(name=f"goal_interpolation_{j}", unit="1", value=0.0, low=0.0, high=1.0,
-                  role="nuisance", description="0 holds the goal of a step, 1 interpolates it",
-                  source="assumed held", prior_deviation=1.0),
-        Parameter(name=f"current_phase_{j}", unit="1", value=1.0, low=0.02, high=1.0,
-                  role="nuisance", description="phase of the step at which the current is sampled",
-                  source="assumed: read before the next goal is sent", prior_deviation=1.0),
-        Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
-                  role="nuisance", description="time after which a goal takes effect",
-                  source='assumed at once; docs/sources.md, "Control tables": line time, '
-                         "1 to 26 ms",
-                  prior_deviation=0.004),
-        Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
-                  description="speed limit of the goal's profile; 100 is none",
-                  source='docs/sources.md, "Control tables": profile velocity, 0 is none'),
-        Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
-                  value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
-                  description="acceleration limit of the goal's profile; 1e6 is none",
-                  source='docs/sources.md, "Control tables": profile acceleration, 0 is none'),
+        Parameter(f"goal_interpolation_{j}", "1", 0.0, 0.0, 1.0,
+                  "0 holds the goal of a step, 1 interpolates it", "assumed held", role="nuisance",
+                  prior_deviation=1.0),
+        Parameter(f"current_phase_{j}", "1", 1.0, 0.02, 1.0,
+                  "phase of the step at which the current is sampled",
+                  "assumed: read before the next goal is sent", role="nuisance",
+                  prior_deviation=1.0),
+        Parameter(f"goal_delay_{j}_s", "s", 0.0, 0.0, 0.01, "time after which a goal takes effect",
+                  'assumed at once; docs/sources.md, "Control tables": line time, ' "1 to 26 ms",
+                  role="nuisance", prior_deviation=0.004),
+        Parameter(f"profile_speed_{j}_rad_s", "rad/s", 100.0, 0.01, 100.0,
+                  "speed limit of the goal's profile; 100 is none",
+                  'docs/sources.md, "Control tables": profile velocity, 0 is none'),
+        Parameter(f"profile_acceleration_{j}_rad_s2", "rad/s2", NO_ACCELERATION_LIMIT, 0.5,
+                  NO_ACCELERATION_LIMIT, "acceleration limit of the goal's profile; 1e6 is none",
+                  'docs/sources.md, "Control tables": profile acceleration, 0 is none'),
     ]  # fmt: skip
 
 

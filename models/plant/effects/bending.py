@@ -33,9 +33,8 @@ class Prebend(Effect):
     name = "prebend"
     needs = ("bend", "tip")
     per_joint = (
-        Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
-                  role="effect", description="bend of the unloaded link from root to tip",
-                  source="assumed straight"),
+        Parameter("prebend_{j}_rad", "rad", 0.0, -0.15, 0.15,
+                  "bend of the unloaded link from root to tip", "assumed straight", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -60,9 +59,9 @@ class DirectionalStiffness(Effect):
     name = "directional_stiffness"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="relative gain for positive bend, loss for negative",
-                  source='docs/sources.md, "The link": 0.2 in the rig; assumed none here'),
+        Parameter("directional_stiffness_{j}", "1", 0.0, -0.5, 0.5,
+                  "relative gain for positive bend, loss for negative",
+                  'docs/sources.md, "The link": 0.2 in the rig; assumed none here', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -81,8 +80,8 @@ class StiffnessSoftening(Effect):
     name = "stiffness_softening"
     needs = ("bend",)
     shared = (
-        Parameter(name="softening_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
-                  description="stiffness lost at 0.1 rad of bend", source="assumed absent"),
+        Parameter("softening_share", "1", 0.0, 0.0, 0.6, "stiffness lost at 0.1 rad of bend",
+                  "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -98,8 +97,8 @@ class StiffnessHardening(Effect):
     name = "stiffness_hardening"
     needs = ("bend",)
     shared = (
-        Parameter(name="hardening_share", unit="1", value=0.0, low=0.0, high=3.0, role="effect",
-                  description="stiffness gained at 0.1 rad of bend", source="assumed absent"),
+        Parameter("hardening_share", "1", 0.0, 0.0, 3.0, "stiffness gained at 0.1 rad of bend",
+                  "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -121,8 +120,8 @@ class PressureLeak(Effect):
     name = "pressure_leak"
     needs = ("bend",)
     shared = (
-        Parameter(name="leak_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
-                  description="fraction of stiffness lost per 10 s", source="assumed tight"),
+        Parameter("leak_share", "1", 0.0, 0.0, 0.6, "fraction of stiffness lost per 10 s",
+                  "assumed tight", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -147,15 +146,14 @@ class Hysteresis(Effect):
     name = "hysteresis"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=3.0,
-                  role="effect", description="Bouc-Wen fraction of the root's stiffness",
-                  source='docs/sources.md, "The link"; the root stands for the whole link',
+        Parameter("hysteresis_share_{j}", "1", 0.0, 0.0, 3.0,
+                  "Bouc-Wen fraction of the root's stiffness",
+                  'docs/sources.md, "The link"; the root stands for the whole link', role="effect",
                   prior_deviation=0.25),
     )  # fmt: skip
     shared = (
-        Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.005, high=0.1,
-                  role="effect", description="bend at which the patch slips",
-                  source="assumed: a fifth of the bend in the study"),
+        Parameter("hysteresis_yield_rad", "rad", 0.01, 0.005, 0.1, "bend at which the patch slips",
+                  "assumed: a fifth of the bend in the study", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -189,15 +187,13 @@ class Creep(Effect):
     name = "creep"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=2.0, role="effect",
-                  description="relaxing fraction of the stiffness",
-                  source='docs/sources.md, "The link": three branches of 6 to 10 %',
+        Parameter("creep_share_{j}", "1", 0.0, 0.0, 2.0, "relaxing fraction of the stiffness",
+                  'docs/sources.md, "The link": three branches of 6 to 10 %', role="effect",
                   prior_deviation=0.25),
     )  # fmt: skip
     shared = (
-        Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",
-                  description="relaxation time of the middle branch",
-                  source='docs/sources.md, "The link": branches of 0.3, 5 and 120 s'),
+        Parameter("creep_time_s", "s", 5.0, 0.8, 60.0, "relaxation time of the middle branch",
+                  'docs/sources.md, "The link": branches of 0.3, 5 and 120 s', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -225,12 +221,12 @@ class CrossAxisCoupling(Effect):
     needs = ("bend", "tip")
     beyond_limit = True
     shared = (
-        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
-                  description="torque of one plane per other plane's", source="assumed absent"),
-        Parameter(name="coupling_damping_ratio", unit="1", value=0.08, low=0.01, high=0.3,
-                  role="effect", prior_deviation=0.04,
-                  description="damping ratio across the plane of a single joint",
-                  source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
+        Parameter("coupling_share", "1", 0.0, -0.5, 0.5, "torque of one plane per other plane's",
+                  "assumed absent", role="effect"),
+        Parameter("coupling_damping_ratio", "1", 0.08, 0.01, 0.3,
+                  "damping ratio across the plane of a single joint",
+                  'docs/sources.md, "The link": damping ratio 7 to 9 %', role="effect",
+                  prior_deviation=0.04),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

@@ -41,13 +41,14 @@ class DeadTime(Effect):
     name = "dead_time"
     parameter_needs = MappingProxyType({"dead_time_phase_{j}": "goal shape"})
     per_joint = (
-        Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
-                  description="delay of the goal on its way to the servo's loop",
-                  source='docs/sources.md, "Control tables": line time, 1 to 26 ms'),
-        Parameter(name="dead_time_phase_{j}", unit="1", value=0.0, low=-1.0, high=1.0,
-                  role="effect", description="phase by which the current is sampled later after "
-                  "the goal's jump than without the delay",
-                  source="unknown: the current may be a mean or be sampled", prior_deviation=0.5),
+        Parameter("dead_time_{j}_s", "s", 0.0, 0.0, 0.2,
+                  "delay of the goal on its way to the servo's loop",
+                  'docs/sources.md, "Control tables": line time, 1 to 26 ms', role="effect"),
+        Parameter(
+            "dead_time_phase_{j}", "1", 0.0, -1.0, 1.0,
+            "phase by which the current is sampled later after " "the goal's jump than without the delay",
+            "unknown: the current may be a mean or be sampled", role="effect", prior_deviation=0.5
+        ),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -87,9 +88,9 @@ class PositionGainChange(Effect):
     needs = ("position gain",)
     of_each_joint = True
     per_joint = (
-        Parameter(name="position_gain_change_{j}", unit="1", value=0.0, low=-0.8, high=3.0,
-                  role="effect", description="relative change of the position gain",
-                  source='docs/sources.md, "Control tables": position P gain'),
+        Parameter("position_gain_change_{j}", "1", 0.0, -0.8, 3.0,
+                  "relative change of the position gain",
+                  'docs/sources.md, "Control tables": position P gain', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -107,9 +108,8 @@ class CurrentSaturation(Effect):
     name = "current_saturation"
     needs = ("current limit",)
     per_joint = (
-        Parameter(name="current_saturation_{j}_a", unit="A", value=0.0, low=0.0, high=9.5,
-                  role="effect", description="reduction of the limit below the rated one",
-                  source="assumed absent"),
+        Parameter("current_saturation_{j}_a", "A", 0.0, 0.0, 9.5,
+                  "reduction of the limit below the rated one", "assumed absent", role="effect"),
     )  # fmt: skip
 
     @classmethod
@@ -139,9 +139,8 @@ class TorqueConstantDrift(Effect):
 
     name = "torque_constant_drift"
     per_joint = (
-        Parameter(name="torque_constant_drift_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="relative loss of torque per ampere",
-                  source="assumed absent"),
+        Parameter("torque_constant_drift_{j}", "1", 0.0, -0.5, 0.5,
+                  "relative loss of torque per ampere", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

@@ -16,27 +16,26 @@ RIGID_GEAR_TIME_S: Final = 2e-3
 """Time constant of a gear without backlash or compliance: two integration steps."""
 
 PLATE_INERTIA = Parameter(
-    name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.02, high=1.0,
-    description="inertia between the gear and the root of the load",
-    source="assumed: base plate and its frame",
+    "plate_inertia_{j}_kg_m2", "kg.m2", 0.04, 0.02, 1.0,
+    "inertia between the gear and the root of the load", "assumed: base plate and its frame"
 )  # fmt: skip
 GEAR_DAMPING = Parameter(
-    name="gear_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=10.0, low=0.0, high=30.0,
-    role="effect", prior_deviation=5.0,
-    description="damping of the gear in series with its compliance", source="assumed",
+    "gear_damping_{j}_nm_s_rad", "N.m.s/rad", 10.0, 0.0, 30.0,
+    "damping of the gear in series with its compliance", "assumed", role="effect",
+    prior_deviation=5.0
 )  # fmt: skip
 
 MOUNT_FRACTION = Parameter(
-    name="backlash_mount_fraction", unit="1", value=0.0, low=-0.5, high=1.5, role="effect",
-    prior_deviation=0.5,
-    description="fraction of the play that is in the link's mount and moves no mass",
-    source="assumed: all in the gear; beyond 0 and 1 it makes up for the gear's inertia",
+    "backlash_mount_fraction", "1", 0.0, -0.5, 1.5,
+    "fraction of the play that is in the link's mount and moves no mass",
+    "assumed: all in the gear; beyond 0 and 1 it makes up for the gear's inertia", role="effect",
+    prior_deviation=0.5
 )  # fmt: skip
 
 MOUNT_TIME = Parameter(
-    name="backlash_mount_time_s", unit="s", value=0.04, low=0.008, high=0.2, role="effect",
-    prior_deviation=0.02, description="mean time of the link through the play of its mount",
-    source="assumed: it falls through 5 mrad in 0.03 s",
+    "backlash_mount_time_s", "s", 0.04, 0.008, 0.2,
+    "mean time of the link through the play of its mount",
+    "assumed: it falls through 5 mrad in 0.03 s", role="effect", prior_deviation=0.02
 )  # fmt: skip
 
 
@@ -88,9 +87,8 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     needs = ("gear load",)
     per_joint = (
-        Parameter(name="joint_elasticity_{j}_{angle}_{torque}", unit="rad/(N.m)", value=0.0,
-                  low=0.0, high=0.02, role="effect", description="gear wind-up per torque",
-                  source="a stiff gear has 5e-5 (20 kN·m/rad)"),
+        Parameter("joint_elasticity_{j}_{angle}_{torque}", "rad/(N.m)", 0.0, 0.0, 0.02,
+                  "gear wind-up per torque", "a stiff gear has 5e-5 (20 kN·m/rad)", role="effect"),
         PLATE_INERTIA,
         GEAR_DAMPING,
     )  # fmt: skip
@@ -116,12 +114,10 @@ class Backlash(Effect):
     name = "backlash"
     needs = ("gear load",)
     per_joint = (
-        Parameter(name="backlash_{j}_{angle}", unit="rad", value=0.0, low=0.0, high=0.1,
-                  role="effect", description="full play of the gear",
-                  source='docs/sources.md, "The servo": below 0.0017 rad (6 arc minutes)'),
-        Parameter(name="backlash_torque_{j}_{torque}", unit="N.m", value=0.5, low=0.05, high=5.0,
-                  description="torque that closes the play",
-                  source="numerical: 2 % of the study's peak torque"),
+        Parameter("backlash_{j}_{angle}", "rad", 0.0, 0.0, 0.1, "full play of the gear",
+                  'docs/sources.md, "The servo": below 0.0017 rad (6 arc minutes)', role="effect"),
+        Parameter("backlash_torque_{j}_{torque}", "N.m", 0.5, 0.05, 5.0,
+                  "torque that closes the play", "numerical: 2 % of the study's peak torque"),
         PLATE_INERTIA,
         GEAR_DAMPING,
     )  # fmt: skip

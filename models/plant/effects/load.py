@@ -16,9 +16,8 @@ class UnmodelledPayload(Effect):
 
     name = "unmodelled_payload"
     shared = (
-        Parameter(name="unmodelled_payload_kg", unit="kg", value=0.0, low=-0.2, high=3.0,
-                  role="effect", description="mass at the tip beyond the declared payload",
-                  source="assumed absent"),
+        Parameter("unmodelled_payload_kg", "kg", 0.0, -0.2, 3.0,
+                  "mass at the tip beyond the declared payload", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -34,9 +33,9 @@ class PayloadOffset(Effect):
     name = "payload_offset"
     needs = ("tip",)
     shared = (
-        Parameter(name="payload_offset_share", unit="1", value=0.0, low=-0.2, high=0.2,
-                  role="effect", description="offset towards +x, fraction of the link's length",
-                  source="assumed absent; hung by hand within 3 mm"),
+        Parameter("payload_offset_share", "1", 0.0, -0.2, 0.2,
+                  "offset towards +x, fraction of the link's length",
+                  "assumed absent; hung by hand within 3 mm", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -49,9 +48,8 @@ class LoadOffset(Effect):
     name = "load_offset"
     of_each_joint = True
     per_joint = (
-        Parameter(name="load_offset_{j}_{torque}", unit="N.m", value=0.0, low=-30.0, high=30.0,
-                  role="effect", description="constant torque on the joint",
-                  source="assumed absent"),
+        Parameter("load_offset_{j}_{torque}", "N.m", 0.0, -30.0, 30.0,
+                  "constant torque on the joint", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -70,9 +68,8 @@ class AerodynamicDrag(Effect):
 
     name = "aerodynamic_drag"
     shared = (
-        Parameter(name="aerodynamic_drag_{torque}", unit="N.m", value=0.0, low=0.0, high=10.0,
-                  role="effect", description="drag torque at 1 rad/s",
-                  source='docs/sources.md, "The link": 0.02 N·m'),
+        Parameter("aerodynamic_drag_{torque}", "N.m", 0.0, 0.0, 10.0, "drag torque at 1 rad/s",
+                  'docs/sources.md, "The link": 0.02 N·m', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
