@@ -35,7 +35,7 @@ from models.plant.document import (
     write_plant_document,
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects, in_order
-from models.plant.observer import compose_observer, observer_parameters
+from models.plant.observer import OBSERVER_PARAMETERS, compose_observer
 from models.plant.parameter import Parameter, check_values, parameter_of_link
 from models.plant.scope import Scope, variable_of, without_values
 from models.plant.step_model import StepModel
@@ -367,5 +367,5 @@ def declared_parameters(
         *DRIVES[drive]().parameters(scope),
         *LOADS[load]().parameters(scope),
         *(q for effect in effects for q in effect().parameters(scope)),
-        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
+        *((FOLLOW_RATE, *OBSERVER_PARAMETERS) if observer and load == "link" else ()),
     ]
