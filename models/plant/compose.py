@@ -27,7 +27,7 @@ from typing import Any, Final
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
-from models.plant.components.drive import SI_UNIT_OF, Drive, current_limit, declare_presliding
+from models.plant.components.drive import TORQUE_UNIT, Drive, current_limit, declare_presliding
 from models.plant.components.goal import declare_step_length
 from models.plant.components.load import PlantLoad
 from models.plant.effects import Effect
@@ -92,7 +92,7 @@ def compose_driven(
         unit = scope.suffix["torque"]
         for j in scope.joints:
             effort = f"{'torque' if unit == 'nm' else 'force'}_{j}_{unit}"
-            variable = Variable(effort, SI_UNIT_OF[unit], 0.0, f"measured, joint {j}")
+            variable = Variable(effort, TORQUE_UNIT[unit], 0.0, f"measured, joint {j}")
             outputs[effort] = variable, scope.current[j]
         outputs = lag_outputs(scope, outputs | load.outputs(scope))
     else:
@@ -116,7 +116,7 @@ def angle_variable(scope: Scope, joint: int) -> Variable:
     """Measured coordinate of a joint as an input or output."""
     unit = scope.suffix["angle"]
     name = f"{'angle' if unit == 'rad' else 'position'}_{joint}_{unit}"
-    return Variable(name, SI_UNIT_OF[unit], 0.0, f"measured, joint {joint}")
+    return Variable(name, unit, 0.0, f"measured, joint {joint}")
 
 
 def current_variable(joint: int) -> Variable:

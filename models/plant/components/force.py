@@ -7,7 +7,7 @@ from typing import ClassVar
 import casadi as ca
 
 from models.plant.components.drive import (
-    SI_UNIT_OF,
+    TORQUE_UNIT,
     Drive,
     friction_speed_parameter,
     start_offset_parameter,
@@ -30,7 +30,7 @@ class Force(Drive):
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         torque = scope.suffix["torque"]
         return [
-            Parameter(f"force_constant_{joint}_{torque}_v", f"{SI_UNIT_OF[torque]}/V", NO_DEFAULT,
+            Parameter(f"force_constant_{joint}_{torque}_v", f"{TORQUE_UNIT[torque]}/V", NO_DEFAULT,
                       0.01, 1e3, "force per volt of command", "data sheet of the drive"),
             start_offset_parameter(scope, joint),
             start_rate_parameter(scope, joint),
