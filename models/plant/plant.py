@@ -178,7 +178,7 @@ class Plant:
         return applicable(DRIVES[self.drive], LOADS[self.load])
 
     def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
-        """Return the names of an effect's strength: one for each of `dof` joints, or one for all."""
+        """Return the names of an effect's strength: one per joint, or one for all."""
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
 
     def link_facts(self) -> LinkFacts:

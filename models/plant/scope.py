@@ -77,9 +77,12 @@ class CurrentSampling:
     above_end: Expr = 0  # Sampled current minus the current at the end of the step
 
 
-def _by_joint(value: int) -> Any:
-    """Field of a quantity that is `value` in every joint until a part changes it."""
-    return field(default_factory=lambda: defaultdict(lambda: value))
+def _zeros() -> defaultdict[int, Expr]:
+    return defaultdict(int)
+
+
+def _ones() -> defaultdict[int, Expr]:
+    return defaultdict(lambda: 1)
 
 
 @dataclass
@@ -103,7 +106,7 @@ class Scope:
     absent: set[str] = field(default_factory=set)  # Parameters that are fixed at zero
 
     # Motion by joint, on the drive's side of the gear
-    start: dict[int, Expr] = _by_joint(0)  # Coordinate at the start
+    start: dict[int, Expr] = field(default_factory=_zeros)  # Coordinate at the start
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)  # Set where the motion is imposed
@@ -111,11 +114,11 @@ class Scope:
     holding_torque: dict[int, Expr] = field(default_factory=dict)  # Balances the load at the start
 
     # Port sensor
-    encoder_error: dict[int, Expr] = _by_joint(0)  # Offset of the measured coordinate
+    encoder_error: dict[int, Expr] = field(default_factory=_zeros)  # Offset of the coordinate
     encoder_ripple: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)  # Periodic
     rate_error: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)  # Of the loop
-    current_bias: dict[int, Expr] = _by_joint(0)
-    current_scale: dict[int, Expr] = _by_joint(0)  # Relative error of the measured current
+    current_bias: dict[int, Expr] = field(default_factory=_zeros)
+    current_scale: dict[int, Expr] = field(default_factory=_zeros)  # Relative error
     sensor_lag: dict[int, SensorLowPass] = field(default_factory=dict)
     frame_turn_rad: tuple[Expr, Expr, Expr] = (0, 0, 0)  # Mocap about x, y, z; applied as z, x, y
     frame_scale: Expr = 0  # Relative error of the mocap's scale
@@ -125,8 +128,8 @@ class Scope:
     # Port command
     goal: dict[int, Expr] = field(default_factory=dict)
     sampling: dict[int, CurrentSampling] = field(default_factory=dict)
-    position_gain_scale: dict[int, Expr] = _by_joint(1)
-    current_limit_reduction: dict[int, Expr] = _by_joint(0)
+    position_gain_scale: dict[int, Expr] = field(default_factory=_ones)
+    current_limit_reduction: dict[int, Expr] = field(default_factory=_zeros)
 
     # Ports stiffness and bend_torque, by hinge and plane
     bend: dict[Hinge, Expr] = field(default_factory=dict)
@@ -142,22 +145,22 @@ class Scope:
     payload_offset_m: Expr = 0  # Towards +x
 
     # Ports joint_torque and servo_torque
-    joint_torque: dict[int, Expr] = _by_joint(0)  # All but that of motor and friction
+    joint_torque: dict[int, Expr] = field(default_factory=_zeros)  # Without motor and friction
     transmitted_torque: dict[int, Expr] = field(default_factory=dict)  # Load on the gear at rest
     gear_drive_torque: dict[int, Expr] = field(default_factory=dict)  # Of the drive on a small gear
-    friction: dict[int, Expr] = _by_joint(0)  # Opposes `rate`
+    friction: dict[int, Expr] = field(default_factory=_zeros)  # Opposes `rate`
     friction_direction: dict[int, Expr] = field(default_factory=dict)  # Sign with presliding
-    torque_scale: dict[int, Expr] = _by_joint(1)  # Factor on the drive's torque constant
+    torque_scale: dict[int, Expr] = field(default_factory=_ones)  # Of the torque constant
     current: dict[int, Expr] = field(default_factory=dict)
     motor_torque: dict[int, Expr] = field(default_factory=dict)
     # Lost motion: the load's coordinate is angle - windup
-    windup: dict[int, Expr] = _by_joint(0)
-    windup_rate: dict[int, Expr] = _by_joint(0)
-    windup_acceleration: dict[int, Expr] = _by_joint(0)
+    windup: dict[int, Expr] = field(default_factory=_zeros)
+    windup_rate: dict[int, Expr] = field(default_factory=_zeros)
+    windup_acceleration: dict[int, Expr] = field(default_factory=_zeros)
     # Angle by which the markers lean in the mount, without mass
-    lean: dict[int, Expr] = _by_joint(0)
-    lean_rate: dict[int, Expr] = _by_joint(0)
-    lean_acceleration: dict[int, Expr] = _by_joint(0)
+    lean: dict[int, Expr] = field(default_factory=_zeros)
+    lean_rate: dict[int, Expr] = field(default_factory=_zeros)
+    lean_acceleration: dict[int, Expr] = field(default_factory=_zeros)
 
     def __post_init__(self) -> None:
         self.holding_torque = {j: ca.SX.sym(f"holding_{j}") for j in self.joints}

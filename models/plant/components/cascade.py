@@ -146,9 +146,7 @@ class Cascade(Drive):
         at_once = 1 - scope.p("goal_interpolation_{j}", joint)
         above = at_once * jump + gain * forward * step_s * acceleration
         phase = sampling_phase(scope, joint, step_s)
-        return scope.current[joint] + above * above_mean(
-            phase, step_s, self._decay_s(scope, joint)
-        )
+        return scope.current[joint] + above * above_mean(phase, step_s, self._decay_s(scope, joint))
 
     def _position_gain(self, scope: Scope, joint: int) -> Expr:
         """Set-point of the rate per position error."""

@@ -78,9 +78,7 @@ def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
     """Offset of the first position, for a joint without a stiff position loop."""
     unit = scope.suffix["angle"]
     meaning = "first position, from the first goal or from zero; of a trial, as measured"
-    return Parameter(
-        f"start_offset_{joint}_{unit}", unit, 0.0, -10.0, 10.0, meaning, "at the goal"
-    )
+    return Parameter(f"start_offset_{joint}_{unit}", unit, 0.0, -10.0, 10.0, meaning, "at the goal")
 
 
 def start_rate_parameter(scope: Scope, joint: int) -> Parameter:

@@ -45,6 +45,7 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Hinge, Scope
 from models.plant.step_model import Variable
 
+
 class Link(PlantLoad):
     """Inflatable link on a base joint with one or two axes."""
 
@@ -148,9 +149,7 @@ class Link(PlantLoad):
         joint, bend = self._delayed(scope)
         turn_x, turn_y, turn_z = scope.frame_turn_rad
         cos, sin = ca.cos(turn_z), ca.sin(turn_z)
-        about_z = ca.vertcat(
-            ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1)
-        )
+        about_z = ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
         turn = symbolic_base_rotation(turn_y, -turn_x) @ about_z
         tip_m = self._frames(scope, joint, bend, scope.cross_bend)[2]
         tip_m = (1 + scope.frame_scale) * (turn @ tip_m)
@@ -182,7 +181,9 @@ class Link(PlantLoad):
             j: late(
                 scope.angle[j] - scope.windup[j] + scope.lean[j],
                 scope.rate[j] - scope.windup_rate[j] + scope.lean_rate[j],
-                derivative(scope.rate[j]) - scope.windup_acceleration[j] + scope.lean_acceleration[j],
+                derivative(scope.rate[j])
+                - scope.windup_acceleration[j]
+                + scope.lean_acceleration[j],
             )
             for j in scope.joints
         }

@@ -84,12 +84,11 @@ ORDER: Final[tuple[str, ...]] = (
 """Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
 the one comes before the other."""
 
-_PLACE: Final = {name: place for place, name in enumerate(ORDER)}
-
 
 def in_order(names: Iterable[str]) -> list[str]:
     """Sort names of effects in the order in which they act within a port."""
-    return sorted(names, key=lambda name: (_PLACE.get(name, len(ORDER)), name))
+    place = {name: place for place, name in enumerate(ORDER)}
+    return sorted(names, key=lambda name: (place.get(name, len(ORDER)), name))
 
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
@@ -168,30 +167,14 @@ class Effect:
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Return the first strength to try for an effect with a dead zone.
+        """Return the first strength to try for an effect with a dead zone; zero without one.
 
-        Parameters
-        ----------
-        known : mapping of str to float
-            Values of the plant's parameters by name.
-        trials : sequence of Trial
-            Measured trials of the plant.
-
-        Returns
-        -------
-        float
-            Strength; zero if there is no dead zone or the trials do not determine it.
+        `known` holds the plant's parameters by name.
         """
         return 0.0
 
     def apply(self, scope: Scope) -> None:
-        """Change the quantities of the scope at the effect's port.
-
-        Parameters
-        ----------
-        scope : Scope
-            Symbols of the composition.
-        """
+        """Change the quantities of the scope at the effect's port."""
         raise NotImplementedError
 
 
@@ -208,12 +191,9 @@ def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
     if scope.suffix["angle"] == "rad":
         return msgspec.structs.replace(q, name=name)
     above, _, below = q.unit.partition("/")
-    power = sum(
-        exponent * (above.split(".").count(base) - below.strip("()").split(".").count(base))
-        for base, exponent in (("rad", 1), ("m", -1))
-    )
+    up, down = above.split("."), below.strip("()").split(".")
+    factor = PULLEY_M ** (up.count("rad") - down.count("rad") - up.count("m") + down.count("m"))
     unit = q.unit.replace("N.m", "N").replace("rad", "m")
-    factor = PULLEY_M**power
     return msgspec.structs.replace(
         q, name=name, unit=unit, value=q.value * factor, low=q.low * factor, high=q.high * factor
     )
@@ -231,17 +211,12 @@ def check_effects(
     """Refuse effects that are unknown or that the drive and the load do not allow."""
     known = applicable(drive, load)
     for name in names:
-        if name not in EFFECTS:
-            raise InputError(
-                where, f"{name!r} is no effect", "choose from " + ", ".join(sorted(known))
-            )
         if name not in known:
-            raise InputError(
-                where,
+            what = f"{name!r} is no effect" if name not in EFFECTS else (
                 f"effect {name!r} acts on a {EFFECTS[name].needs[0]}, "
-                f"which a {load.kind} on a {drive.kind} drive does not have",
-                "choose from " + ", ".join(sorted(known)),
-            )
+                f"which a {load.kind} on a {drive.kind} drive does not have"
+            )  # fmt: skip
+            raise InputError(where, what, "choose from " + ", ".join(sorted(known)))
 
 
 for _module in pkgutil.iter_modules(__path__):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import casadi as ca
 
 from models.plant.effects import Effect
@@ -11,16 +9,6 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
-
-EASE_RAD: Final = 2e-3
-"""Bend over which softening sets in, so that it is smooth at zero."""
-
-FASTEST_SLIP_PER_S: Final = 300.0
-"""Largest bend rate of the hysteresis, in yield bends per second."""
-
-
-BRANCHES: Final = (1 / 16, 1.0, 24.0)
-"""Relaxation times of creep relative to the middle one."""
 
 
 class Prebend(Effect):
@@ -38,14 +26,12 @@ class Prebend(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Shift the rest shape of the span, in its torque and its stiffness."""
-        planes = [("span", j) for j in scope.joints]
         gain = 0.5 / (1 - scope.p("span_position"))
         shift = [
-            (scope.bend[key], scope.bend[key] - gain * scope.p("prebend_{j}_rad", key[1]))
-            for key in planes
+            (scope.bend["span", j], scope.bend["span", j] - gain * scope.p("prebend_{j}_rad", j))
+            for j in scope.joints
         ]
-        for key in planes:
+        for key in [("span", j) for j in scope.joints]:
             scope.bend_torque[key] = substitute(scope.bend_torque[key], shift)
             scope.stiffness[key] = substitute(scope.stiffness[key], shift)
 
@@ -65,7 +51,6 @@ class DirectionalStiffness(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness by the direction of its bend."""
         for (hinge, j), bend in scope.bend.items():
             side = ca.tanh(bend / 0.01)
             scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
@@ -87,7 +72,8 @@ class StiffnessSoftening(Effect):
     def apply(self, scope: Scope) -> None:
         loss = scope.p("softening_share")
         for hinge, j in scope.stiffness:
-            size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
+            # Softening sets in over 2 mrad, so that it is smooth at zero.
+            size = ca.sqrt(_square(scope, hinge) + 2e-3**2) - 2e-3
             scope.stiffness[hinge, j] /= 1 + loss / (1 - loss) * size / REFERENCE_BEND_RAD
 
 
@@ -125,12 +111,12 @@ class PressureLeak(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness and the limit moment by what is left."""
-        left = scope.state(Variable("pressure_left", "1"), 1.0)
-        scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
+        remaining = scope.state(Variable("pressure_left", "1"), 1.0)
+        per_s = ca.log(1 - scope.p("leak_share"))
+        scope.states[remaining.name()].rate = remaining * per_s / LEAK_TIME_S
         for key in scope.stiffness:
-            scope.stiffness[key] *= left
-        scope.limit_moment *= left
+            scope.stiffness[key] *= remaining
+        scope.limit_moment *= remaining
 
 
 class Hysteresis(Effect):
@@ -139,8 +125,8 @@ class Hysteresis(Effect):
     ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
 
     It is added to the elastic torque K φ, below the limit moment. Threads need a few milliseconds
-    to slip, so r is limited below `FASTEST_SLIP_PER_S`. Then no bend rate makes the equation stiff;
-    the study's motions stay far below the limit.
+    to slip, so r is limited below 300 yield bends per second. Then no bend rate makes the equation
+    stiff; the study's motions stay far below the limit.
     """
 
     name = "hysteresis"
@@ -163,7 +149,7 @@ class Hysteresis(Effect):
             for j in scope.joints
         }
         rate = {j: scope.bend_rate["root", j] / yield_rad for j in scope.joints}
-        speed = sum(r**2 for r in rate.values()) / FASTEST_SLIP_PER_S**2
+        speed = sum(r**2 for r in rate.values()) / 300.0**2
         rate = {j: r / ca.sqrt(1 + speed) for j, r in rate.items()}
         slip = sum((ca.fabs(rate[j] * z[j]) + rate[j] * z[j]) / 2 for j in scope.joints)
         for j in scope.joints:
@@ -197,9 +183,10 @@ class Creep(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
+        branches = (1 / 16, 1.0, 24.0)
         for (hinge, j), bend in scope.bend.items():
-            fraction = scope.p("creep_share_{j}", j) / len(BRANCHES)
-            for b, ratio in enumerate(BRANCHES, 1):
+            fraction = scope.p("creep_share_{j}", j) / len(branches)
+            for b, ratio in enumerate(branches, 1):
                 name = f"creep_{hinge}_{j}_{b}_rad"
                 crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
                 scope.states[name].rate = (bend - crept) / (ratio * scope.p("creep_time_s"))
@@ -230,15 +217,13 @@ class CrossAxisCoupling(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the other plane's torque, or the deflection across the only plane."""
         if len(scope.joints) == 1:
             _bend_across(scope)
             return
-        own = dict(scope.bend_torque)
-        for hinge, j in own:
-            for other in scope.joints:
-                if other != j:
-                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+        uncoupled = dict(scope.bend_torque)
+        for hinge, j in uncoupled:
+            other = 3 - j
+            scope.bend_torque[hinge, j] += scope.p("coupling_share") * uncoupled[hinge, other]
 
 
 def _bend_across(scope: Scope) -> None:

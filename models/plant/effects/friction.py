@@ -15,11 +15,6 @@ from models.plant.step_model import Variable
 FASTEST_SLIDE_S: Final = 2e-3
 """Shortest time in which sliding bends or breaks the contacts: two integration steps."""
 
-PEAK_EXPONENT: Final = 1.55
-PEAK_EXPONENT_FALL: Final = 0.1
-"""Exponent that joins the limits of `StribeckFriction`'s peak, and its decrease with the tail κ:
-within 2.1 % up to κ = 1, by a scan."""
-
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
     """Smooth sign of a joint's rate, for dry friction; from the drive if it has one."""
@@ -48,9 +43,8 @@ class CoulombFriction(Effect):
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
-            scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * friction_direction(
-                scope, j
-            )
+            level = scope.p("coulomb_friction_{j}_{torque}", j)
+            scope.friction[j] += level * friction_direction(scope, j)
 
 
 class ViscousFriction(Effect):
@@ -65,9 +59,8 @@ class ViscousFriction(Effect):
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
-            scope.friction[j] += (
-                scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
-            )
+            coefficient = scope.p("viscous_friction_{j}_{torque}_s_{angle}", j)
+            scope.friction[j] += coefficient * scope.rate[j]
 
 
 class DirectionalFriction(Effect):
@@ -87,7 +80,6 @@ class DirectionalFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that opposes one direction and aids the other."""
         for j in scope.joints:
             excess = scope.p("directional_friction_{j}_{torque}_s_{angle}", j)
             scope.friction[j] += excess * scope.rate[j] * friction_direction(scope, j)
@@ -129,7 +121,6 @@ class StribeckFriction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that fades with the rate."""
         for j in scope.joints:
             tail = scope.p("stribeck_tail_{j}", j)
             ratio = scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)
@@ -156,7 +147,8 @@ def _peak(scope: Scope, joint: int) -> Expr:
     """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive has its own sign.
 
     Interpolated by powers between its limits: 1 for v_s ≫ v_0, and for v_s ≪ v_0 the largest value
-    of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ).
+    of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ). The exponent
+    falls with the tail κ: the peak is within 2.1 % up to κ = 1, by a scan.
     """
     if joint in scope.friction_direction:
         return 1
@@ -165,7 +157,7 @@ def _peak(scope: Scope, joint: int) -> Expr:
     tail = scope.p("stribeck_tail_{j}", joint)
     width = fading / rising * ca.sqrt(tail / (2 - tail) / ca.expm1(tail))
     limit = width * (2 / (2 - tail)) ** (-1 / tail)
-    exponent = PEAK_EXPONENT - PEAK_EXPONENT_FALL * tail
+    exponent = 1.55 - 0.1 * tail
     return (1 + limit**-exponent) ** (-1 / exponent)
 
 
@@ -194,7 +186,6 @@ class Stiction(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that is largest at the start of sliding."""
         for j in scope.joints:
             rate = scope.rate[j]
             slid = scope.state(Variable(f"slid_{j}", "1", minimum=-1.0, maximum=1.0))

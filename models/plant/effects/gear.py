@@ -49,15 +49,10 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
     ẅ depends on states only, so the load moves on an accelerated base without approximation and its
     reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
     """
-    angle = scope.suffix["angle"]
-    windup = scope.state(
-        Variable(f"{label}_{joint}_{angle}", angle, nominal=1e-3), scope.initial_value(lost)
-    )
-    rate = scope.state(Variable(f"{label}_rate_{joint}_{angle}_s", f"{angle}/s", nominal=0.1))
     mass = RIGID_GEAR_TIME_S**2 + compliance * scope.p(PLATE_INERTIA.name, joint)
     damping = 2 * RIGID_GEAR_TIME_S + compliance * scope.p(GEAR_DAMPING.name, joint)
+    windup, rate = _add_oscillator(scope, joint, label, lost)
     acceleration = (lost - windup - damping * rate) / mass
-    scope.states[windup.name()].rate = rate
     scope.states[rate.name()].rate = acceleration
     scope.windup[joint] += windup
     scope.windup_rate[joint] += rate
@@ -66,16 +61,22 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
 def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
     """Add a lean w of the link's markers in the mount, (T²/4) ẅ + T ẇ + w = w_l; no mass moves."""
-    lean = scope.state(
-        Variable(f"mount_lean_{joint}_rad", "rad", nominal=1e-3), scope.initial_value(leaning)
-    )
-    rate = scope.state(Variable(f"mount_lean_rate_{joint}_rad_s", "rad/s", nominal=0.1))
+    lean, rate = _add_oscillator(scope, joint, "mount_lean", leaning)
     acceleration = 4 * (leaning - lean - time_s * rate) / time_s**2
-    scope.states[lean.name()].rate = rate
     scope.states[rate.name()].rate = acceleration
     scope.lean[joint] += lean
     scope.lean_rate[joint] += rate
     scope.lean_acceleration[joint] += acceleration
+
+
+def _add_oscillator(scope: Scope, joint: int, label: str, start: Expr) -> tuple[Expr, Expr]:
+    """Add a displacement and its rate as states."""
+    unit = scope.suffix["angle"]
+    displacement = Variable(f"{label}_{joint}_{unit}", unit, nominal=1e-3)
+    value = scope.state(displacement, scope.initial_value(start))
+    rate = scope.state(Variable(f"{label}_rate_{joint}_{unit}_s", f"{unit}/s", nominal=0.1))
+    scope.states[value.name()].rate = rate
+    return value, rate
 
 
 class JointElasticity(Effect):
@@ -94,12 +95,10 @@ class JointElasticity(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Wind up by the torque that the load puts on the joint."""
         for j in scope.joints:
             compliance = scope.p("joint_elasticity_{j}_{angle}_{torque}", j)
-            add_windup(
-                scope, j, "elastic_windup", -compliance * scope.transmitted_torque[j], compliance
-            )
+            lost = -compliance * scope.transmitted_torque[j]
+            add_windup(scope, j, "elastic_windup", lost, compliance)
 
 
 class Backlash(Effect):
@@ -125,12 +124,10 @@ class Backlash(Effect):
     search_start = MappingProxyType({MOUNT_FRACTION.name: 0.5})
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return the parameters for the joints of `scope`; only a link has a mount."""
         own = super().parameters(scope)
         return own if "tip" in scope.features else own[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
-        """Move the load to the side that its torque presses against."""
         mount = scope.p(MOUNT_FRACTION.name) if "tip" in scope.features else 0
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import casadi as ca
 
 from models.plant.effects import Effect
@@ -73,22 +71,18 @@ class AerodynamicDrag(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the motion of joint and bends."""
         fractions = _drag_fractions(scope) if ("span", 1) in scope.bend else {}
         rate = {
             j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in fractions.items())
             for j in scope.joints
         }
-        speed = ca.sqrt(sum(r**2 for r in rate.values()) + DRAG_ROUNDING_RAD_S**2)
+        # Linear below 1 µrad/s, so that it has a derivative at rest.
+        speed = ca.sqrt(sum(r**2 for r in rate.values()) + 1e-6**2)
         for j in scope.joints:
             torque = scope.p("aerodynamic_drag_{torque}") * speed * rate[j]
             scope.joint_torque[j] -= torque
             for hinge, fraction in fractions.items():
                 scope.bend_torque[hinge, j] -= fraction * torque
-
-
-DRAG_ROUNDING_RAD_S: Final = 1e-6
-"""Rate below which drag is linear, so that it has a derivative at rest."""
 
 
 def _drag_fractions(scope: Scope) -> dict[str, Expr]:

@@ -56,12 +56,10 @@ class EncoderRipple(Effect):
     shared = (RATE_FRACTION,)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return the parameters for the joints of `scope`; only a cascade has a velocity loop."""
         own = super().parameters(scope)
         return own if "goal shape" in scope.features else own[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
-        """Add the error as a function of the coordinate."""
         for j in scope.joints:
             scope.encoder_ripple[j] = functools.partial(periodic, scope, self.name, j)
             if "goal shape" in scope.features:
@@ -95,6 +93,5 @@ class Cogging(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Subtract the torque, after the torque that the gear transmits is set."""
         for j in scope.joints:
             scope.joint_torque[j] -= periodic(scope, self.name, j, scope.angle[j])

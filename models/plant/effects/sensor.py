@@ -81,7 +81,6 @@ class MarkerFrameTilt(Effect):
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
-        """Return the names of the turns about the joints' axes."""
         return ("marker_frame_tilt_rad", "marker_frame_roll_rad")[: len(scope.joints)]
 
     def apply(self, scope: Scope) -> None:
@@ -152,11 +151,10 @@ class SensorLag(Effect):
                   "fraction of it in a second stage; 0.5 is critically damped",
                   "assumed of first order; uniform: none to two equal stages", role="effect",
                   prior_deviation=0.29),
-        Parameter(
-            "sensor_lag_jump_{j}", "1", 0.0, -0.5, 0.5,
-            "mean of the current above that of the plant, in jumps of a goal " "that moves as the joint does",
-            "uniform: a saw-tooth spans one jump", role="effect", prior_deviation=0.29
-        ),
+        Parameter("sensor_lag_jump_{j}", "1", 0.0, -0.5, 0.5,
+                  "mean of the current above that of the plant, in jumps of a goal that moves as "
+                  "the joint does",
+                  "uniform: a saw-tooth spans one jump", role="effect", prior_deviation=0.29),
         Parameter("sensor_lag_angle_{j}_s", "s", 0.0, 0.0, 0.05, "low-pass of the measured angle",
                   "assumed absent"),
     )  # fmt: skip
@@ -166,7 +164,6 @@ class SensorLag(Effect):
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Set the low-pass of every joint's signals and of the motion capture."""
         for j in scope.joints:
             second = scope.name("sensor_lag_second_{j}", j)
             shaped = "goal shape" in scope.features
