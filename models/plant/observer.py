@@ -13,7 +13,6 @@ holds no information. An innovation beyond three standard deviations counts as t
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -121,18 +120,18 @@ class _Sensitivity:
         for s in load:
             variable = Variable(f"{s.variable.name}_per_kg", f"{s.variable.unit}/kg")
             slopes.append(scope.state(variable, ca.jacobian(ca.SX(s.initial), mass_kg)))
-        self._slopes = ca.vertcat(*slopes)
+        self._slopes = slopes
         for slope, s in zip(slopes, load, strict=True):
             scope.states[slope.name()].rate = self.along(ca.SX(s.rate))
 
     def along(self, expression: Expr) -> Expr:
         """Total derivative of an expression with respect to m."""
         direct = ca.jacobian(expression, self._mass_kg)
-        return ca.jtimes(expression, self._x, self._slopes) + direct
+        return ca.jtimes(expression, self._x, ca.vertcat(*self._slopes)) + direct
 
     def correct(self, change_kg: Expr) -> None:
         """Move the load to where it would be if m were larger by `change_kg`."""
-        for slope, s in zip(ca.vertsplit(self._slopes), self._load, strict=True):
+        for slope, s in zip(self._slopes, self._load, strict=True):
             limited = _clip(slope, -MAX_SENSITIVITY_PER_KG, MAX_SENSITIVITY_PER_KG)
             self._scope.states[slope.name()].finish = limited
             moved, v = s.symbol + limited * change_kg, s.variable
@@ -272,4 +271,7 @@ def _is_jump(scope: Scope) -> Expr:
 
 def _all(conditions: Sequence[Expr]) -> Expr:
     """1 if all conditions hold, else 0; a comparison with NaN does not hold."""
-    return functools.reduce(ca.logic_and, conditions, 1)
+    result: Expr = 1
+    for condition in conditions:
+        result = ca.logic_and(result, condition)
+    return result

@@ -177,18 +177,8 @@ def _ratio(name: str, scale: LinkScale) -> float:
     return ratios.get(name, 1.0)
 
 
-class PhysicalSum(NamedTuple):
-    """Sum of parameters that no real machine has below zero."""
-
-    what: str
-    unit: str
-    weights: Mapping[str, float]  # By name; {j} stands for a joint, * for any text
-    constant: float = 0.0
-    may_vanish: bool = False
-
-
 class ImpossibleSum(NamedTuple):
-    """Sum of a plant that violates its limit."""
+    """Sum of parameters below zero, which no real machine has."""
 
     what: str
     unit: str
@@ -196,50 +186,36 @@ class ImpossibleSum(NamedTuple):
     parameters: tuple[str, ...]
 
 
-SUMS: Final = (
-    PhysicalSum("mass at the tip with payload", "kg",
-                {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}, may_vanish=True),
-    PhysicalSum("friction at standstill of joint {j}", "N.m",
-                {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}, may_vanish=True),
-    PhysicalSum("viscous friction of joint {j}", "N.m.s/rad", {"viscous_friction_{j}_*": 1},
-                may_vanish=True),
-    PhysicalSum("friction per torque of joint {j}", "1", {"load_dependent_friction_{j}": 1},
-                may_vanish=True),
-    PhysicalSum("root stiffness of plane {j}", "N.m/rad", {"root_stiffness_{j}_nm_rad": 1}),
-    PhysicalSum("span stiffness of plane {j}", "N.m/rad", {"span_stiffness_{j}_nm_rad": 1}),
-    PhysicalSum("stiffness left on the weak side of plane {j}", "1",
-                {"directional_stiffness_{j}": -1}, 1),
-    PhysicalSum("stiffness left on the other side of plane {j}", "1",
-                {"directional_stiffness_{j}": 1}, 1),
-    PhysicalSum("stiffness left at 0.1 rad of bend", "1", {"softening_share": -1}, 1),
-    PhysicalSum("stiffness left after 10 s", "1", {"leak_share": -1}, 1),
-    PhysicalSum("current limit of joint {j}", "A",
-                {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}),
-    PhysicalSum("torque per ampere of joint {j}, relative", "1",
-                {"torque_constant_drift_{j}": -1}, 1),
-    PhysicalSum("measured per true current of joint {j}", "1", {"current_scale_{j}": 1}, 1),
+SUMS: Final[tuple[tuple[str, str, dict[str, int]], ...]] = (
+    ("mass at the tip with payload", "kg",
+     {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}),
+    ("friction at standstill of joint {j}", "N.m",
+     {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}),
+    ("current limit of joint {j}", "A", {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}),
 )  # fmt: skip
-"""Two parameters within their bounds can still add up to something impossible: a payload of −0.2 kg
-on tip hardware of 0.14 kg. A sum is ignored if the plant has none of its parameters."""
+"""What, unit and weights of the parameters by name; {j} stands for a joint, * for any text.
+
+Two parameters within their bounds can still add up to something impossible: a payload of −0.2 kg on
+tip hardware of 0.14 kg. The bounds alone keep every other parameter possible.
+"""
 
 
 def impossible_sums(
     values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
 ) -> list[ImpossibleSum]:
     """Sums that the values violate; the mass at the tip with the smallest of the payloads."""
-    least_payload_kg = min(payloads_kg, default=0.0)
     impossible = []
-    for total in SUMS:
-        for joint in "12" if any("{j}" in name for name in total.weights) else " ":
+    for what, unit, patterns in SUMS:
+        for joint in ("1", "2") if "{j}" in what else ("",):
             weights = {
                 name: weight
-                for pattern, weight in total.weights.items()
+                for pattern, weight in patterns.items()
                 for name in values
                 if fnmatchcase(name, pattern.replace("{j}", joint))
             }
-            value = total.constant + sum(w * values[name] for name, w in weights.items())
-            value += least_payload_kg if "tip_mass_kg" in total.weights else 0.0
-            if weights and (value < 0 or (value == 0 and not total.may_vanish)):
-                what = total.what.replace("{j}", joint)
-                impossible.append(ImpossibleSum(what, total.unit, value, tuple(weights)))
+            value = sum(weight * values[name] for name, weight in weights.items())
+            value += min(payloads_kg, default=0.0) if unit == "kg" else 0.0
+            if weights and (value < 0 or (value == 0 and unit == "A")):
+                parameters = tuple(weights)
+                impossible.append(ImpossibleSum(what.format(j=joint), unit, value, parameters))
     return impossible

@@ -107,11 +107,8 @@ class Plant:
 
         Examples
         --------
-        >>> model = read_plant().step_model(dof=1)
-        >>> [v.name for v in model.inputs]
+        >>> [v.name for v in read_plant().step_model(dof=1).inputs]
         ['goal_1_rad', 'payload_kg']
-        >>> [v.name for v in model.outputs]
-        ['angle_1_rad', 'current_1_a', 'di', 'tip_x_m', 'tip_y_m', 'tip_z_m']
         """
         if not 1 <= dof <= LOADS[self.load].max_dof:
             raise InputError("dof", f"{dof} joints for load {self.load!r}", "choose another plant")
@@ -218,13 +215,7 @@ class Plant:
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
     def write(self, path: Path | str) -> None:
-        """Write the plant file; JSON or TOML by the suffix.
-
-        Parameters
-        ----------
-        path : Path or str
-            Suffix `.toml` for TOML; any other suffix gives JSON.
-        """
+        """Write the plant file: JSON for the suffix `.json`, otherwise TOML."""
         write_plant_document(self.document(), Path(path))
 
 

@@ -36,51 +36,28 @@ and mass come before the torques that depend on them. `servo_torque` is last: fr
 depend on the torque that the gear transmits, which is known once all other torques are."""
 
 ORDER: Final[tuple[str, ...]] = (
-    # bend_torque: the rest shape defines the elastic torque, so `prebend` comes before the memory.
+    # The rest shape defines the elastic torque, so it comes before the memory.
     "prebend",
-    # stiffness: all four are factors on the stiffness of a hinge, so their order does not matter.
-    "directional_stiffness",
-    "stiffness_softening",
-    "stiffness_hardening",
-    "pressure_leak",
-    # bend_torque: the memory adds torque in proportion to the stiffness and the bend itself; the
-    # coupling mixes the planes of all torque on a bend, memory, limit and damping included, so it
-    # comes last.
-    "hysteresis",
-    "creep",
-    "cross_axis_coupling",
-    # command: the goal, the gain and the current limit are separate quantities.
-    "dead_time",
-    "position_gain_change",
-    "current_saturation",
-    # servo_torque: the torque constant is a factor, each friction and the cogging an addend.
-    "torque_constant_drift",
-    "coulomb_friction",
-    "viscous_friction",
-    "directional_friction",
-    "stribeck_friction",
-    "stiction",
-    "load_dependent_friction",
-    "cogging",
-    # servo_torque: wind-up and play add up between the drive's side of the gear and the load's.
-    "joint_elasticity",
-    "backlash",
-    # mass: the mass at the tip and its offset are separate quantities.
-    "unmodelled_payload",
-    "payload_offset",
-    # joint_torque: both are addends. Drag also bends the link, after the coupling of the planes.
-    "load_offset",
-    "aerodynamic_drag",
-    # sensor: separate quantities.
-    "encoder_offset",
-    "encoder_ripple",
-    "current_bias",
-    "current_scale",
-    "marker_frame_tilt",
-    "marker_scale",
-    "sync_offset",
-    "sensor_lag",
-)
+    # Factors on the stiffness of a hinge: their order does not matter.
+    "directional_stiffness", "stiffness_softening", "stiffness_hardening", "pressure_leak",
+    # The memory adds torque in proportion to the stiffness and the bend itself; the coupling mixes
+    # the planes of all torque on a bend, memory, limit and damping included, so it comes last.
+    "hysteresis", "creep", "cross_axis_coupling",
+    # The goal, the gain and the current limit are separate quantities.
+    "dead_time", "position_gain_change", "current_saturation",
+    # The torque constant is a factor, each friction and the cogging an addend.
+    "torque_constant_drift", "coulomb_friction", "viscous_friction", "directional_friction",
+    "stribeck_friction", "stiction", "load_dependent_friction", "cogging",
+    # Wind-up and play add up between the drive's side of the gear and the load's.
+    "joint_elasticity", "backlash",
+    # The mass at the tip and its offset are separate quantities.
+    "unmodelled_payload", "payload_offset",
+    # Both are addends. Drag also bends the link, after the coupling of the planes.
+    "load_offset", "aerodynamic_drag",
+    # Sensors: separate quantities.
+    "encoder_offset", "encoder_ripple", "current_bias", "current_scale", "marker_frame_tilt",
+    "marker_scale", "sync_offset", "sensor_lag",
+)  # fmt: skip
 """Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
 the one comes before the other."""
 
