@@ -145,6 +145,23 @@ def _markers(plant, values, dof):
     return np.concatenate(rows, axis=1)
 
 
+@pytest.fixture(scope="session")
+def plant_with(tmp_path_factory):
+    """Function (drive, load, parameters, effects) -> plant of a file that says so."""
+
+    def plant(drive, load, parameters=(), effects=()):
+        path = tmp_path_factory.mktemp("plant") / "plant.toml"
+        rows = "\n".join(f"{name} = {value}" for name, value in dict(parameters).items())
+        listed = ", ".join(f'{{ name = "{name}" }}' for name in effects)
+        path.write_text(
+            f'schema = 1\nname = "test"\ndrive = {{ kind = "{drive}" }}\n'
+            f'load = {{ kind = "{load}" }}\neffects = [{listed}]\n[parameters]\n{rows}\n'
+        )
+        return read_plant(path)
+
+    return plant
+
+
 @pytest.fixture
 def plant_of(tmp_path):
     """Function (link) -> plant of its file, as `dropstitch new` writes it."""
