@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import casadi as ca
 
@@ -45,8 +45,8 @@ class Cascade(Drive):
     (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
     """
 
-    kind: ClassVar[str] = "cascade"
-    features: ClassVar[tuple[str, ...]] = (
+    kind = "cascade"
+    features = (
         "current", "current limit", "goal shape", "position gain", "smooth friction",
     )  # fmt: skip
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.drive import (
@@ -27,9 +25,9 @@ class Duty(Drive):
     Source: BAM (docs/sources.md, "Real recordings").
     """
 
-    kind: ClassVar[str] = "duty"
-    features: ClassVar[tuple[str, ...]] = ("current", "current limit", "position gain")
-    has_presliding: ClassVar[bool] = True
+    kind = "duty"
+    features = ("current", "current limit", "position gain")
+    has_presliding = True
 
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         j = joint

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.load import PlantLoad
@@ -21,8 +19,8 @@ class FlexibleLink(PlantLoad):
     measures it.
     """
 
-    kind: ClassVar[str] = "flexible_link"
-    features: ClassVar[tuple[str, ...]] = ("bend", "gear load")
+    kind = "flexible_link"
+    features = ("bend", "gear load")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [

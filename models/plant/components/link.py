@@ -35,7 +35,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import ClassVar
 
 import casadi as ca
 
@@ -49,10 +48,10 @@ from models.plant.step_model import Variable
 class Link(PlantLoad):
     """Inflatable link on a base joint with one or two axes."""
 
-    kind: ClassVar[str] = "link"
-    max_dof: ClassVar[int] = 2
-    features: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
-    hinges: ClassVar[tuple[str, ...]] = ("root", "span")
+    kind = "link"
+    max_dof = 2
+    features = ("bend", "gear load", "tip")
+    hinges = ("root", "span")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         result = [

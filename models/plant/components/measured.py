@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.drive import Drive, friction_speed_parameter, start_rate_parameter
@@ -19,8 +17,8 @@ class Measured(Drive):
     that imposes a displacement and measures force. The composition adds the coordinate as an input.
     """
 
-    kind: ClassVar[str] = "measured"
-    features: ClassVar[tuple[str, ...]] = ("imposed motion", "smooth friction")
+    kind = "measured"
+    features = ("imposed motion", "smooth friction")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         follow_rate = Parameter(

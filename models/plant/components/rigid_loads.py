@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.load import PlantLoad
@@ -18,8 +16,8 @@ class Pendulum(PlantLoad):
     J = (m + m_p + m_a/3) l².
     """
 
-    kind: ClassVar[str] = "pendulum"
-    features: ClassVar[tuple[str, ...]] = ("gear load",)
+    kind = "pendulum"
+    features = ("gear load",)
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [
@@ -47,9 +45,9 @@ class Pendulum(PlantLoad):
 class Mass(PlantLoad):
     """Mass on a straight guide: m q̈ = F."""
 
-    kind: ClassVar[str] = "mass"
-    features: ClassVar[tuple[str, ...]] = ("straight guide",)
-    suffix: ClassVar[dict[str, str]] = LINEAR
+    kind = "mass"
+    features = ("straight guide",)
+    suffix = LINEAR
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [
