@@ -10,7 +10,7 @@ in the study). The current is the one that the motion needs::
 
     k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
 
-with friction F of the plant's effects; the bends' acceleration b̈ follows from their own equations.
+with friction F of the plant's effects; the bends' acceleration b̈ follows from their equations.
 
 The ramp changes slope at the samples only, so the filter's q̈ is a saw-tooth. With ω h = 2, as in
 the study, it has decayed to zero where the current is sampled. The bends take up the saw-tooth, but

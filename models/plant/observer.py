@@ -229,7 +229,7 @@ def _restart_where_impossible(model: StepModel, scope: Scope, resting: Expr) -> 
     Some samples follow from no motion of a servo: a start far from zero whose first angle comes
     with the first step, or an encoder that jumps. Taken as a motion, a jump of 4 rad bends the link
     beyond every limit, and all later steps fail. Instead, joints and load restart at rest at the
-    sample. Estimates from before the jump, such as the payload, are kept. At a state that no link
+    sample. Estimates from before the jump, such as the payload, remain. At a state that no link
     can have (a bend of π, where the link lies on itself), everything restarts at the end of the
     step, the estimates too. `resting` is the state at rest at the sample.
     """

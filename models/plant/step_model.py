@@ -85,19 +85,19 @@ class StepModel:
         name: str,
         inputs: tuple[Variable, ...],
         parameters: tuple[Variable, ...],
-        own: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
+        derive: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
     ) -> StepModel:
         """Model with other inputs and parameters, from which those of this one follow.
 
-        `own` computes (u, p) of this model from (u, p) of the new one.
+        `derive` computes (u, p) of this model from (u, p) of the new one.
         """
         size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
 
         def wrapped(what: str, function: ca.Function) -> ca.Function:
             symbols = {label: ca.SX.sym(label, size[label]) for label in "xuph"}
-            given = symbols | dict(zip("up", own(symbols["u"], symbols["p"]), strict=True))
+            values = symbols | dict(zip("up", derive(symbols["u"], symbols["p"]), strict=True))
             labels = ARGUMENTS[what]
-            result = function(*(given[label] for label in labels))
+            result = function(*(values[label] for label in labels))
             return ca.Function(what, [symbols[label] for label in labels], [result])
 
         functions = {what: getattr(self, what) for what in ARGUMENTS}
@@ -109,7 +109,8 @@ class StepModel:
 
         The classical Runge–Kutta step h is stable for real poles up to |λ| h = 2.79 (Hairer and
         Wanner, *Solving Ordinary Differential Equations II*, 1996, section IV.2). The poles are
-        those at the start, with all inputs zero, and kept below 2: they may grow away from rest.
+        those at the start, with all inputs zero; the limit of 2 leaves room for poles that grow
+        away from rest.
         """
         p, u = self.parameter_values(), np.zeros(len(self.inputs))
         # Sensitivities have no slope along bends of zero; it stands beside the diagonal blocks, so

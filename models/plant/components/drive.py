@@ -1,7 +1,7 @@
 """Base of a drive, and what several drives share: inputs, parameters, presliding of dry friction.
 
 Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
-of drive, but each has its own parameters.
+of drive, and parameters by joint.
 """
 
 from __future__ import annotations

@@ -95,8 +95,8 @@ class Effect:
     needs : tuple of str
         Features that the drive or the load must have.
     of_each_joint : bool
-        Whether each joint has its own strength, like the offset of a mounting. All other effects
-        are alike in servos of one make; planes of bending differ.
+        Whether the strength differs by joint, like the offset of a mounting. All other effects are
+        alike in servos of one make; planes of bending differ.
     search_start : mapping of str to float
         Start values of the other parameters in a search for the strength.
     beyond_limit : bool

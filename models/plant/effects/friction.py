@@ -144,7 +144,7 @@ def _built_up(scope: Scope, joint: int) -> Expr:
 
 
 def _peak(scope: Scope, joint: int) -> Expr:
-    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive has its own sign.
+    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive sets the sign.
 
     Interpolated by powers between its limits: 1 for v_s ≫ v_0, and for v_s ≪ v_0 the largest value
     of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ). The exponent

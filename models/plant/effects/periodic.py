@@ -56,8 +56,8 @@ class EncoderRipple(Effect):
     shared = (RATE_FRACTION,)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        own = super().parameters(scope)
-        return own if "goal shape" in scope.features else own[: -len(self.shared)]
+        every = super().parameters(scope)
+        return every if "goal shape" in scope.features else every[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:

@@ -60,13 +60,6 @@ def test_the_phase_of_a_dead_time_changes_the_sampled_current_alone(bench, slow)
     assert np.corrcoef(above, rate)[0, 1] > 0.95, "sooner after a jump the current is larger"
 
 
-def test_a_step_passes_only_after_the_dead_time(bench):
-    step = np.r_[np.zeros(20), np.full(100, 0.2)]
-    angle = bench.run(["dead_time"], {"dead_time_1_s": 0.102}, goal=step, count=120)["angle_1_rad"]
-    assert np.abs(angle[:24]).max() < 0.02 * 0.2  # four steps on their way
-    assert angle[-1] == pytest.approx(0.2, abs=0.01)
-
-
 @pytest.mark.parametrize(("dof", "change"), [(1, -0.4), (2, 0.25)])
 def test_a_changed_position_gain_is_a_loop_with_that_gain(bench, dof, change):
     effects, gain = ["position_gain_change"], "position_gain_1_per_s"
@@ -211,17 +204,6 @@ def test_stiction_is_lost_over_a_distance_and_regained_at_rest(bench):
     assert away > 0.7 * force_nm and rested > 0.7 * force_nm and turned > 0.9 * force_nm
     assert briefly < 0.3 * force_nm
     assert np.abs(torque[start[5] - 20 : start[5] - 2]).max() < 0.2 * force_nm, "before a stop"
-
-
-def test_a_mass_slides_once_the_breakaway_force_is_exceeded(plant_with):
-    """A force that rises slowly: creep within the smooth sign's speed before, a run after."""
-    parameters = {"stiction_1_n": 30.0, "mass_kg": 95.0, "friction_speed_1_m_s": 1e-4,
-                  "force_constant_1_n_v": 10.0}  # fmt: skip
-    model = plant_with("force", "mass", parameters, ["stiction"]).step_model(1)
-    force_n = np.linspace(0.0, 40.0, 400)
-    u = np.column_stack([force_n / 10.0, 0 * force_n])
-    position = CompiledModel(model).simulate(u, 0.005)[1:, 0]
-    assert position[force_n < 27.0][-1] < 5e-4 < 1e-2 < position[-1]
 
 
 def test_cogging_takes_no_energy_over_its_period(bench):
