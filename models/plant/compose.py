@@ -10,7 +10,7 @@ in the study). The current is the one that the motion needs::
 
     k_t i = M_q (q̈, b̈) + h_q + J q̈ + F − τ_joint
 
-with friction F of the plant's effects; the bends' acceleration b̈ follows from their own equations.
+with friction F of the plant's effects; the bends' acceleration b̈ follows from their equations.
 
 The ramp changes slope at the samples only, so the filter's q̈ is a saw-tooth. With ω h = 2, as in
 the study, it has decayed to zero where the current is sampled. The bends take up the saw-tooth, but
@@ -27,7 +27,7 @@ from typing import Any, Final
 import casadi as ca
 
 from firmware_py.signals import PAYLOAD
-from models.plant.components.drive import SI_UNIT_OF, Drive, current_limit, declare_presliding
+from models.plant.components.drive import TORQUE_UNIT, Drive, current_limit, declare_presliding
 from models.plant.components.goal import declare_step_length
 from models.plant.components.load import PlantLoad
 from models.plant.effects import Effect
@@ -40,15 +40,9 @@ Outputs = dict[str, tuple[Variable, Expr]]
 """Outputs of a model by name, in their order."""
 
 FOLLOW_RATE: Final = Parameter(
-    name="follow_rate_per_s", unit="1/s", value=120.0, low=20.0, high=400.0,
-    description="bandwidth that follows the measured angle",
-    source="ten times the first mode, a tenth of the internal rate",
+    "follow_rate_per_s", "1/s", 120.0, 20.0, 400.0, "bandwidth that follows the measured angle",
+    "ten times the first mode, a tenth of the internal rate",
 )  # fmt: skip
-
-COORDINATE_NAME: Final = {"rad": "angle", "m": "position"}
-EFFORT_NAME: Final = {"nm": "torque", "n": "force"}
-"""Names of a joint's measured coordinate, and of the torque or force that its motion needs, by the
-suffix of the unit."""
 
 
 def compose_twin(
@@ -59,7 +53,7 @@ def compose_twin(
     drive.declare(scope)
     scope.payload_kg = scope.input(payload_variable(scope))
     for j in scope.joints:
-        _declare_joint_states(scope, j)
+        scope.angle[j], scope.rate[j] = _declare_joint(scope, j, scope.start[j])
         if drive.has_presliding:
             declare_presliding(scope, j)
     load.declare(scope)
@@ -95,10 +89,10 @@ def compose_driven(
     outputs: Outputs = {}
     if "imposed motion" in drive.features:
         _start_in_motion(scope)
-        torque = scope.suffix["torque"]
+        unit = scope.suffix["torque"]
         for j in scope.joints:
-            effort = f"{EFFORT_NAME[torque]}_{j}_{torque}"
-            variable = Variable(effort, SI_UNIT_OF[torque], 0.0, f"measured, joint {j}")
+            effort = f"{'torque' if unit == 'nm' else 'force'}_{j}_{unit}"
+            variable = Variable(effort, TORQUE_UNIT[unit], 0.0, f"measured, joint {j}")
             outputs[effort] = variable, scope.current[j]
         outputs = lag_outputs(scope, outputs | load.outputs(scope))
     else:
@@ -120,9 +114,9 @@ def payload_variable(scope: Scope, start: float = 0.0) -> Variable:
 
 def angle_variable(scope: Scope, joint: int) -> Variable:
     """Measured coordinate of a joint as an input or output."""
-    angle = scope.suffix["angle"]
-    name = f"{COORDINATE_NAME[angle]}_{joint}_{angle}"
-    return Variable(name, SI_UNIT_OF[angle], 0.0, f"measured, joint {joint}")
+    unit = scope.suffix["angle"]
+    name = f"{'angle' if unit == 'rad' else 'position'}_{joint}_{unit}"
+    return Variable(name, unit, 0.0, f"measured, joint {joint}")
 
 
 def current_variable(joint: int) -> Variable:
@@ -131,14 +125,13 @@ def current_variable(joint: int) -> Variable:
     return Variable(f"current_{joint}_a", "A", 0.0, description, sampled=True)
 
 
-def _declare_joint_states(scope: Scope, joint: int) -> None:
+def _declare_joint(scope: Scope, joint: int, start: Expr) -> tuple[Expr, Expr]:
     """Add the coordinate of a joint and its rate as states."""
-    angle = scope.suffix["angle"]
-    unit = SI_UNIT_OF[angle]
-    coordinate = Variable(f"joint_{joint}_{angle}", unit, nominal=0.5)
-    scope.angle[joint] = scope.state(coordinate, scope.start[joint])
-    scope.rate[joint] = scope.state(Variable(f"joint_rate_{joint}_{angle}_s", f"{unit}/s"))
-    scope.states[coordinate.name].rate = scope.rate[joint]
+    unit = scope.suffix["angle"]
+    angle = scope.state(Variable(f"joint_{joint}_{unit}", unit, nominal=0.5), start)
+    rate = scope.state(Variable(f"joint_rate_{joint}_{unit}_s", f"{unit}/s"))
+    scope.states[angle.name()].rate = rate
+    return angle, rate
 
 
 def apply_effects(scope: Scope, ports: Iterable[Port], effects: Sequence[Effect]) -> None:
@@ -176,34 +169,34 @@ def _apply_motion(scope: Scope, drive: Drive, load: PlantLoad) -> Expr:
         mass[index, index] += drive.reflected_inertia(scope, j)
         torque.append(scope.motor_torque[j] - scope.friction[j] + scope.joint_torque[j])
     torque = ca.vertcat(*torque, *scope.bend_torque.values())
-    acceleration = ca.vertsplit(solve_symmetric(mass, torque - force + base_reaction))
-    rates = (*scope.rate.values(), *scope.bend_rate.values())
-    for rate, value in zip(rates, acceleration, strict=True):
-        scope.states[rate.name()].rate = value
+    acceleration = solve_symmetric(mass, torque - force + base_reaction)
+    _set_accelerations(scope, (*scope.rate.values(), *scope.bend_rate.values()), acceleration)
     return force
+
+
+def _set_accelerations(scope: Scope, rates: Iterable[Expr], accelerations: Expr) -> None:
+    for rate, value in zip(rates, ca.vertsplit(accelerations), strict=True):
+        scope.states[rate.name()].rate = value
 
 
 def declare_measured_motion(scope: Scope, effects: Sequence[Effect]) -> None:
     """Add the measured angles as inputs; set angle, rate and acceleration by the filter."""
     apply_effects(scope, ("sensor",), effects)
-    angle, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
-    unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
+    unit, omega = scope.suffix["angle"], scope.p(FOLLOW_RATE.name)
+    step_s, states = declare_step_length(scope), scope.states
     for j in scope.joints:
         true = scope.true_angle(j, scope.input(angle_variable(scope, j)))
-        ramp = scope.state(Variable(f"ramp_{j}_{angle}", unit, nominal=0.5), true)
-        slope = scope.state(Variable(f"ramp_rate_{j}_{angle}_s", f"{unit}/s"))
-        joint = scope.state(Variable(f"joint_{j}_{angle}", unit, nominal=0.5), true)
-        rate = scope.state(Variable(f"joint_rate_{j}_{angle}_s", f"{unit}/s"))
-        before = scope.state(Variable(f"joint_rate_before_{j}_{angle}_s", f"{unit}/s"))
-        scope.start[j], scope.angle[j], scope.rate[j] = true, joint, rate
-        scope.acceleration[j] = omega**2 * (ramp - joint) + 2 * omega * (slope - rate)
-        states = scope.states
+        ramp = scope.state(Variable(f"ramp_{j}_{unit}", unit, nominal=0.5), true)
+        slope = scope.state(Variable(f"ramp_rate_{j}_{unit}_s", f"{unit}/s"))
+        angle, rate = _declare_joint(scope, j, true)
+        before = scope.state(Variable(f"joint_rate_before_{j}_{unit}_s", f"{unit}/s"))
+        scope.start[j], scope.angle[j], scope.rate[j] = true, angle, rate
+        scope.acceleration[j] = omega**2 * (ramp - angle) + 2 * omega * (slope - rate)
         scope.mean_acceleration[j] = (rate - before) / step_s
         states[before.name()].begin = rate
         states[slope.name()].begin = (true - ramp) / scope.step_s
         states[ramp.name()].rate = slope
         states[ramp.name()].finish = true
-        states[joint.name()].rate = rate
         states[rate.name()].rate = scope.acceleration[j]
 
 
@@ -216,12 +209,10 @@ def apply_measured_motion(
     mass, force = load.motion_equations(scope)
     count = len(scope.joints)
     base = ca.vertcat(*(scope.acceleration[j] - scope.windup_acceleration[j] for j in scope.joints))
-    bend_force = (
-        ca.vertcat(*scope.bend_torque.values()) - force[count:] - mass[count:, :count] @ base
-    )
+    bend_torque = ca.vertcat(*scope.bend_torque.values())
+    bend_force = bend_torque - force[count:] - mass[count:, :count] @ base
     bending = solve_symmetric(mass[count:, count:], bend_force)
-    for rate, value in zip(scope.bend_rate.values(), ca.vertsplit(bending), strict=True):
-        scope.states[rate.name()].rate = value
+    _set_accelerations(scope, scope.bend_rate.values(), bending)
     _set_initial_equilibrium(scope, force)
     needed = mass[:count, :] @ ca.vertcat(base, bending) + force[:count]
     for index, j in enumerate(scope.joints):
@@ -246,27 +237,28 @@ LARGEST_START_RAD: Final = 0.5
 def _set_initial_equilibrium(scope: Scope, force: Expr) -> None:
     """Set the initial value of every state, and `rest_bend`.
 
-    The joints rest at the first goal, the bends are in equilibrium there (`NEWTON_STEPS` from the
-    straight link), and the drive holds the load. `rest_bend` is the equilibrium at encoder readings
-    of zero (upright), the reference of the Deformation Index. `force` holds velocity and gravity
-    forces over the joints' coordinates and the bends.
+    The joints rest at the first goal, the bends are in equilibrium there, and the drive holds the
+    load. `rest_bend` is the equilibrium at encoder readings of zero (upright), the reference of the
+    Deformation Index. `force` holds velocity and gravity forces over the joints' coordinates and
+    the bends.
     """
     for state in scope.states.values():  # a state may start at another, e.g. the shaped goal
         state.initial = scope.initial_value(state.initial)
-    bends = [scope.states[b.name()] for b in scope.bend.values()]
-    symbols = ca.vertcat(*(b.symbol for b in bends))
-    count = len(scope.joints)
+    angles, bends = list(scope.angle.values()), list(scope.bend.values())
+    moving = {s.name() for s in (*angles, *bends)}
+    still = [(s.symbol, s.initial) for n, s in scope.states.items() if n not in moving]
+    symbols, count = ca.vertcat(*bends), len(angles)
     residual = ca.vertcat(*scope.bend_torque.values()) - force[count:, :]
 
-    def at_rest(expression: Expr, angles: Sequence[Expr]) -> Expr:
-        """Expression with every state except joints and bends at its initial value."""
-        own = {s.name() for s in (*scope.angle.values(), *scope.bend.values())}
-        still = [(s.symbol, s.initial) for n, s in scope.states.items() if n not in own]
+    def at_rest(expression: Expr, values: Sequence[Expr]) -> Expr:
+        """Expression at these joint coordinates, all states but the bends at their start."""
         expression = substitute(expression, still)
-        return substitute(expression, list(zip(scope.angle.values(), angles, strict=True)))
+        return substitute(expression, list(zip(angles, values, strict=True)))
 
-    def equilibrium(angles: Sequence[Expr]) -> Expr:
-        balance = at_rest(residual, angles)
+    def equilibrium(values: Sequence[Expr]) -> Expr:
+        if not bends:
+            return ca.SX(0, 1)
+        balance = at_rest(residual, values)
         slope = ca.jacobian(balance, symbols)
         bend = ca.SX.zeros(symbols.numel())
         for _ in range(NEWTON_STEPS):
@@ -275,19 +267,17 @@ def _set_initial_equilibrium(scope: Scope, force: Expr) -> None:
             bend = ca.fmin(ca.fmax(bend, -LARGEST_START_RAD), LARGEST_START_RAD)
         return bend
 
-    start = [scope.states[a.name()].initial for a in scope.angle.values()]
-    first = equilibrium(start) if bends else ca.SX(0, 1)
-    upright_angles = [ca.SX(scope.true_angle(j, 0)) for j in scope.joints]
-    upright = equilibrium(upright_angles) if bends else ca.SX(0, 1)
-    for key, value in zip(scope.bend, ca.vertsplit(upright), strict=True):
-        scope.rest_bend[key] = value
+    start = [scope.states[a.name()].initial for a in angles]
+    first = equilibrium(start)
+    upright = equilibrium([ca.SX(scope.true_angle(j, 0)) for j in scope.joints])
+    scope.rest_bend.update(zip(scope.bend, ca.vertsplit(upright), strict=True))
     holding = force[:count] - ca.vertcat(*scope.joint_torque.values())
     holding = substitute(at_rest(holding, start), [(symbols, first)])
-    for state, value in zip(bends, ca.vertsplit(first), strict=True):
-        state.initial = value
-    held = list(zip(scope.holding_torque.values(), ca.vertsplit(holding), strict=True))
+    for bend, value in zip(bends, ca.vertsplit(first), strict=True):
+        scope.states[bend.name()].initial = value
+    torques = list(zip(scope.holding_torque.values(), ca.vertsplit(holding), strict=True))
     for state in scope.states.values():
-        state.initial = substitute(substitute(state.initial, [(symbols, first)]), held)
+        state.initial = substitute(substitute(state.initial, [(symbols, first)]), torques)
 
 
 def _start_in_motion(scope: Scope) -> None:
@@ -311,16 +301,6 @@ def _reported_angle(scope: Scope, joint: int) -> Expr:
     return measured - lag_s * rate + lag_s**2 * scope.states[rate.name()].rate
 
 
-SHORTEST_LAG_S: Final = 2e-3
-"""D_0: a pole at 500 per second, which an internal step of 2.9 ms integrates stably."""
-
-LAGGED: Final = ("current_{j}_", "deflection_{j}_", "angle_{j}_", "position_{j}_",
-    "torque_{j}_", "force_{j}_",
-)  # fmt: skip
-"""Start of the names of outputs that a joint's lag may act on; it acts on the first of them that
-the plant's document declares."""
-
-
 def lag_outputs(scope: Scope, outputs: Outputs) -> Outputs:
     """Outputs with the low-pass of every joint applied to its signal.
 
@@ -340,41 +320,35 @@ def lag_outputs(scope: Scope, outputs: Outputs) -> Outputs:
         variable, value = outputs[name]
         if lag.jump_fraction is not None and name == current_variable(j).name:
             jump = lag.jump_fraction * scope.sampling[j].jump_per_rate * scope.rate[j]
-            value += _passed_fraction(lag.time_s) * jump
+            value += lag.time_s / _delay_s(lag.time_s) * jump
         second = lag.second_share
-        shares = [1] if second is None else [1 - second, second]
-        for number, share in enumerate(shares, 1):
-            filtered = Variable(f"lagged_{name}_{number}", variable.unit)
-            value = _stage(scope, filtered, value, share * lag.time_s)
+        for stage, share in enumerate([1] if second is None else [1 - second, second], 1):
+            time_s, filtered = share * lag.time_s, f"lagged_{name}_{stage}"
+            state = scope.state(Variable(filtered, variable.unit), _at_start(scope, value))
+            scope.states[filtered].rate = (value - state) / _delay_s(time_s)
+            value = value + time_s / _delay_s(time_s) * (state - value)
         result[name] = (variable, value)
     return result
 
 
+def _delay_s(time_s: Expr) -> Expr:
+    """Delay D of a stage; D_0 is a pole at 500 per second, stable in an internal step of 2.9 ms."""
+    return ca.sqrt(time_s**2 + 2e-3**2)
+
+
+def _at_start(scope: Scope, expression: Expr) -> Expr:
+    return substitute(expression, [(s.symbol, s.initial) for s in scope.states.values()])
+
+
 def _lagged_output(scope: Scope, outputs: Outputs, joint: int) -> str:
-    """Name of the output that a joint's lag acts on (`LAGGED`).
+    """Name of the output that a joint's lag acts on: its first measured one in this order.
 
     An output that the plant does not declare as a column is not measured, like the current in a log
-    without it; the lag then acts on the first declared output.
+    without it.
     """
     measured = [name for name in outputs if name in scope.columns] or list(outputs)
-    beginnings = [pattern.format(j=joint) for pattern in LAGGED]
-    return next(name for start in beginnings for name in measured if name.startswith(start))
-
-
-def _stage(scope: Scope, variable: Variable, value: Expr, time_s: Expr) -> Expr:
-    still = [(s.symbol, s.initial) for s in scope.states.values()]
-    state = scope.state(variable, substitute(value, still))
-    scope.states[variable.name].rate = (value - state) / _delay_s(time_s)
-    return value + _passed_fraction(time_s) * (state - value)
-
-
-def _delay_s(time_s: Expr) -> Expr:
-    return ca.sqrt(time_s**2 + SHORTEST_LAG_S**2)
-
-
-def _passed_fraction(time_s: Expr) -> Expr:
-    """Fraction θ/D of an output that passes through a filter of time θ."""
-    return time_s / _delay_s(time_s)
+    signals = ("current", "deflection", "angle", "position", "torque", "force")
+    return next(n for s in signals for n in measured if n.startswith(f"{s}_{joint}_"))
 
 
 def _sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
@@ -394,7 +368,8 @@ def _sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
         if j in scope.sampling:
             above = (1 + scope.current_scale[j]) * scope.sampling[j].above_end
             if j in scope.sensor_lag and _lagged_output(scope, outputs, j) == name:
-                above *= _kept_fraction(scope, scope.sensor_lag[j].time_s)
+                turn = 2 * math.pi * scope.sensor_lag[j].time_s / declare_step_length(scope)
+                above *= 1 / (1 + turn**2)
             value = _within_limit(scope, j, value + above)
             # Clipped again: the line between two samples at the limit may round beyond it.
             value = _within_limit(scope, j, _current_at_phase(scope, j, value))
@@ -406,13 +381,12 @@ def _sampled_currents(scope: Scope, outputs: Outputs) -> Outputs:
 
 def _current_at_phase(scope: Scope, joint: int, current: Expr) -> Expr:
     """Current at `current_phase` of the step; unchanged if the drive has no such parameter."""
-    name = f"current_phase_{joint}"
-    if name not in scope.parameters:
+    if f"current_phase_{joint}" not in scope.parameters:
         return current
     phase = scope.p("current_phase_{j}", joint)
-    still = [(s.symbol, s.initial) for s in scope.states.values()]
-    before = scope.state(Variable(f"current_before_{joint}_a", "A"), substitute(current, still))
-    scope.states[before.name()].begin = current
+    name = f"current_before_{joint}_a"
+    before = scope.state(Variable(name, "A"), _at_start(scope, current))
+    scope.states[name].begin = current
     return phase * current + (1 - phase) * before
 
 
@@ -421,11 +395,6 @@ def _within_limit(scope: Scope, joint: int, measured: Expr) -> Expr:
     limit = current_limit(scope, joint)
     low, high = (measured_current(scope, joint, bound) for bound in (-limit, limit))
     return ca.fmin(ca.fmax(measured, low), high)
-
-
-def _kept_fraction(scope: Scope, time_s: Expr) -> Expr:
-    """In-phase gain of a first-order low-pass at the frequency of the steps."""
-    return 1 / (1 + (2 * math.pi * time_s / declare_step_length(scope)) ** 2)
 
 
 MAX_SUBSTEP_S: Final = 1e-3
@@ -446,22 +415,20 @@ def build_step_model(
     inputs_at_end: bool = False,
 ) -> StepModel:
     """Build the functions of a `StepModel` from a scope whose states have all values and rates."""
-    x = ca.vertcat(*(s.symbol for s in scope.states.values()))
+    states = scope.states.values()
+    x = ca.vertcat(*(s.symbol for s in states))
     u = ca.vertcat(*(symbol for _, symbol in scope.inputs.values()))
     p = ca.vertcat(*(symbol for _, symbol in scope.parameters.values()))
-    h = scope.step_s
 
-    def function(what: str, extra: Sequence[Expr], rows: Sequence[Expr]) -> Any:
-        labels = ["x", "u", "p", "h"][: 3 + len(extra)]
-        column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(r) for r in rows))))
-        return ca.Function(f"{name}_{what}", [x, u, p, *extra], [column], labels, ["result"])
+    def function(what: str, rows: Iterable[Expr], *step_s: Expr) -> Any:
+        labels = ["x", "u", "p", "h"][: 3 + len(step_s)]
+        return ca.Function(f"{name}_{what}", [x, u, p, *step_s], [column(rows)], labels, ["result"])
 
-    states = scope.states.values()
-    initial = ca.cse(ca.densify(ca.vertcat(*(ca.SX(s.initial) for s in states))))
     begin = [s.symbol if s.begin is None else s.begin for s in states]
     finish = [s.symbol if s.finish is None else s.finish for s in states]
     flushed = [ca.if_else(ca.fabs(value) < SMALLEST_STATE, 0, value) for value in finish]
-    rate = function("rate", [], [s.rate for s in states])
+    rate = function("rate", [s.rate for s in states])
+    initial = column(s.initial for s in states)
     return StepModel(
         name=name,
         inputs=tuple(v for v, _ in scope.inputs.values()),
@@ -469,12 +436,17 @@ def build_step_model(
         states=tuple(s.variable for s in states),
         outputs=tuple(v for v, _ in outputs.values()),
         initial=ca.Function(f"{name}_initial", [u, p], [initial], ["u", "p"], ["x"]),
-        begin=function("begin", [h], begin),
+        begin=function("begin", begin, scope.step_s),
         flow=runge_kutta(f"{name}_flow", rate),
-        finish=function("finish", [h], flushed),
-        smooth_finish=function("smooth_finish", [h], finish),
-        output=function("output", [], [expression for _, expression in outputs.values()]),
+        finish=function("finish", flushed, scope.step_s),
+        smooth_finish=function("smooth_finish", finish, scope.step_s),
+        output=function("output", [expression for _, expression in outputs.values()]),
         max_substep_s=max_substep_s,
         rate=rate,
         inputs_at_end=inputs_at_end,
     )
+
+
+def column(rows: Iterable[Expr]) -> Expr:
+    """Dense column of expressions, each common part once."""
+    return ca.cse(ca.densify(ca.vertcat(*(ca.SX(row) for row in rows))))

@@ -205,8 +205,8 @@ def read_plant_document(path: Path) -> PlantDocument:
     for name, count in Counter(effect.name for effect in document.effects).items():
         if count > 1:
             raise InputError(path, f"effect {name} stands twice", "remove one")
-    for name, given in document.parameters.items():
-        _check_entry(path, name, given)
+    for name, value in document.parameters.items():
+        _check_entry(path, name, value)
     check_signal_units(path, document.signals)
     if document.link is not None:
         check_link(document.link, path)
@@ -217,9 +217,9 @@ def read_plant_document(path: Path) -> PlantDocument:
     return msgspec.structs.replace(document, provenance=provenance)
 
 
-def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
+def _check_entry(path: Path, name: str, value: float | ParameterEntry) -> None:
     """Refuse invalid numbers; `check_values` compares the value with its bounds later."""
-    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
+    entry = _entry(value)
     if not math.isfinite(entry.value):
         raise InputError(path, f"parameter {name} is not a finite number", "correct it")
     low, high = entry.bounds or (0.0, 0.0)
@@ -229,16 +229,20 @@ def _check_entry(path: Path, name: str, given: float | ParameterEntry) -> None:
     if low > high:
         what = f"bounds of parameter {name} are [{low:g}, {high:g}], the larger one first"
         raise InputError(path, what, "swap them")
-    spreads = {"prior_deviation": entry.prior_deviation, "error": entry.error}
-    for key, spread in spreads.items():
+    for key in ("prior_deviation", "error"):
+        spread = getattr(entry, key)
         if spread is not None and not 0.0 <= spread < math.inf:
             what = f"{key} of parameter {name} is {spread:g}"
             raise InputError(path, what, "give a number above 0, or leave it out")
 
 
-def merged_parameter(where: Path | str, q: Parameter, given: float | ParameterEntry) -> Parameter:
+def _entry(value: float | ParameterEntry) -> ParameterEntry:
+    return value if isinstance(value, ParameterEntry) else ParameterEntry(value=value)
+
+
+def merged_parameter(where: Path | str, q: Parameter, value: float | ParameterEntry) -> Parameter:
     """Declared parameter, updated by its entry in a plant file."""
-    entry = given if isinstance(given, ParameterEntry) else ParameterEntry(value=given)
+    entry = _entry(value)
     if entry.unit not in (None, q.unit):
         raise InputError(
             where, f"parameter {q.name} is given in {entry.unit!r}", f"convert it to {q.unit!r}"
@@ -271,27 +275,22 @@ def link_of_plant(path: Path) -> LinkDescription:
 def write_plant_document(document: PlantDocument, path: Path) -> None:
     """Write a plant file in one step, JSON or TOML by the suffix; create its directory."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    text = (
-        plant_json(document) + "\n"
-        if path.suffix.lower() == ".json"
-        else tomli_w.dumps(_without_none(plain_plant(document)))
-    )
+    if path.suffix.lower() == ".json":
+        text = plant_json(document) + "\n"
+    else:
+        text = tomli_w.dumps(_without_none(plain_plant(document)))
     write_whole(path, text.encode())
 
 
 def plant_json(document: PlantDocument) -> str:
-    """Text of a plant file in JSON."""
     return json.dumps(plain_plant(document), indent=1)
 
 
 def plain_plant(document: PlantDocument) -> dict[str, Any]:
     """Document as dictionaries and lists; without the link if there is none."""
     plain: dict[str, Any] = msgspec.to_builtins(document)
-    if document.link is None:
-        del plain["link"]
-    else:
-        plain["link"] = _without_none(plain["link"])
-    return plain
+    link = plain.pop("link")
+    return plain if link is None else plain | {"link": _without_none(link)}
 
 
 def _without_none(value: Any) -> Any:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final, get_args
 
 from models.plant.effects import EFFECTS
-from models.plant.parameter import Parameter
 from models.plant.plant import scope_of
 from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 
@@ -51,59 +50,51 @@ TITLES: Final[dict[Port, str]] = {
 
 def effects_page() -> str:
     """Text of the page in Markdown."""
-    parts = [HEAD]
+    lines = [HEAD]
     for port in get_args(Port):
-        parts += [
+        effects = {name: row for name, row in EVERY_EFFECT.items() if row.port == port}
+        remarks = []
+        lines += [
             f"## {TITLES[port]}\n",
             _row("effect", "strength", "size", "equation", "other parameters"),
+            "|---|---|---|---|---|",
         ]
-        parts.append("|---|---|---|---|---|")
-        for name, row in EVERY_EFFECT.items():
-            if row.port == port:
-                unit = "" if row.unit == "1" else f", {row.unit}"
-                only = " (loads of your own only)" if name in BEYOND_THE_RIG else ""
-                equation = (inspect.getdoc(EFFECTS[name]) or "").splitlines()[0]
-                also = "; ".join(_further_parameters(name))
-                size = "" if math.isnan(row.size) else f"{row.size:g}"
-                parts.append(_row(f"`{name}`{only}", row.strength + unit, size, equation, also))
-        remarks = [_remarks(name) for name, row in EVERY_EFFECT.items() if row.port == port]
-        parts += ["", *(text for text in remarks if text), ""]
-    return "\n".join(parts)
+        for name, row in effects.items():
+            unit = "" if row.unit == "1" else f", {row.unit}"
+            only = " (loads of your own only)" if name in BEYOND_THE_RIG else ""
+            size = "" if math.isnan(row.size) else f"{row.size:g}"
+            equation, *rest = (inspect.getdoc(EFFECTS[name]) or "").split("\n\n")
+            also = "; ".join(_further_parameters(name))
+            lines.append(_row(f"`{name}`{only}", row.strength + unit, size, equation, also))
+            if rest:
+                paragraphs = [" ".join(line.strip() for line in p.splitlines()) for p in rest]
+                remarks.append(f"- `{name}`: " + "\n  ".join(paragraphs))
+        lines += ["", *remarks, ""]
+    return "\n".join(lines)
 
 
 def _row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _remarks(effect: str) -> str:
-    """Rest of the effect's docstring after its equation, as a list entry; may be empty."""
-    rest = (inspect.getdoc(EFFECTS[effect]) or "").split("\n\n")[1:]
-    paragraphs = [" ".join(line.strip() for line in part.splitlines()) for part in rest]
-    return f"- `{effect}`: " + "\n  ".join(paragraphs) if paragraphs else ""
-
-
 def _further_parameters(effect: str) -> list[str]:
     """Parameters after the strength, each with its meaning, for one joint."""
     scope = scope_of("cascade", "link", 1)
     last = [scope.name(name, 1) for name in EFFECTS[effect].fitted_last]
-    fitted = [
-        (q, q.role == "effect" or q.name in last) for q in EFFECTS[effect]().parameters(scope)
-    ]
-    return [
-        f"`{q.name}`: {q.description}" + ("" if known else f" ({_fixed(q)})")
-        for q, known in fitted[1:]
-    ]
-
-
-def _fixed(q: Parameter) -> str:
-    unit = "" if q.unit in ("1", "1/rad") else f" {q.unit}"
-    if q.role == "calibration":
-        return f"{q.value:g}{unit}, refitted within its prior"
-    return f"not fitted, {q.value:g}{unit}"
+    lines = []
+    for q in EFFECTS[effect]().parameters(scope)[1:]:
+        value = f"{q.value:g}" + ("" if q.unit in ("1", "1/rad") else f" {q.unit}")
+        if q.role == "effect" or q.name in last:
+            treatment = ""
+        elif q.role == "calibration":
+            treatment = f" ({value}, refitted within its prior)"
+        else:
+            treatment = f" (not fitted, {value})"
+        lines.append(f"`{q.name}`: {q.description}{treatment}")
+    return lines
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Write the page of the effects."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path, help="file to write")
     parser.parse_args(argv).out.write_text(effects_page(), encoding="utf-8")

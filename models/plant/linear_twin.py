@@ -29,12 +29,6 @@ DRY_FRICTION: Final = (
 """Prefixes of the parameters that are 0 while the joints slide."""
 STIFFNESS: Final = ("root_stiffness_", "span_stiffness_")
 """Prefixes of the parameters that scale with the stiffness of the link."""
-SETTLE_STEPS: Final = 200
-SLOWEST_RAD_S: Final = 0.05
-"""Least rate of a mode: slower poles are states that do not move."""
-ALIKE: Final = 0.1
-"""Relative difference in frequency below which two modes count as one: the planes of a link of two
-joints have the same modes, and any combination of two such vectors is an eigenvector."""
 
 
 def linearise(
@@ -46,39 +40,11 @@ def linearise(
     angles_rad: ArrayLike | None = None,
     sliding: bool = True,
 ) -> control.StateSpace:
-    """Linearise the twin of a plant about rest, over one control period.
+    """Twin of a plant linearised about rest: a sampled system from the goals to its outputs.
 
-    Parameters
-    ----------
-    plant : Plant
-        Plant of the link.
-    payload_kg : float
-        Mass at the tip.
-    dof : int
-        Number of joints, 1 or 2.
-    period_s : float
-        Control period.
-    angles_rad : array_like, shape (dof,), optional
-        Goals at which the arm rests; zero by default.
-    sliding : bool
-        Whether dry friction is left out, as while the joints move.
-
-    Returns
-    -------
-    control.StateSpace
-        Sampled system from the goals to the outputs of the twin. The names of states, inputs and
-        outputs carry their units.
-
-    Raises
-    ------
-    InputError
-        If the plant is not the link, or cannot carry the payload.
-
-    Examples
-    --------
-    >>> from models.plant.plant import read_plant
-    >>> linearise(read_plant(), payload_kg=1.0).input_labels
-    ['goal_1_rad']
+    The arm rests at goals of `angles_rad` (dof,), by default zero. `sliding` leaves dry friction
+    out, as while the joints move. A plant other than the link, or a payload that it cannot carry,
+    is refused.
     """
     if plant.load != "link":
         raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
@@ -114,10 +80,15 @@ class LinearTwins:
     ) -> control.StateSpace:
         """Twin linearised about rest; `stiffness` is a factor on that of the link."""
         model, dof = self._model, self.dof
-        p = model.parameter_values(self._changes(sliding, stiffness))
+        changes = {v.name: stiffness * v.start for v in model.parameters
+                   if v.name.startswith(STIFFNESS)}  # fmt: skip
+        if sliding:
+            dry = [n for n in names(model.parameters) if n.startswith(DRY_FRICTION)]
+            changes |= dict.fromkeys(dry, 0.0)
+        p = model.parameter_values(changes)
         u = np.append(np.zeros(dof) if angles_rad is None else angles_rad, payload_kg)
         x = np.asarray(model.initial(u, p)).ravel()
-        for _ in range(SETTLE_STEPS):
+        for _ in range(200):
             settled = np.asarray(self._step(x, u, p)).ravel()
             if np.max(np.abs(settled - x)) < 1e-9:
                 break
@@ -128,17 +99,6 @@ class LinearTwins:
             inputs=names(model.inputs)[:dof], outputs=names(model.outputs),
         )  # fmt: skip
 
-    def _changes(self, sliding: bool, stiffness: float) -> dict[str, float]:
-        changes = {
-            v.name: stiffness * v.start
-            for v in self._model.parameters
-            if v.name.startswith(STIFFNESS)
-        }
-        if sliding:
-            names_ = names(self._model.parameters)
-            changes |= {name: 0.0 for name in names_ if name.startswith(DRY_FRICTION)}
-        return changes
-
 
 def tip_part(system: control.StateSpace) -> control.StateSpace:
     """Part of a linearised twin from the goals to the planned coordinates of the tip."""
@@ -147,7 +107,7 @@ def tip_part(system: control.StateSpace) -> control.StateSpace:
 
 
 def _tip_rows(system: control.StateSpace) -> list[int]:
-    """Outputs that are planned: tip x, and y with two joints."""
+    """Rows of the outputs that are planned: tip x, and y with two joints."""
     return [system.output_labels.index(f"tip_{axis}_m") for axis in "xy"[: system.ninputs]]
 
 
@@ -195,12 +155,12 @@ def modes(system: control.StateSpace) -> list[LinearMode]:
     shares = conjugates * part / np.maximum(overlap * size, 1e-12)
     alive = np.abs(values) > 1e-6
     rates = np.log(values[alive]) / system.dt
-    found = [
-        LinearMode(float(abs(rate)), float(-rate.real / abs(rate)), tuple(own.tolist()))
-        for rate, own in zip(rates, shares.T[alive], strict=True)
-        if rate.imag >= 0 and SLOWEST_RAD_S <= abs(rate) < np.pi / system.dt
+    every = [
+        LinearMode(float(abs(rate)), float(-rate.real / abs(rate)), tuple(part.tolist()))
+        for rate, part in zip(rates, shares.T[alive], strict=True)
+        if rate.imag >= 0 and 0.05 <= abs(rate) < np.pi / system.dt  # slower states do not move
     ]
-    return sorted(found, key=lambda mode: mode.frequency_rad_s)
+    return sorted(every, key=lambda mode: mode.frequency_rad_s)
 
 
 def link_modes(system: control.StateSpace) -> list[LinearMode]:
@@ -209,23 +169,25 @@ def link_modes(system: control.StateSpace) -> list[LinearMode]:
     Its only share is that along the axis. The list is empty where nothing vibrates.
     """
     swings = [m for m in modes(system) if m.damping < 1.0]
-    found = []
+    first = []
     for axis in range(system.ninputs if swings else 0):
         best = max(swings, key=lambda m: m.shares[axis])
         w = best.frequency_rad_s
-        alike = (m.shares[axis] for m in swings if abs(m.frequency_rad_s - w) < ALIKE * w)
-        found.append(LinearMode(w, best.damping, (min(1.0, sum(alike)),)))
-    return found
+        # The planes of a link of two joints have the same modes, and any combination of two such
+        # vectors is an eigenvector: the shares of modes of one frequency add up.
+        alike = (m.shares[axis] for m in swings if abs(m.frequency_rad_s - w) < 0.1 * w)
+        first.append(LinearMode(w, best.damping, (min(1.0, sum(alike)),)))
+    return first
 
 
 def resting_modes(
     twins: LinearTwins, payload_kg: float, angles_rad: Array | None = None
 ) -> list[LinearMode]:
-    """First mode of the link along each axis while the joints stand, which they must have."""
-    found = link_modes(twins.at(payload_kg, angles_rad, sliding=False))
-    if not found:
+    """First mode of the link along each axis while the joints stand; refused if there is none."""
+    first = link_modes(twins.at(payload_kg, angles_rad, sliding=False))
+    if not first:
         raise InputError(
             "the plant", f"has no vibration with {payload_kg:g} kg", "name a plant that was "
             "identified on a link that swings",
         )  # fmt: skip
-    return found
+    return first

@@ -14,7 +14,7 @@ holds no information. An innovation beyond three standard deviations counts as t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -28,6 +28,7 @@ from models.plant.compose import (
     Outputs,
     apply_measured_motion,
     build_step_model,
+    column,
     current_variable,
     declare_measured_motion,
     measured_current,
@@ -42,39 +43,33 @@ MAX_SUBSTEP_S: Final = 2.2e-3
 """Longest Runge–Kutta step, eight per period. The angle is measured, so dry friction is not
 integrated; the tips are within 10 µm of those of a step of 0.25 ms."""
 
+OBSERVER_PARAMETERS: Final = (
+    Parameter("payload_known_kg", "kg", -1.0, -1.0, STUDY_LINK.most_payload_kg,
+              "payload where it is known, negative to estimate it", "unknown"),
+    Parameter("payload_prior_kg", "kg", 1.0, 0.0, STUDY_LINK.most_payload_kg,
+              "payload before anything is measured", "middle of the study's range"),
+    Parameter("payload_spread_kg", "kg", 1.0, 0.01, 10.0,
+              "standard deviation of the payload before anything is measured",
+              "the study's range"),
+    Parameter("payload_drift_kg", "kg", 0.0, 0.0, 1.0,
+              "standard deviation that the payload may change by in a second",
+              "the payload is bolted on"),
+    Parameter("friction_spread", "1", 0.15, 0.0, 1.0,
+              "relative standard deviation of friction between runs", "assumed"),
+    Parameter("current_noise_a", "A", 0.4, 0.001, 5.0,
+              "standard deviation of the current's residual, correlation included",
+              "assumed: 0.12 A that hold for twelve samples"),
+    Parameter("learning_rate_rad_s", "rad/s", 0.1, 0.001, 2.0,
+              "joint rate above which a sample counts",
+              "numerical: a seventh of the study's peak rate"),
+)  # fmt: skip
+"""Parameters of the payload estimate, for the study's link."""
 
 INNOVATION_S: Final = 1.0
 """Time constant of the innovation's mean square, a quarter of the study's cycle [assumed]."""
+
 LEAST_SQUARE: Final = 1e-24
 """Lower limit of a square under a root, whose slope is infinite at zero."""
-
-
-def observer_parameters() -> tuple[Parameter, ...]:
-    """Declare the parameters of the payload estimate, for the study's link."""
-    most_kg = STUDY_LINK.most_payload_kg
-    return (
-        Parameter(name="payload_known_kg", unit="kg", value=-1.0, low=-1.0, high=most_kg,
-                  description="payload where it is known, negative to estimate it",
-                  source="unknown"),
-        Parameter(name="payload_prior_kg", unit="kg", value=1.0, low=0.0, high=most_kg,
-                  description="payload before anything is measured",
-                  source="middle of the study's range"),
-        Parameter(name="payload_spread_kg", unit="kg", value=1.0, low=0.01, high=10.0,
-                  description="standard deviation of the payload before anything is measured",
-                  source="the study's range"),
-        Parameter(name="payload_drift_kg", unit="kg", value=0.0, low=0.0, high=1.0,
-                  description="standard deviation that the payload may change by in a second",
-                  source="the payload is bolted on"),
-        Parameter(name="friction_spread", unit="1", value=0.15, low=0.0, high=1.0,
-                  description="relative standard deviation of friction between runs",
-                  source="assumed"),
-        Parameter(name="current_noise_a", unit="A", value=0.4, low=0.001, high=5.0,
-                  description="standard deviation of the current's residual, correlation included",
-                  source="assumed: 0.12 A that hold for twelve samples"),
-        Parameter(name="learning_rate_rad_s", unit="rad/s", value=0.1, low=0.001, high=2.0,
-                  description="joint rate above which a sample counts",
-                  source="numerical: a seventh of the study's peak rate"),
-    )  # fmt: skip
 
 
 def compose_observer(
@@ -87,7 +82,7 @@ def compose_observer(
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a separate symbol, for derivatives
     before = set(scope.states)
     apply_measured_motion(scope, drive, load, effects)
-    moved = {n: s for n, s in scope.states.items() if n not in before}
+    moved = [s for n, s in scope.states.items() if n not in before]
     sensitivity = _Sensitivity(scope, moved, mass_kg)
     moving = set(scope.states) - {payload.name()}
     _update_estimates(scope, drive, payload, measured, sensitivity)
@@ -107,63 +102,61 @@ def compose_observer(
         state.finish = None if state.finish is None else substitute(state.finish, now)
     shown = {n: (v, substitute(e, now)) for n, (v, e) in outputs.items()}
     model = build_step_model(name, scope, shown, MAX_SUBSTEP_S, inputs_at_end=True)
-    return _restart_where_impossible(model, scope, resting, _is_jump(scope))
+    return _restart_where_impossible(model, scope, column(resting))
 
 
 MAX_SENSITIVITY_PER_KG: Final = 20.0
-"""Limit of a bend's sensitivity (rad/kg) and of a bend rate's (rad/(s·kg))."""
+"""Limit of a bend's sensitivity (rad/kg) and of a bend rate's (rad/(s·kg)): a link that buckles has
+no finite one."""
 
 
 class _Sensitivity:
     """S = ∂x/∂m of the load's states x, integrated as additional states."""
 
-    def __init__(self, scope: Scope, moved: Mapping[str, StateVariable], mass_kg: Expr) -> None:
-        self._scope, self._mass_kg, self._states = scope, mass_kg, tuple(moved.values())
-        self._x = ca.vertcat(*(s.symbol for s in self._states))
+    def __init__(self, scope: Scope, load: Sequence[StateVariable], mass_kg: Expr) -> None:
+        self._scope, self._load, self._mass_kg = scope, load, mass_kg
+        self._x = ca.vertcat(*(s.symbol for s in load))
         slopes = []
-        for name, s in moved.items():
-            variable = Variable(f"{name}_per_kg", f"{s.variable.unit}/kg")
+        for s in load:
+            variable = Variable(f"{s.variable.name}_per_kg", f"{s.variable.unit}/kg")
             slopes.append(scope.state(variable, ca.jacobian(ca.SX(s.initial), mass_kg)))
-        self._slopes = ca.vertcat(*slopes)
-        for slope, s in zip(slopes, self._states, strict=True):
+        self._slopes = slopes
+        for slope, s in zip(slopes, load, strict=True):
             scope.states[slope.name()].rate = self.along(ca.SX(s.rate))
 
     def along(self, expression: Expr) -> Expr:
         """Total derivative of an expression with respect to m."""
         direct = ca.jacobian(expression, self._mass_kg)
-        return ca.jtimes(expression, self._x, self._slopes) + direct
+        return ca.jtimes(expression, self._x, ca.vertcat(*self._slopes)) + direct
 
     def correct(self, change_kg: Expr) -> None:
-        """Move the load to where it would be if m were larger by `change_kg`.
-
-        A link that buckles has no finite sensitivity, hence the limit `MAX_SENSITIVITY_PER_KG`.
-        """
-        slopes: list[Expr] = ca.vertsplit(self._slopes)
-        for slope, s in zip(slopes, self._states, strict=True):
-            limited = ca.fmin(ca.fmax(slope, -MAX_SENSITIVITY_PER_KG), MAX_SENSITIVITY_PER_KG)
+        """Move the load to where it would be if m were larger by `change_kg`."""
+        for slope, s in zip(self._slopes, self._load, strict=True):
+            limited = _clip(slope, -MAX_SENSITIVITY_PER_KG, MAX_SENSITIVITY_PER_KG)
             self._scope.states[slope.name()].finish = limited
             moved, v = s.symbol + limited * change_kg, s.variable
-            s.finish = (
-                ca.fmin(ca.fmax(moved, v.minimum), v.maximum) if v.maximum < ca.inf else moved
-            )
+            s.finish = _clip(moved, v.minimum, v.maximum) if v.maximum < ca.inf else moved
+
+
+def _clip(value: Expr, low: Expr, high: Expr) -> Expr:
+    return ca.fmin(ca.fmax(value, low), high)
 
 
 def _state_of_the_estimate(scope: Scope, outputs: Outputs, sensitivity: _Sensitivity) -> Outputs:
-    """Outputs about the motion of joint and link, and the observer's estimate of its own error.
+    """Outputs about the motion of joint and link, and the observer's estimate of its error.
 
     A predictor uses them to correct the tip and to widen its interval (`models.predictor`).
     """
-    found: Outputs = {}
+    result: Outputs = {}
 
     def add(name: str, unit: str, description: str, value: Expr) -> None:
-        found[name] = (Variable(name, unit, 0.0, description), value)
+        result[name] = (Variable(name, unit, 0.0, description), value)
 
     for j in scope.joints:
-        own = [key for key in scope.bend if key[1] == j]
-        if own:
-            bend, rate = (sum(of[key] for key in own) for of in (scope.bend, scope.bend_rate))
-            add(f"bend_{j}_rad", "rad", f"bend of the whole link in plane {j}", bend)
-            add(f"bend_rate_{j}_rad_s", "rad/s", f"rate of the bend in plane {j}", rate)
+        hinges = [key for key in scope.bend if key[1] == j]
+        bend, rate = (sum(of[key] for key in hinges) for of in (scope.bend, scope.bend_rate))
+        add(f"bend_{j}_rad", "rad", f"bend of the whole link in plane {j}", bend)
+        add(f"bend_rate_{j}_rad_s", "rad/s", f"rate of the bend in plane {j}", rate)
     for j in scope.joints:
         add(f"joint_rate_{j}_rad_s", "rad/s", f"rate of joint {j}", scope.rate[j])
         square = scope.states[f"innovation_square_{j}"].symbol
@@ -172,19 +165,14 @@ def _state_of_the_estimate(scope: Scope, outputs: Outputs, sensitivity: _Sensiti
     variance = ca.fmax(scope.states["covariance_1_1"].symbol, LEAST_SQUARE)
     deviation = ca.if_else(scope.p("payload_known_kg") >= 0, 0, ca.sqrt(variance))
     for axis in "xyz":
-        if f"tip_{axis}_m" in outputs:
-            slope = sensitivity.along(outputs[f"tip_{axis}_m"][1])
-            add(f"tip_{axis}_deviation_m", "m", f"standard deviation of tip {axis} by the payload",
-                deviation * ca.fabs(slope))  # fmt: skip
-    return found
+        slope = sensitivity.along(outputs[f"tip_{axis}_m"][1])
+        add(f"tip_{axis}_deviation_m", "m", f"standard deviation of tip {axis} by the payload",
+            deviation * ca.fabs(slope))  # fmt: skip
+    return result
 
 
 def _update_estimates(
-    scope: Scope,
-    drive: Drive,
-    payload: Expr,
-    measured: Sequence[Expr],
-    sensitivity: _Sensitivity,
+    scope: Scope, drive: Drive, payload: Expr, measured: Sequence[Expr], sensitivity: _Sensitivity
 ) -> None:
     """Update payload and friction deviations at the end of a step, joint by joint."""
     deviations = [scope.state(Variable(f"friction_deviation_{j}", "1")) for j in scope.joints]
@@ -193,23 +181,18 @@ def _update_estimates(
     covariance = ca.SX.zeros(count, count)
     entries: dict[tuple[int, int], Expr] = {}
     for row in range(count):
-        for column in range(row + 1):
-            unit = "1" if column else "kg" if row else "kg2"
-            entry = scope.state(
-                Variable(f"covariance_{row + 1}_{column + 1}", unit),
-                prior[row] ** 2 if row == column else 0.0,
-            )
-            entries[row, column] = covariance[row, column] = covariance[column, row] = entry
+        for other in range(row + 1):
+            unit = "1" if other else "kg" if row else "kg2"
+            variable = Variable(f"covariance_{row + 1}_{other + 1}", unit)
+            entry = scope.state(variable, prior[row] ** 2 if row == other else 0.0)
+            entries[row, other] = covariance[row, other] = covariance[other, row] = entry
     covariance[0, 0] += scope.p("payload_drift_kg") ** 2 * scope.step_s
     change = ca.SX.zeros(count)
     noise = scope.p("current_noise_a") ** 2
     for index, j in enumerate(scope.joints):
         of_friction = scope.friction[j] / drive.torque_constant(scope, j)
-        predicted = measured_current(
-            scope,
-            j,
-            drive.sampled_current(scope, j, scope.step_s) + deviations[index] * of_friction,
-        )
+        sampled = drive.sampled_current(scope, j, scope.step_s)
+        predicted = measured_current(scope, j, sampled + deviations[index] * of_friction)
         regressor = ca.SX.zeros(count)
         regressor[0], regressor[1 + index] = sensitivity.along(predicted), of_friction
         weight = scope.rate[j] ** 2 / (scope.rate[j] ** 2 + scope.p("learning_rate_rad_s") ** 2)
@@ -217,72 +200,61 @@ def _update_estimates(
         variance = noise + weight * ca.dot(regressor, gain)
         square = scope.state(Variable(f"innovation_square_{j}", "1"))
         part = weight * (1 - ca.exp(-scope.step_s / INNOVATION_S))
-        scope.states[square.name()].finish = square + part * (
-            (measured[index] - predicted) ** 2 - square
-        )
-        innovation = measured[index] - predicted - ca.dot(regressor, change)
-        limit = 3 * ca.sqrt(variance)
-        change += gain * (weight / variance * ca.fmin(ca.fmax(innovation, -limit), limit))
+        error = measured[index] - predicted
+        scope.states[square.name()].finish = square + part * (error**2 - square)
+        innovation, limit = error - ca.dot(regressor, change), 3 * ca.sqrt(variance)
+        change += gain * (weight / variance * _clip(innovation, -limit, limit))
         covariance -= weight / variance * (gain @ gain.T)
     largest = scope.parameters["payload_known_kg"][0].maximum
-    estimate = ca.fmin(ca.fmax(payload + change[0], 0), largest)
+    estimate = _clip(payload + change[0], 0, largest)
     scope.states[payload.name()].finish = estimate
     sensitivity.correct(ca.if_else(scope.p("payload_known_kg") >= 0, 0, estimate - payload))
     for index, deviation in enumerate(deviations):
         scope.states[deviation.name()].finish = deviation + change[1 + index]
-    for (row, column), entry in entries.items():
-        scope.states[entry.name()].finish = covariance[row, column]
+    for place, entry in entries.items():
+        scope.states[entry.name()].finish = covariance[place]
 
 
 JUMP_RAD_S: Final = 10.0
-"""Rate above which a measured angle jumps: 13 times the peak rate of the study's
-motion, 30° at 4.352 s. [assumed]"""
-
-LARGEST_BEND_RAD: Final = math.pi
-"""Bend of a hinge at which the link lies on itself."""
+"""Rate above which a measured angle jumps: 13 times the peak rate of the study's motion, 30° at
+4.352 s [assumed]."""
 
 LARGEST_STATE: Final = 1e100
 """Sum of the magnitudes of all states above which the next step may overflow."""
 
 
-def _restart_where_impossible(
-    model: StepModel, scope: Scope, resting: Sequence[Expr], jump: Expr
-) -> StepModel:
+def _restart_where_impossible(model: StepModel, scope: Scope, resting: Expr) -> StepModel:
     """Add restarts at samples that cannot continue the past.
 
     Some samples follow from no motion of a servo: a start far from zero whose first angle comes
     with the first step, or an encoder that jumps. Taken as a motion, a jump of 4 rad bends the link
     beyond every limit, and all later steps fail. Instead, joints and load restart at rest at the
-    sample. Estimates from before the jump, such as the payload, are kept. At a state that no link
-    can have, everything restarts at the end of the step, the estimates too.
-
-    `resting` is the state at rest at the sample, in the order of the model's states. `jump` says
-    whether the sample cannot continue the past (`_is_jump`).
+    sample. Estimates from before the jump, such as the payload, remain. At a state that no link
+    can have (a bend of π, where the link lies on itself), everything restarts at the end of the
+    step, the estimates too. `resting` is the state at rest at the sample.
     """
     x, u, p = (
         ca.vertcat(*(s.symbol for s in scope.states.values())),
         ca.vertcat(*(symbol for _, symbol in scope.inputs.values())),
         ca.vertcat(*(symbol for _, symbol in scope.parameters.values())),
     )
-    bends = [ca.fabs(bend) <= LARGEST_BEND_RAD for bend in scope.bend.values()]
+    bends = [ca.fabs(bend) <= math.pi for bend in scope.bend.values()]
     size = sum(ca.fabs(s.symbol) for s in scope.states.values())
     possible = ca.Function("possible", [x], [_all([*bends, size <= LARGEST_STATE])])
-    jumps = ca.Function("jumps", [x, u, p, scope.step_s], [jump])
-    column = ca.cse(ca.densify(ca.vertcat(*(ca.SX(value) for value in resting))))
-    rest = ca.Function("rest", [x, u, p], [column])
+    jumps = ca.Function("jumps", [x, u, p, scope.step_s], [_is_jump(scope)])
+    rest = ca.Function("rest", [x, u, p], [resting])
 
     x, u, p = (ca.MX.sym(label, model.begin.size_in(k)) for k, label in enumerate("xup"))
-    arguments = (x, u, p, ca.MX.sym("h"))
-    labels = ["x", "u", "p", "h"]
+    arguments, labels = (x, u, p, ca.MX.sym("h")), ["x", "u", "p", "h"]
     # Only the chosen branch is computed, so a step without a restart costs nothing.
     before = ca.if_else(jumps(*arguments), rest(x, u, p), x, True)
     after = model.finish(*arguments)
-    kept = ca.if_else(possible(after), after, model.initial(u, p), True)
+    ended = ca.if_else(possible(after), after, model.initial(u, p), True)
     begun = model.begin(before, *arguments[1:])
     return replace(
         model,
         begin=ca.Function(model.begin.name(), arguments, [begun], labels, ["result"]),
-        finish=ca.Function(model.finish.name(), arguments, [kept], labels, ["result"]),
+        finish=ca.Function(model.finish.name(), arguments, [ended], labels, ["result"]),
     )
 
 
@@ -292,8 +264,7 @@ def _is_jump(scope: Scope) -> Expr:
     In steps shorter than the control period, an angle may change as much as in a control period: a
     host with small steps holds the robot's samples, which arrive once per period.
     """
-    angle = scope.suffix["angle"]
-    ramps = [scope.states[f"ramp_{j}_{angle}"] for j in scope.joints]
+    ramps = [scope.states[f"ramp_{j}_{scope.suffix['angle']}"] for j in scope.joints]
     limit = JUMP_RAD_S * ca.fmax(scope.step_s, PERIOD_S)
     return 1 - _all([ca.fabs(ramp.finish - ramp.symbol) <= limit for ramp in ramps])
 

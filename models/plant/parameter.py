@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 
@@ -23,9 +22,13 @@ Role = Literal["nuisance", "effect", "calibration", "fixed"]
 the markers and is fitted to the Deformation Index; `fixed` is measured or known.
 """
 
+NO_DEFAULT: Final = math.nan
+"""Value of a parameter that every plant file must set. A constant of one machine, such as the force
+per volt of its drive, is no default for another, and no trial reveals that it is wrong."""
 
-class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """One number of the plant.
+
+class Parameter(msgspec.Struct, frozen=True):
+    """One number of the plant, declared as a row: name, unit, value, bounds, meaning, source.
 
     Attributes
     ----------
@@ -37,12 +40,10 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         Current value; `NO_DEFAULT` for a constant of the machine that has no default.
     low, high : float
         Physically possible range; a fit stays within it.
+    description, source : str
+        Meaning in one phrase, and origin of value and bounds.
     role : str
         How `identify` treats it, see `Role`.
-    description : str
-        Meaning, one phrase.
-    source : str
-        Origin of value and bounds.
     error : float or None
         Standard error of an identified value.
     prior_deviation : float or None
@@ -54,16 +55,12 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     value: float
     low: float
     high: float
-    role: Role = "fixed"
     description: str = ""
     source: str = ""
+    role: Role = "fixed"
     error: float | None = None
     prior_deviation: float | None = None
 
-
-NO_DEFAULT: Final = math.nan
-"""Value of a parameter that every plant file must set. A constant of one machine, such as the force
-per volt of its drive, is no default for another, and no trial reveals that it is wrong."""
 
 AT_BOUND: Final = 1e-3
 """Fraction of the distance between the bounds within which a value counts as at one [assumed]."""
@@ -102,31 +99,35 @@ def check_values(where: str, parameters: Iterable[Parameter]) -> None:
             )
 
 
-_JOINT = re.compile(r"_[12](?=_|$)")
-_KNOWN_PAYLOAD: Final = "payload_known_kg"
-"""Known payload; negative if it is to be estimated, so it is not scaled."""
+def check_payload(
+    payload_kg: float, option: str = "--payload-kg", link: LinkDescription | None = None
+) -> None:
+    """Refuse a payload outside the range of a link's plant."""
+    most_kg = (link or STUDY_LINK).most_payload_kg
+    if not 0.0 <= payload_kg <= most_kg:
+        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")
 
 
-def parameter_of_link(parameter: Parameter, scale: LinkScale) -> Parameter:
+def parameter_of_link(q: Parameter, scale: LinkScale) -> Parameter:
     """Parameter of the study's plant, scaled to another link.
 
     Value, bounds and prior are multiplied by the ratio of the property that the parameter depends
     on, so the bounds keep their relative distance from the value.
     """
-    q, link = parameter, scale.link
-    own = {
+    link = scale.link
+    described = {
         "base_offset_m": link.base_offset_m,
         "link_length_m": link.length_m,
         "link_width_m": link.width_m,
         "gravity_m_s2": link.gravity.size_m_s2,
     }
-    if q.name in own:
-        return msgspec.structs.replace(q, value=own[q.name], source="link.toml")
+    if q.name in described:
+        return msgspec.structs.replace(q, value=described[q.name], source="link.toml")
     if q.name == "span_position":  # between the same bounds
         return msgspec.structs.replace(q, value=q.value * scale.over_study(q.name))
-    if q.name == _KNOWN_PAYLOAD:
+    if q.name == "payload_known_kg":  # its negative value asks for an estimate
         return msgspec.structs.replace(q, high=link.most_payload_kg)
-    ratio = _ratio(_JOINT.sub("", q.name), scale)
+    ratio = _ratio(re.sub(r"_[12](?=_|$)", "", q.name), scale)
     if ratio == 1.0:
         return q
     return msgspec.structs.replace(
@@ -147,8 +148,6 @@ def _ratio(name: str, scale: LinkScale) -> float:
     ratios = {
         "velocity_gain_a_s_rad": inertia / constant,
         "torque_constant_nm_a": constant,
-        "rotor_inertia_kg_m2": inertia,
-        "current_limit_a": servo["current_limit_a"],
         "base_mass_kg": over("plate_m2"),
         "link_mass_kg": over("mass_kg"),
         "tip_mass_kg": over("tip_mass_kg"),
@@ -157,48 +156,29 @@ def _ratio(name: str, scale: LinkScale) -> float:
         "span_stiffness_nm_rad": over("span_nm_rad"),
         "root_damping_nm_s_rad": over("root_nm_rad") * damping_s,
         "span_damping_nm_s_rad": over("span_nm_rad") * damping_s,
-        "current_saturation_a": servo["current_limit_a"],
-        "coulomb_friction_nm": servo["coulomb_friction_nm"],
         "viscous_friction_nm_s_rad": servo["viscous_friction_nm_s_rad"],
-        "stribeck_friction_nm": servo["coulomb_friction_nm"],
-        "stiction_nm": servo["coulomb_friction_nm"],
         "load_dependent_friction": servo["load_friction"],
-        "cogging_nm": servo["torque_limit_nm"],
-        "cogging_cosine_nm": servo["torque_limit_nm"],
         "joint_elasticity_rad_nm": 1 / inertia,
-        "plate_inertia_kg_m2": inertia,
-        "gear_damping_nm_s_rad": inertia,
-        "backlash_torque_nm": servo["torque_limit_nm"],
         "unmodelled_payload_kg": max(payload, 0.1 * over("tip_mass_kg")),
-        "load_offset_nm": servo["torque_limit_nm"],
         "aerodynamic_drag_nm": width * length**4,
-        "current_bias_a": servo["current_limit_a"],
         "payload_prior_kg": payload,
         "payload_spread_kg": max(payload, 0.05),
-        "current_noise_a": servo["current_limit_a"],
     }
+    for ratio, alike in (
+        (inertia, ("rotor_inertia_kg_m2", "plate_inertia_kg_m2", "gear_damping_nm_s_rad")),
+        (servo["current_limit_a"],
+         ("current_limit_a", "current_saturation_a", "current_bias_a", "current_noise_a")),
+        (servo["coulomb_friction_nm"],
+         ("coulomb_friction_nm", "stribeck_friction_nm", "stiction_nm")),
+        (servo["torque_limit_nm"],
+         ("cogging_nm", "cogging_cosine_nm", "backlash_torque_nm", "load_offset_nm")),
+    ):  # fmt: skip
+        ratios |= dict.fromkeys(alike, ratio)
     return ratios.get(name, 1.0)
 
 
-JOINTS: Final = ("1", "2")
-
-
-@dataclass(frozen=True)
-class PhysicalLimit:
-    """Sum of parameters that must be positive, or at least not negative."""
-
-    what: str  # Name of the sum for messages
-    unit: str
-    # Weight of each parameter; in a name, {j} stands for a joint and * for any text
-    weights: Mapping[str, float]
-    constant: float = 0.0  # Constant term of the sum
-    with_payload: bool = False  # Whether a trial's payload in kg is added
-    may_vanish: bool = True  # Whether the sum may be zero
-
-
-@dataclass(frozen=True)
-class ImpossibleSum:
-    """Sum that violates its limit."""
+class ImpossibleSum(NamedTuple):
+    """Sum of parameters below zero, which no real machine has."""
 
     what: str
     unit: str
@@ -206,66 +186,36 @@ class ImpossibleSum:
     parameters: tuple[str, ...]
 
 
-LIMITS: Final = (
-    PhysicalLimit("mass at the tip with payload", "kg",
-                  {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}, with_payload=True),
-    PhysicalLimit("friction at standstill of joint {j}", "N.m",
-                  {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}),
-    PhysicalLimit("viscous friction of joint {j}", "N.m.s/rad", {"viscous_friction_{j}_*": 1}),
-    PhysicalLimit("friction per torque of joint {j}", "1", {"load_dependent_friction_{j}": 1}),
-    PhysicalLimit("root stiffness of plane {j}", "N.m/rad", {"root_stiffness_{j}_nm_rad": 1},
-                  may_vanish=False),
-    PhysicalLimit("span stiffness of plane {j}", "N.m/rad", {"span_stiffness_{j}_nm_rad": 1},
-                  may_vanish=False),
-    PhysicalLimit("stiffness left on the weak side of plane {j}", "1",
-                  {"directional_stiffness_{j}": -1}, constant=1, may_vanish=False),
-    PhysicalLimit("stiffness left on the other side of plane {j}", "1",
-                  {"directional_stiffness_{j}": 1}, constant=1, may_vanish=False),
-    PhysicalLimit("stiffness left at 0.1 rad of bend", "1", {"softening_share": -1}, constant=1,
-                  may_vanish=False),
-    PhysicalLimit("stiffness left after 10 s", "1", {"leak_share": -1}, constant=1,
-                  may_vanish=False),
-    PhysicalLimit("current limit of joint {j}", "A",
-                  {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}, may_vanish=False),
-    PhysicalLimit("torque per ampere of joint {j}, relative", "1",
-                  {"torque_constant_drift_{j}": -1}, constant=1, may_vanish=False),
-    PhysicalLimit("measured per true current of joint {j}", "1", {"current_scale_{j}": 1},
-                  constant=1, may_vanish=False),
+SUMS: Final[tuple[tuple[str, str, dict[str, int]], ...]] = (
+    ("mass at the tip with payload", "kg",
+     {"tip_mass_kg": 1, "mass_kg": 1, "unmodelled_payload_kg": 1}),
+    ("friction at standstill of joint {j}", "N.m",
+     {"coulomb_friction_{j}_*": 1, "stribeck_friction_{j}_*": 1}),
+    ("current limit of joint {j}", "A", {"current_limit_{j}_a": 1, "current_saturation_{j}_a": -1}),
 )  # fmt: skip
-"""Sums that no real machine violates. Two parameters within their bounds can still add up to
-something impossible: a payload of −0.2 kg on tip hardware of 0.14 kg. A sum is ignored if the plant
-has none of its parameters."""
+"""What, unit and weights of the parameters by name; {j} stands for a joint, * for any text.
+
+Two parameters within their bounds can still add up to something impossible: a payload of −0.2 kg on
+tip hardware of 0.14 kg. The bounds alone keep every other parameter possible.
+"""
 
 
 def impossible_sums(
     values: Mapping[str, float], payloads_kg: Iterable[float] = (0.0,)
 ) -> list[ImpossibleSum]:
-    """Sums of `LIMITS` that the values violate at the smallest payload."""
-    least_payload_kg = min(payloads_kg, default=0.0)
-    found = []
-    for limit in LIMITS:
-        many = any("{j}" in pattern for pattern in limit.weights)
-        for joint in JOINTS if many else ("",):
+    """Sums that the values violate; the mass at the tip with the smallest of the payloads."""
+    impossible = []
+    for what, unit, patterns in SUMS:
+        for joint in ("1", "2") if "{j}" in what else ("",):
             weights = {
                 name: weight
-                for pattern, weight in limit.weights.items()
+                for pattern, weight in patterns.items()
                 for name in values
                 if fnmatchcase(name, pattern.replace("{j}", joint))
             }
-            if not weights:
-                continue
-            value = limit.constant + sum(w * values[name] for name, w in weights.items())
-            value += least_payload_kg if limit.with_payload else 0.0
-            if value < 0 or (value == 0 and not limit.may_vanish):
-                what = limit.what.replace("{j}", joint)
-                found.append(ImpossibleSum(what, limit.unit, value, tuple(weights)))
-    return found
-
-
-def check_payload(
-    payload_kg: float, option: str = "--payload-kg", link: LinkDescription | None = None
-) -> None:
-    """Refuse a payload outside the range of a link's plant."""
-    most_kg = (link or STUDY_LINK).most_payload_kg
-    if not 0.0 <= payload_kg <= most_kg:
-        raise InputError(option, f"is {payload_kg:g} kg", f"give 0 to {most_kg:g} kg")
+            value = sum(weight * values[name] for name, weight in weights.items())
+            value += min(payloads_kg, default=0.0) if unit == "kg" else 0.0
+            if weights and (value < 0 or (value == 0 and unit == "A")):
+                parameters = tuple(weights)
+                impossible.append(ImpossibleSum(what.format(j=joint), unit, value, parameters))
+    return impossible

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,12 +18,7 @@ import msgspec
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_toml
-from firmware_py.link.link_description import (
-    STUDY_LINK,
-    LinkDescription,
-    describes_link,
-    read_link,
-)  # fmt: skip
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription, describes_link, read_link
 from firmware_py.link.link_facts import LinkFacts, facts_of_plant
 from models.plant.components import DRIVES, LOADS
 from models.plant.compose import FOLLOW_RATE, compose_driven, compose_twin
@@ -40,7 +35,7 @@ from models.plant.document import (
     write_plant_document,
 )
 from models.plant.effects import EFFECTS, Effect, applicable, check_effects, in_order
-from models.plant.observer import compose_observer, observer_parameters
+from models.plant.observer import OBSERVER_PARAMETERS, compose_observer
 from models.plant.parameter import Parameter, check_values, parameter_of_link
 from models.plant.scope import Scope, variable_of, without_values
 from models.plant.step_model import StepModel
@@ -112,11 +107,8 @@ class Plant:
 
         Examples
         --------
-        >>> model = read_plant().step_model(dof=1)
-        >>> [v.name for v in model.inputs]
+        >>> [v.name for v in read_plant().step_model(dof=1).inputs]
         ['goal_1_rad', 'payload_kg']
-        >>> [v.name for v in model.outputs]
-        ['angle_1_rad', 'current_1_a', 'di', 'tip_x_m', 'tip_y_m', 'tip_z_m']
         """
         if not 1 <= dof <= LOADS[self.load].max_dof:
             raise InputError("dof", f"{dof} joints for load {self.load!r}", "choose another plant")
@@ -126,15 +118,13 @@ class Plant:
                 f"there is no {kind} for a {self.load} on a {self.drive} drive",
                 "use the twin",
             )  # fmt: skip
-        effects = tuple(EFFECTS[name] for name in in_order(self.effects))
-        known, columns = without_values(self.parameters), tuple(self.signals)
-        model = _compose(self.load, self.drive, effects, known, dof, kind, columns, self.link)
+        model = _compose(
+            self.drive, self.load, _classes(self.effects), without_values(self.parameters), dof,
+            kind, tuple(self.signals), self.link,
+        )  # fmt: skip
         values = tuple(variable_of(self.parameters[v.name]) for v in model.parameters)
         model = replace(model, parameters=values)
         return model.with_substeps(model.max_substep_s) if kind == "observer" else model
-
-    def _effects(self) -> list[Effect]:
-        return [EFFECTS[name]() for name in in_order(self.effects)]
 
     def with_values(
         self, values: Mapping[str, float], errors: Mapping[str, float] | None = None
@@ -185,15 +175,7 @@ class Plant:
         return applicable(DRIVES[self.drive], LOADS[self.load])
 
     def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
-        """Return the names of an effect's strength: one per joint, or one for all.
-
-        Parameters
-        ----------
-        effect : str
-            Name of the effect in the catalogue.
-        dof : int
-            Number of joints, 1 or 2.
-        """
+        """Return the names of an effect's strength: one per joint, or one for all."""
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
 
     def link_facts(self) -> LinkFacts:
@@ -233,13 +215,7 @@ class Plant:
         return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
     def write(self, path: Path | str) -> None:
-        """Write the plant file; JSON or TOML by the suffix.
-
-        Parameters
-        ----------
-        path : Path or str
-            Suffix `.toml` for TOML; any other suffix gives JSON.
-        """
+        """Write the plant file: JSON for the suffix `.json`, otherwise TOML."""
         write_plant_document(self.document(), Path(path))
 
 
@@ -271,33 +247,22 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     if path.suffix.lower() == ".toml" and describes_link(read_toml(path, "name a plant or a link")):
         return _plant_of_link(read_link(path), path)
     document = read_plant_document(path)
-    for what, kind, known in (
-        ("drive", document.drive.kind, DRIVES),
-        ("load", document.load.kind, LOADS),
-    ):
+    drive, load = document.drive.kind, document.load.kind
+    for what, kind, known in (("drive", drive, DRIVES), ("load", load, LOADS)):
         if kind not in known:
             raise InputError(path, f"{kind!r} is no {what}", "choose from " + ", ".join(known))
+    effects = tuple(e.name for e in document.effects)
     plant = Plant(
-        name=document.name,
-        drive=document.drive.kind,
-        load=document.load.kind,
-        effects=tuple(e.name for e in document.effects),
-        parameters={},
-        signals=document.signals,
-        provenance=document.provenance,
-        link=document.link,
-    )
+        document.name, drive, load, effects, {}, signals=document.signals,
+        provenance=document.provenance, link=document.link,
+    )  # fmt: skip
     return _complete(plant, path, document.parameters)
 
 
 def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
     """Nominal plant of a described link: the study's, with values, bounds and priors scaled."""
-    nominal = read_plant()
-    scale = LinkScale(link)
-    scope = scope_of(nominal.drive, nominal.load, LOADS[nominal.load].max_dof)
-    others = [EFFECTS[name]() for name in nominal.applicable()]
-    possible = declared_parameters(scope, nominal.drive, nominal.load, others, observer=True)
-    known = {q.name: q for q in possible} | nominal.expected | nominal.parameters
+    nominal, scale = read_plant(), LinkScale(link)
+    known = _declared(nominal, nominal.applicable()) | nominal.expected | nominal.parameters
     scaled = {name: parameter_of_link(q, scale) for name, q in known.items()}
     plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled)
     return _complete(plant, where, {})
@@ -311,48 +276,55 @@ def _complete(
     An entry may also set a parameter of an effect that the plant does not have yet.
     """
     check_effects(where, plant.effects, DRIVES[plant.drive], LOADS[plant.load])
-    parts = plant.drive, plant.load
-    scope = scope_of(*parts, LOADS[plant.load].max_dof, link=plant.link)
-    own = [q.name for q in declared_parameters(scope, *parts, plant._effects(), observer=True)]
-    every = [EFFECTS[name]() for name in plant.applicable()]
-    declared = {q.name: q for q in declared_parameters(scope, *parts, every, observer=True)}
     known = plant.expected | plant.parameters
     full = {
         name: msgspec.structs.replace(known.get(name, q), description=q.description)
-        for name, q in declared.items()
+        for name, q in _declared(plant, plant.applicable()).items()
     }
-    for name, given in entries.items():
-        if name not in declared:
+    for name, entry in entries.items():
+        if name not in full:
             raise InputError(
                 where, f"parameter {name!r} belongs to no part of this plant",
                 "correct the name, or add the effect that it belongs to",
             )  # fmt: skip
-        full[name] = merged_parameter(where, full[name], given)
-    parameters = {name: full[name] for name in own}
-    given_too = known.keys() | entries.keys()
-    expected = {n: q for n, q in full.items() if n in given_too and n not in parameters}
+        full[name] = merged_parameter(where, full[name], entry)
+    parameters = {name: full[name] for name in _declared(plant, plant.effects)}
+    set_too = (known.keys() | entries.keys()) - parameters.keys()
+    expected = {name: q for name, q in full.items() if name in set_too}
     check_values(str(where), (*parameters.values(), *expected.values()))
     check_condition_units(Path(where), plant.signals, parameters)
     return replace(plant, parameters=parameters, expected=expected)
 
 
+def _declared(plant: Plant, effects: Iterable[str]) -> dict[str, Parameter]:
+    """Parameters that the parts of a plant declare with these effects, by name."""
+    scope = scope_of(plant.drive, plant.load, LOADS[plant.load].max_dof, link=plant.link)
+    declared = declared_parameters(scope, plant.drive, plant.load, _classes(effects), observer=True)
+    return {q.name: q for q in declared}
+
+
+def _classes(names: Iterable[str]) -> tuple[type[Effect], ...]:
+    return tuple(EFFECTS[name] for name in in_order(names))
+
+
 @lru_cache(maxsize=64)  # composing an observer of two joints takes three seconds
 def _compose(
-    load: str, drive: str, effects: tuple[type[Effect], ...],
+    drive: str, load: str, effects: tuple[type[Effect], ...],
     parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
     columns: tuple[str, ...], link: LinkDescription | None,
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; values are arguments, so plants share a model."""
-    scope, held = scope_of(drive, load, dof, columns, link), [effect() for effect in effects]
-    known, observer = dict(parameters), kind != "twin"
-    scope.declare([known[q.name] for q in declared_parameters(scope, drive, load, held, observer)])
+    scope, known = scope_of(drive, load, dof, columns, link), dict(parameters)
+    declared = declared_parameters(scope, drive, load, effects, observer=kind != "twin")
+    scope.declare([known[q.name] for q in declared])
     if kind == "observer":
         compose = compose_observer
     elif kind == "driven" or "imposed motion" in DRIVES[drive].features:
         compose = compose_driven
     else:
         compose = compose_twin
-    return compose(f"{kind}_{dof}dof", scope, DRIVES[drive](), LOADS[load](), held)
+    parts = DRIVES[drive](), LOADS[load](), [effect() for effect in effects]
+    return compose(f"{kind}_{dof}dof", scope, *parts)
 
 
 def scope_of(
@@ -379,12 +351,12 @@ def scope_of(
 
 
 def declared_parameters(
-    scope: Scope, drive: str, load: str, effects: list[Effect], observer: bool
+    scope: Scope, drive: str, load: str, effects: Iterable[type[Effect]], observer: bool
 ) -> list[Parameter]:
     """Parameters of drive, load, effects and observer, in that order."""
     return [
         *DRIVES[drive]().parameters(scope),
         *LOADS[load]().parameters(scope),
-        *(q for effect in effects for q in effect.parameters(scope)),
-        *((FOLLOW_RATE, *observer_parameters()) if observer and load == "link" else ()),
+        *(q for effect in effects for q in effect().parameters(scope)),
+        *((FOLLOW_RATE, *OBSERVER_PARAMETERS) if observer and load == "link" else ()),
     ]

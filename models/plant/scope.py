@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import casadi as ca
 import msgspec
@@ -32,21 +32,17 @@ ROTARY = {"angle": "rad", "torque": "nm"}
 LINEAR = {"angle": "m", "torque": "n"}
 """Suffixes of a joint's coordinate and of the torque (or force) on it, by kind of motion."""
 
-READING_ITERATIONS: Final = 3
-"""Fixed-point steps from an encoder's reading to the coordinate; each reduces the error by the
-slope of the ripple, below 0.1 for a ripple of 6 mrad with 16 periods a turn."""
-
 
 @dataclass
 class StateVariable:
     """State of a plant during composition."""
 
-    variable: Variable  # Name, unit and bounds
+    variable: Variable
     symbol: Expr
-    initial: Expr  # Value at the start
+    initial: Expr
     rate: Expr = 0
-    begin: Expr | None = None  # Discrete update at the begin of a step; None for none
-    finish: Expr | None = None  # Discrete update at the end of a step; None for none
+    begin: Expr | None = None  # Discrete update at the begin of a step
+    finish: Expr | None = None  # Discrete update at the end of a step
 
 
 @dataclass(frozen=True)
@@ -54,20 +50,18 @@ class SensorLowPass:
     """Low-pass of the measured signals of a joint."""
 
     time_s: Expr  # Mean delay of the filtered signals
-    # Fraction of the delay in a second stage, 0.5 for two equal stages; None for first order
-    second_share: Expr | None
-    angle_s: Expr  # Time constant of the first-order low-pass of the coordinate
+    second_share: Expr | None  # Fraction of the delay in a second stage; None for first order
+    angle_s: Expr  # Time constant of the low-pass of the coordinate
     # Mean of the current above the plant's, in units of the jumps of a goal that moves as the joint
     # does; None for a drive without a saw-tooth
-    jump_fraction: Expr | None = None
+    jump_fraction: Expr | None
 
 
 @dataclass(frozen=True)
 class DelayedStaircase:
     """Effect of a goal's delay on the saw-tooth of the current."""
 
-    # Weight of the delayed goal, 0 to 1; the remainder keeps the staircase without delay
-    share: Expr
+    share: Expr  # Weight of the delayed goal, 0 to 1; the rest keeps the staircase without delay
     rate: Expr  # Rate of the delayed goal, without its staircase
     phase_shift: Expr  # Additional delay of the current's sample, as a fraction of the step
 
@@ -77,8 +71,7 @@ class CurrentSampling:
     """Saw-tooth of a joint's current, which a goal with a shape within the step causes."""
 
     goal_change: Expr  # Change of the goal in this step
-    # Declares and returns the goal on the line through the middles of its steps
-    smooth_goal: Callable[[], Expr]
+    smooth_goal: Callable[[], Expr]  # Declares the goal on the line through its steps' middles
     delay: DelayedStaircase | None = None  # Delay of the goal, if an effect has one
     jump_per_rate: Expr = 0  # Jump of the current per rate of a goal
     above_end: Expr = 0  # Sampled current minus the current at the end of the step
@@ -94,10 +87,7 @@ def _ones() -> defaultdict[int, Expr]:
 
 @dataclass
 class Scope:
-    """Symbols of one composition.
-
-    An effect reads the motion and changes the quantities of its port.
-    """
+    """Symbols of one composition. An effect reads the motion and changes what its port offers."""
 
     # The machine
     joints: tuple[int, ...]  # Numbers of the joints: (1,) or (1, 2)
@@ -120,21 +110,15 @@ class Scope:
     angle: dict[int, Expr] = field(default_factory=dict)
     rate: dict[int, Expr] = field(default_factory=dict)
     acceleration: dict[int, Expr] = field(default_factory=dict)  # Set where the motion is imposed
-    # Its mean over the step that ends
-    mean_acceleration: dict[int, Expr] = field(default_factory=dict)
-    # Drive torque that balances the load at the start
-    holding_torque: dict[int, Expr] = field(default_factory=dict)
+    mean_acceleration: dict[int, Expr] = field(default_factory=dict)  # Over the step that ends
+    holding_torque: dict[int, Expr] = field(default_factory=dict)  # Balances the load at the start
 
     # Port sensor
-    # Offset of the measured coordinate
-    encoder_error: dict[int, Expr] = field(default_factory=_zeros)
-    # Its periodic error
-    encoder_ripple: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
-    # Relative error of the loop's rate
-    rate_error: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)
-    current_bias: dict[int, Expr] = field(default_factory=_zeros)  # Offset of the measured current
-    # Relative error of the measured current
-    current_scale: dict[int, Expr] = field(default_factory=_zeros)
+    encoder_error: dict[int, Expr] = field(default_factory=_zeros)  # Offset of the coordinate
+    encoder_ripple: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)  # Periodic
+    rate_error: dict[int, Callable[[Expr], Expr]] = field(default_factory=dict)  # Of the loop
+    current_bias: dict[int, Expr] = field(default_factory=_zeros)
+    current_scale: dict[int, Expr] = field(default_factory=_zeros)  # Relative error
     sensor_lag: dict[int, SensorLowPass] = field(default_factory=dict)
     frame_turn_rad: tuple[Expr, Expr, Expr] = (0, 0, 0)  # Mocap about x, y, z; applied as z, x, y
     frame_scale: Expr = 0  # Relative error of the mocap's scale
@@ -144,7 +128,6 @@ class Scope:
     # Port command
     goal: dict[int, Expr] = field(default_factory=dict)
     sampling: dict[int, CurrentSampling] = field(default_factory=dict)
-    # Factor on the drive's position gain
     position_gain_scale: dict[int, Expr] = field(default_factory=_ones)
     current_limit_reduction: dict[int, Expr] = field(default_factory=_zeros)
 
@@ -154,26 +137,20 @@ class Scope:
     stiffness: dict[Hinge, Expr] = field(default_factory=dict)
     limit_moment: Expr = 0  # Of the root of a link
     bend_torque: dict[Hinge, Expr] = field(default_factory=dict)
-    # At rest upright, for the Deformation Index
-    rest_bend: dict[Hinge, Expr] = field(default_factory=dict)
-    # Across the plane of a single joint, by hinge
-    cross_bend: dict[str, Expr] = field(default_factory=dict)
+    rest_bend: dict[Hinge, Expr] = field(default_factory=dict)  # At rest upright, for the DI
+    cross_bend: dict[str, Expr] = field(default_factory=dict)  # Across the plane of a single joint
 
     # Port mass
     payload_kg: Expr = 0
     payload_offset_m: Expr = 0  # Towards +x
 
     # Ports joint_torque and servo_torque
-    # All torque but that of motor and friction
-    joint_torque: dict[int, Expr] = field(default_factory=_zeros)
-    # Of the load on the gear, without its inertia
-    transmitted_torque: dict[int, Expr] = field(default_factory=dict)
+    joint_torque: dict[int, Expr] = field(default_factory=_zeros)  # Without motor and friction
+    transmitted_torque: dict[int, Expr] = field(default_factory=dict)  # Load on the gear at rest
     gear_drive_torque: dict[int, Expr] = field(default_factory=dict)  # Of the drive on a small gear
     friction: dict[int, Expr] = field(default_factory=_zeros)  # Opposes `rate`
-    # Smooth sign of the rate with presliding
-    friction_direction: dict[int, Expr] = field(default_factory=dict)
-    # Factor on the drive's torque constant
-    torque_scale: dict[int, Expr] = field(default_factory=_ones)
+    friction_direction: dict[int, Expr] = field(default_factory=dict)  # Sign with presliding
+    torque_scale: dict[int, Expr] = field(default_factory=_ones)  # Of the torque constant
     current: dict[int, Expr] = field(default_factory=dict)
     motor_torque: dict[int, Expr] = field(default_factory=dict)
     # Lost motion: the load's coordinate is angle - windup
@@ -196,25 +173,11 @@ class Scope:
                 self.absent.add(q.name)
 
     def name(self, pattern: str, joint: int | None = None) -> str:
-        """Return a name, with the placeholders of its pattern filled in.
-
-        Parameters
-        ----------
-        pattern : str
-            Name with `{j}`, `{angle}` and `{torque}` as placeholders.
-        joint : int, optional
-            Number of the joint, for `{j}`.
-        """
+        """Name with the placeholders `{j}`, `{angle}` and `{torque}` of its pattern filled in."""
         return pattern.format(j=joint, **self.suffix)
 
     def p(self, pattern: str, joint: int | None = None) -> Expr:
-        """Return the symbol of a parameter.
-
-        Parameters
-        ----------
-        pattern, joint
-            Name of the parameter as for the method `name`.
-        """
+        """Symbol of the parameter with this `name`."""
         return self.parameters[self.name(pattern, joint)][1]
 
     def input(self, variable: Variable) -> Expr:
@@ -224,15 +187,7 @@ class Scope:
         return symbol
 
     def state(self, variable: Variable, initial: Expr = 0.0) -> Expr:
-        """Add a state and return its symbol; it is constant until a rate or an update is set.
-
-        Parameters
-        ----------
-        variable : Variable
-            Name and unit of the state.
-        initial : SX or float
-            Value at the start.
-        """
+        """Add a state and return its symbol; it is constant until a rate or an update is set."""
         symbol = ca.SX.sym(variable.name)
         self.states[variable.name] = StateVariable(variable, symbol, initial)
         return symbol
@@ -254,7 +209,9 @@ class Scope:
         angle = reading - self.encoder_error[joint]
         if joint in self.encoder_ripple:
             smooth = angle
-            for _ in range(READING_ITERATIONS):
+            # Each fixed-point step reduces the error by the slope of the ripple, below 0.1 for a
+            # ripple of 6 mrad with 16 periods a turn.
+            for _ in range(3):
                 angle = smooth - self.encoder_ripple[joint](angle)
         return angle
 
@@ -272,9 +229,8 @@ class Scope:
         return substitute(expression, still)
 
 
-def variable_of(parameter: Parameter) -> Variable:
+def variable_of(q: Parameter) -> Variable:
     """Convert a parameter to a variable of a step model."""
-    q = parameter
     nominal = max(abs(q.value), abs(q.high) * 1e-3, 1e-9)
     return Variable(q.name, q.unit, q.value, q.description, q.low, q.high, nominal)
 
@@ -287,9 +243,9 @@ def without_values(parameters: Mapping[str, Parameter]) -> tuple[tuple[str, Para
     )
 
 
-def is_absent(parameter: Parameter) -> bool:
+def is_absent(q: Parameter) -> bool:
     """Whether a parameter is fixed at zero."""
-    return parameter.role == "fixed" and parameter.value == 0
+    return q.role == "fixed" and q.value == 0
 
 
 def substitute(expression: Expr, pairs: Sequence[tuple[Expr, Expr]]) -> Expr:

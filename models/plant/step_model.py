@@ -33,15 +33,13 @@ class Variable:
     """A scalar variable of a model."""
 
     name: str  # Name with its unit suffix
-    # SI unit in the spelling of FMI, "1" if none (see `firmware_py.signals.UNIT_OF_SUFFIX`)
-    unit: str
+    unit: str  # SI unit in the spelling of FMI, "1" if none
     start: float = 0.0  # Initial or nominal value
     description: str = ""
     minimum: float = -math.inf
     maximum: float = math.inf
     nominal: float = 1.0
-    # Whether an output is valid at the end of a step only, like a measured sample
-    sampled: bool = False
+    sampled: bool = False  # Whether an output is valid at the end of a step only
 
 
 ARGUMENTS: Final = {
@@ -49,11 +47,6 @@ ARGUMENTS: Final = {
     "output": "xup", "rate": "xup",
 }  # fmt: skip
 """Arguments of each function of a model: state x, inputs u, parameters p, step h."""
-
-
-STABLE_POLE_STEP: Final = 2.0
-"""Largest |λ| h of a sub-step that `StepModel.with_substeps` allows; the rest up to the limit of
-stability is for poles that grow away from rest [assumed]."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +61,14 @@ class StepModel:
     initial: ca.Function  # (u, p) -> x at the start
     begin: ca.Function  # (x, u, p, h) -> x
     flow: ca.Function  # (x, u, p, dt) -> x
-    finish: ca.Function
+    finish: ca.Function  # (x, u, p, h) -> x
     output: ca.Function  # (x, u, p) -> y
     max_substep_s: float = 1e-3
-    # (x, u, p) -> dx/dt of the continuous part, which `flow` integrates
-    rate: ca.Function | None = None
+    rate: ca.Function | None = None  # (x, u, p) -> dx/dt, which `flow` integrates
     # Form of `finish` for differentiation, if `finish` sets negligibly small states to zero: a
-    # state of zero may still depend on parameters. None if `finish` needs no other form.
+    # state of zero may still depend on parameters.
     smooth_finish: ca.Function | None = None
-    # Whether the inputs of a step are measured at its end; otherwise they are sent at its begin
-    inputs_at_end: bool = False
+    inputs_at_end: bool = False  # Whether the inputs of a step are measured at its end
 
     def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
         """Vector p of the start values, with `changes` by name."""
@@ -94,26 +85,23 @@ class StepModel:
         name: str,
         inputs: tuple[Variable, ...],
         parameters: tuple[Variable, ...],
-        own: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
+        derive: Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX]],
     ) -> StepModel:
         """Model with other inputs and parameters, from which those of this one follow.
 
-        `own` computes (u, p) of this model from (u, p) of the new one.
+        `derive` computes (u, p) of this model from (u, p) of the new one.
         """
         size = {"x": len(self.states), "u": len(inputs), "p": len(parameters), "h": 1}
 
         def wrapped(what: str, function: ca.Function) -> ca.Function:
             symbols = {label: ca.SX.sym(label, size[label]) for label in "xuph"}
-            given = symbols | dict(zip("up", own(symbols["u"], symbols["p"]), strict=True))
+            values = symbols | dict(zip("up", derive(symbols["u"], symbols["p"]), strict=True))
             labels = ARGUMENTS[what]
-            result = function(*(given[label] for label in labels))
+            result = function(*(values[label] for label in labels))
             return ca.Function(what, [symbols[label] for label in labels], [result])
 
-        changed: dict[str, Any] = {
-            what: wrapped(what, getattr(self, what))
-            for what in ARGUMENTS
-            if getattr(self, what) is not None
-        }
+        functions = {what: getattr(self, what) for what in ARGUMENTS}
+        changed: dict[str, Any] = {w: wrapped(w, f) for w, f in functions.items() if f is not None}
         return replace(self, name=name, inputs=inputs, parameters=parameters, **changed)
 
     def with_substeps(self, longest_s: float) -> StepModel:
@@ -121,16 +109,15 @@ class StepModel:
 
         The classical Runge–Kutta step h is stable for real poles up to |λ| h = 2.79 (Hairer and
         Wanner, *Solving Ordinary Differential Equations II*, 1996, section IV.2). The poles are
-        those at the start, with all inputs zero.
+        those at the start, with all inputs zero; the limit of 2 leaves room for poles that grow
+        away from rest.
         """
-        if self.rate is None:
-            raise ValueError(f"{self.name} has no rate, so its poles are unknown")
         p, u = self.parameter_values(), np.zeros(len(self.inputs))
         # Sensitivities have no slope along bends of zero; it stands beside the diagonal blocks, so
         # the poles do not depend on it.
         slope = np.nan_to_num(np.asarray(_slope(self.rate)(self.initial(u, p), u, p)))
         fastest_per_s = np.abs(np.linalg.eigvals(slope)).max()
-        return replace(self, max_substep_s=min(longest_s, STABLE_POLE_STEP / fastest_per_s))
+        return replace(self, max_substep_s=min(longest_s, 2.0 / fastest_per_s))
 
     def substeps(self, step_s: float) -> int:
         """Number of sub-steps in one step of `step_s`."""
@@ -159,7 +146,6 @@ class StepModel:
 
 @lru_cache(maxsize=8)
 def _slope(rate: ca.Function) -> ca.Function:
-    """Jacobian of the rate along the states."""
     x, u, p = (ca.SX.sym(label, rate.size_in(i)) for i, label in enumerate("xup"))
     return ca.Function("slope", [x, u, p], [ca.jacobian(rate(x, u, p), x)])
 

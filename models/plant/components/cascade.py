@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import casadi as ca
 
@@ -24,15 +24,10 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
-_SERVO: Final = STUDY_LINK.preset
-
 FEEDFORWARD: Final = "velocity_feedforward_{j}"
 POSITION_INTEGRAL: Final = "position_integral_{j}_per_s2"
 SETPOINT_WEIGHT: Final = "setpoint_weight_{j}"
 """Parameters of extensions of the cascade that some servos have; absent by default."""
-
-
-OPTIONAL: Final = 'docs/sources.md, "Control tables": {}; 0 is none'
 
 
 class Cascade(Drive):
@@ -50,49 +45,45 @@ class Cascade(Drive):
     (Åström and Hägglund, *Advanced PID Control*, 2006, ch. 3: set-point weights).
     """
 
-    kind: ClassVar[str] = "cascade"
-    features: ClassVar[tuple[str, ...]] = (
+    kind = "cascade"
+    features = (
         "current", "current limit", "goal shape", "position gain", "smooth friction",
     )  # fmt: skip
 
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
-        j = joint
+        j, servo = joint, STUDY_LINK.preset
+        optional = 'docs/sources.md, "Control tables": {}; 0 is none'
         return [
-            Parameter(name=f"position_gain_{j}_per_s", unit="1/s", value=12.0, low=2.0,
-                      high=60.0, role="nuisance", description="position loop: rate per error",
-                      source='docs/sources.md, "The servo"'),
-            Parameter(name=f"velocity_gain_{j}_a_s_rad", unit="A.s/rad", value=18.4, low=2.0,
-                      high=60.0, role="nuisance", description="current per rate error",
-                      source='docs/sources.md, "The servo": 150 rad/s on the inertia'),
-            Parameter(name=f"velocity_integral_time_{j}_s", unit="s", value=0.5, low=0.02,
-                      high=5.0, role="nuisance", description="integral time of the rate error",
-                      source="assumed: slower than the position loop"),
-            Parameter(name=FEEDFORWARD.format(j=j), unit="1", value=0.0, low=0.0, high=1.5,
-                      description="share of the goal's rate in the rate that is asked",
-                      source=OPTIONAL.format("feed-forward 1st gain"), prior_deviation=0.5),
-            Parameter(name=POSITION_INTEGRAL.format(j=j), unit="1/s2", value=0.0, low=0.0,
-                      high=200.0, description="rate asked per integral of the position error",
-                      source=OPTIONAL.format("position I gain"), prior_deviation=10.0),
-            Parameter(name=SETPOINT_WEIGHT.format(j=j), unit="1", value=1.0, low=0.0, high=1.5,
-                      description="weight of the asked rate in the proportional part",
-                      source="assumed: a loop on the error of the rate", prior_deviation=0.3),
-            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A",
-                      value=_SERVO.torque_constant_nm_a, low=2.0, high=15.0,
-                      description="torque at the output per ampere",
-                      source='docs/sources.md, "The servo"'),
-            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2",
-                      value=_SERVO.rotor_inertia_kg_m2, low=0.4, high=2.0,
-                      role="nuisance", description="rotor inertia at the output",
-                      source='docs/sources.md, "The servo": recalled', prior_deviation=0.15),
-            Parameter(name=f"current_limit_{j}_a", unit="A",
-                      value=_SERVO.current_limit_a, low=0.5, high=50.0,
-                      description="rated current limit", source='docs/sources.md, "The servo"'),
+            Parameter(f"position_gain_{j}_per_s", "1/s", 12.0, 2.0, 60.0,
+                      "position loop: rate per error", 'docs/sources.md, "The servo"',
+                      role="nuisance"),
+            Parameter(f"velocity_gain_{j}_a_s_rad", "A.s/rad", 18.4, 2.0, 60.0,
+                      "current per rate error",
+                      'docs/sources.md, "The servo": 150 rad/s on the inertia', role="nuisance"),
+            Parameter(f"velocity_integral_time_{j}_s", "s", 0.5, 0.02, 5.0,
+                      "integral time of the rate error", "assumed: slower than the position loop",
+                      role="nuisance"),
+            Parameter(FEEDFORWARD.format(j=j), "1", 0.0, 0.0, 1.5,
+                      "share of the goal's rate in the rate that is asked",
+                      optional.format("feed-forward 1st gain"), prior_deviation=0.5),
+            Parameter(POSITION_INTEGRAL.format(j=j), "1/s2", 0.0, 0.0, 200.0,
+                      "rate asked per integral of the position error",
+                      optional.format("position I gain"), prior_deviation=10.0),
+            Parameter(SETPOINT_WEIGHT.format(j=j), "1", 1.0, 0.0, 1.5,
+                      "weight of the asked rate in the proportional part",
+                      "assumed: a loop on the error of the rate", prior_deviation=0.3),
+            Parameter(f"torque_constant_{j}_nm_a", "N.m/A", servo.torque_constant_nm_a, 2.0, 15.0,
+                      "torque at the output per ampere", 'docs/sources.md, "The servo"'),
+            Parameter(f"rotor_inertia_{j}_kg_m2", "kg.m2", servo.rotor_inertia_kg_m2, 0.4, 2.0,
+                      "rotor inertia at the output", 'docs/sources.md, "The servo": recalled',
+                      role="nuisance", prior_deviation=0.15),
+            Parameter(f"current_limit_{j}_a", "A", servo.current_limit_a, 0.5, 50.0,
+                      "rated current limit", 'docs/sources.md, "The servo"'),
             friction_speed_parameter(scope, j),
             *goal_shape_parameters(j),
         ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:
-        """Add shaped goals, and the integral of the velocity error as a state."""
         for j in scope.joints:
             declare_shaped_goal(scope, j)
             scope.state(Variable(f"velocity_integral_{j}_rad", "rad", nominal=0.01))
@@ -104,39 +95,39 @@ class Cascade(Drive):
     def apply_control(self, scope: Scope) -> None:
         """Set the torque by both loops, and the current as it is sampled."""
         for j in scope.joints:
-            integral = scope.states[f"velocity_integral_{j}_rad"]
+            integral, sampling = scope.states[f"velocity_integral_{j}_rad"], scope.sampling[j]
             gain = scope.p("velocity_gain_{j}_a_s_rad", j)
-            held = scope.holding_torque[j] / self.torque_constant(scope, j)
-            integral.initial = held * scope.p("velocity_integral_time_{j}_s", j) / gain
+            holding_a = scope.holding_torque[j] / self.torque_constant(scope, j)
+            integral.initial = holding_a * scope.p("velocity_integral_time_{j}_s", j) / gain
             limit = current_limit(scope, j)
-            asked, measured = self._asked_rate(scope, j), scope.measured_rate(j)
+            reference, measured = self._rate_reference(scope, j), scope.measured_rate(j)
             gathered = integral.symbol / scope.p("velocity_integral_time_{j}_s", j)
             weight = scope.p(SETPOINT_WEIGHT, j)
-            wanted = gain * (weight * asked - measured + gathered)
+            wanted = gain * (weight * reference - measured + gathered)
             current = ca.fmin(ca.fmax(wanted, -limit), limit)
-            integral.rate = asked - measured - (wanted - current) / gain
+            integral.rate = reference - measured - (wanted - current) / gain
+            scope.current[j] = current
             scope.motor_torque[j] = self.torque_constant(scope, j) * current
             per_goal = gain * weight * self._position_gain(scope, j)
             at_once = 1 - scope.p("goal_interpolation_{j}", j)
-            scope.sampling[j].jump_per_rate = per_goal * declare_step_length(scope)
+            sampling.jump_per_rate = per_goal * declare_step_length(scope)
             staircase = staircase_in_current(scope, j, self._decay_s(scope, j))
-            scope.sampling[j].above_end = per_goal * at_once * staircase
+            sampling.above_end = per_goal * at_once * staircase
             if FEEDFORWARD.format(j=j) not in scope.absent:
                 jump = gain * weight * scope.p(FEEDFORWARD, j) * goal_rate_change(scope, j)
-                scope.sampling[j].above_end += jump * above_end(scope, j, self._decay_s(scope, j))
-            scope.current[j] = current
+                sampling.above_end += jump * above_end(scope, j, self._decay_s(scope, j))
 
-    def _asked_rate(self, scope: Scope, joint: int) -> Expr:
+    def _rate_reference(self, scope: Scope, joint: int) -> Expr:
         """Set-point of the rate, from the position loop."""
         lag = scope.goal[joint] - scope.measured_angle(joint)
-        asked = self._position_gain(scope, joint) * lag
+        reference = self._position_gain(scope, joint) * lag
         if FEEDFORWARD.format(j=joint) not in scope.absent:
-            asked += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
+            reference += scope.p(FEEDFORWARD, joint) * goal_rate(scope, joint)
         if POSITION_INTEGRAL.format(j=joint) not in scope.absent:
             integral = scope.states[f"position_integral_{joint}_rad_s"]
             integral.rate = lag
-            asked += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
-        return asked
+            reference += scope.p(POSITION_INTEGRAL, joint) * integral.symbol
+        return reference
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
         """Return the current as it is sampled; a goal in steps gives it a saw-tooth.
@@ -149,16 +140,13 @@ class Cascade(Drive):
         """
         gain = scope.p("velocity_gain_{j}_a_s_rad", joint) * scope.p(SETPOINT_WEIGHT, joint)
         follow_per_s = self._position_gain(scope, joint)
-        forward = scope.p(FEEDFORWARD, joint)
+        forward, acceleration = scope.p(FEEDFORWARD, joint), scope.mean_acceleration[joint]
         lead_s = (1 - forward) / follow_per_s - scope.p("current_phase_{j}", joint) * step_s
-        followed = scope.rate[joint] + lead_s * scope.mean_acceleration[joint]
-        jump = gain * follow_per_s * step_s * followed
-        held = 1 - scope.p("goal_interpolation_{j}", joint)
-        forward_jump = gain * forward * step_s * scope.mean_acceleration[joint]
+        jump = gain * follow_per_s * step_s * (scope.rate[joint] + lead_s * acceleration)
+        at_once = 1 - scope.p("goal_interpolation_{j}", joint)
+        above = at_once * jump + gain * forward * step_s * acceleration
         phase = sampling_phase(scope, joint, step_s)
-        return scope.current[joint] + (held * jump + forward_jump) * above_mean(
-            phase, step_s, self._decay_s(scope, joint)
-        )
+        return scope.current[joint] + above * above_mean(phase, step_s, self._decay_s(scope, joint))
 
     def _position_gain(self, scope: Scope, joint: int) -> Expr:
         """Set-point of the rate per position error."""

@@ -1,7 +1,7 @@
 """Base of a drive, and what several drives share: inputs, parameters, presliding of dry friction.
 
 Every drive has a reflected inertia; friction is an effect. All joints of a plant have the same kind
-of drive, but each has its own parameters.
+of drive, and parameters by joint.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope
 from models.plant.step_model import Variable
 
-SI_UNIT_OF: Final = {"rad": "rad", "m": "m", "nm": "N.m", "n": "N"}
+TORQUE_UNIT: Final = {"nm": "N.m", "n": "N"}
+"""SI unit of a torque or force by its suffix; the suffix of a coordinate is its unit."""
 
 
 class Drive:
@@ -35,7 +36,6 @@ class Drive:
     has_presliding: ClassVar[bool] = False
 
     def parameters(self, scope: Scope) -> list[Parameter]:
-        """Parameters for the joints of `scope`."""
         return [q for j in scope.joints for q in self.joint_parameters(scope, j)]
 
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
@@ -57,10 +57,7 @@ class Drive:
         return scope.torque_scale[joint] * scope.p("torque_constant_{j}_nm_a", joint)
 
     def sampled_current(self, scope: Scope, joint: int, step_s: Expr) -> Expr:
-        """Current at the end of a step whose mean is `scope.current`.
-
-        Both are equal without a velocity loop, whose current is a saw-tooth.
-        """
+        """Current at the end of a step; a velocity loop adds a saw-tooth to `scope.current`."""
         return scope.current[joint]
 
 
@@ -71,50 +68,35 @@ def current_limit(scope: Scope, joint: int) -> Expr:
 
 def declare_goal(scope: Scope, joint: int) -> None:
     """Add the goal of a joint as an input; set `goal` and `start`."""
-    angle = scope.suffix["angle"]
-    name, unit = f"goal_{joint}_{angle}", SI_UNIT_OF[angle]
-    goal = scope.input(Variable(name, unit, 0.0, f"goal of joint {joint}", nominal=0.5))
-    scope.goal[joint] = goal
-    scope.start[joint] = scope.true_angle(joint, goal)
+    unit = scope.suffix["angle"]
+    goal = Variable(f"goal_{joint}_{unit}", unit, 0.0, f"goal of joint {joint}", nominal=0.5)
+    scope.goal[joint] = scope.input(goal)
+    scope.start[joint] = scope.true_angle(joint, scope.goal[joint])
 
 
 def start_offset_parameter(scope: Scope, joint: int) -> Parameter:
     """Offset of the first position, for a joint without a stiff position loop."""
-    angle = scope.suffix["angle"]
-    return Parameter(
-        name=f"start_offset_{joint}_{angle}", unit=SI_UNIT_OF[angle],
-        value=0.0, low=-10.0, high=10.0,
-        description="first position, from the first goal or from zero; of a trial, as measured",
-        source="at the goal",
-    )  # fmt: skip
+    unit = scope.suffix["angle"]
+    meaning = "first position, from the first goal or from zero; of a trial, as measured"
+    return Parameter(f"start_offset_{joint}_{unit}", unit, 0.0, -10.0, 10.0, meaning, "at the goal")
 
 
 def start_rate_parameter(scope: Scope, joint: int) -> Parameter:
     """Rate at the start, for a joint whose trial may begin in motion."""
-    angle = scope.suffix["angle"]
-    return Parameter(
-        name=f"start_joint_rate_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-        value=0.0, low=-100.0, high=100.0,
-        description="rate at the start; of a trial, as measured", source="at rest",
-    )  # fmt: skip
+    unit, meaning = scope.suffix["angle"], "rate at the start; of a trial, as measured"
+    name = f"start_joint_rate_{joint}_{unit}_s"
+    return Parameter(name, f"{unit}/s", 0.0, -100.0, 100.0, meaning, "at rest")
 
 
 def friction_speed_parameter(scope: Scope, joint: int) -> Parameter:
     """Speed that regularises the dry friction of a drive."""
-    angle = scope.suffix["angle"]
+    unit = scope.suffix["angle"]
+    value, low = (0.02, 0.005) if unit == "rad" else (0.002, 1e-4)
     return Parameter(
-        name=f"friction_speed_{joint}_{angle}_s", unit=f"{SI_UNIT_OF[angle]}/s",
-        value=0.02 if angle == "rad" else 0.002, low=0.005 if angle == "rad" else 1e-4, high=0.2,
-        description="speed below which dry friction is linear in the rate",
-        source="numerical: 3 % of the study's peak rate",
+        f"friction_speed_{joint}_{unit}_s", f"{unit}/s", value, low, 0.2,
+        "speed below which dry friction is linear in the rate",
+        "numerical: 3 % of the study's peak rate",
     )  # fmt: skip
-
-
-BRISTLE_DAMPING_S: Final = 5e-3
-"""Damping time of the bristles: a sticking joint oscillates for a few periods only."""
-
-BRISTLE_REVERSAL_S: Final = 5e-4
-"""Shortest time in which the bristles reverse: half an internal step."""
 
 
 def declare_presliding(scope: Scope, joint: int) -> None:
@@ -126,11 +108,12 @@ def declare_presliding(scope: Scope, joint: int) -> None:
         ż = (q̇ − |q̇| z) / (δ + |q̇| T),   direction = z + T_d ż
 
     z reaches sign(q̇) within the distance δ and is constant at rest; a smooth sign of the rate alone
-    would let the joint creep. T bounds the rate of change for the integrator.
+    would let the joint creep. T, half an internal step, is the shortest time in which the bristles
+    reverse. T_d damps them: a sticking joint oscillates for a few periods only.
     """
     scope.gear_drive_torque[joint] = ca.SX.sym(f"drive_torque_{joint}")
     z = scope.state(Variable(f"bristle_{joint}", "1"))
     speed = ca.fabs(scope.rate[joint])
-    reach = scope.p("presliding_{j}_{angle}", joint) + speed * BRISTLE_REVERSAL_S
+    reach = scope.p("presliding_{j}_{angle}", joint) + speed * 5e-4
     scope.states[z.name()].rate = (scope.rate[joint] - speed * z) / reach
-    scope.friction_direction[joint] = z + BRISTLE_DAMPING_S * scope.states[z.name()].rate
+    scope.friction_direction[joint] = z + 5e-3 * scope.states[z.name()].rate

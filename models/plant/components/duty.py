@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.drive import (
@@ -27,32 +25,28 @@ class Duty(Drive):
     Source: BAM (docs/sources.md, "Real recordings").
     """
 
-    kind: ClassVar[str] = "duty"
-    features: ClassVar[tuple[str, ...]] = ("current", "current limit", "position gain")
-    has_presliding: ClassVar[bool] = True
+    kind = "duty"
+    features = ("current", "current limit", "position gain")
+    has_presliding = True
 
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         j = joint
         return [
-            Parameter(name=f"duty_gain_{j}", unit="1/rad", value=NO_DEFAULT, low=0.01,
-                      high=50.0, description="duty per radian of error",
-                      source="register of the servo"),
+            Parameter(f"duty_gain_{j}", "1/rad", NO_DEFAULT, 0.01, 50.0, "duty per radian of error",
+                      "register of the servo"),
             start_offset_parameter(scope, j),
-            Parameter(name=f"winding_resistance_{j}_ohm", unit="Ohm", value=3.5, low=0.1,
-                      high=50.0, role="nuisance", description="resistance of the winding",
-                      source="assumed: 1.5 A stall at 5 V"),
-            Parameter(name=f"torque_constant_{j}_nm_a", unit="N.m/A", value=0.36, low=0.01,
-                      high=10.0, role="nuisance", description="torque and back EMF constant",
-                      source="assumed: 0.52 N·m stall at 1.5 A"),
-            Parameter(name=f"rotor_inertia_{j}_kg_m2", unit="kg.m2", value=0.002, low=1e-4,
-                      high=0.1, role="nuisance", description="rotor inertia at the output",
-                      source="assumed"),
-            Parameter(name=f"current_limit_{j}_a", unit="A", value=3.0, low=0.1, high=50.0,
-                      description="rated current limit",
-                      source="assumed: twice the stall current at 5 V"),
-            Parameter(name=f"presliding_{j}_rad", unit="rad", value=0.002, low=1e-4, high=0.1,
-                      description="distance in which dry friction reverses",
-                      source="assumed: two steps of the encoder"),
+            Parameter(f"winding_resistance_{j}_ohm", "Ohm", 3.5, 0.1, 50.0,
+                      "resistance of the winding", "assumed: 1.5 A stall at 5 V", role="nuisance"),
+            Parameter(f"torque_constant_{j}_nm_a", "N.m/A", 0.36, 0.01, 10.0,
+                      "torque and back EMF constant", "assumed: 0.52 N·m stall at 1.5 A",
+                      role="nuisance"),
+            Parameter(f"rotor_inertia_{j}_kg_m2", "kg.m2", 0.002, 1e-4, 0.1,
+                      "rotor inertia at the output", "assumed", role="nuisance"),
+            Parameter(f"current_limit_{j}_a", "A", 3.0, 0.1, 50.0, "rated current limit",
+                      "assumed: twice the stall current at 5 V"),
+            Parameter(f"presliding_{j}_rad", "rad", 0.002, 1e-4, 0.1,
+                      "distance in which dry friction reverses",
+                      "assumed: two steps of the encoder"),
         ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.load import PlantLoad
@@ -21,26 +19,21 @@ class FlexibleLink(PlantLoad):
     measures it.
     """
 
-    kind: ClassVar[str] = "flexible_link"
-    features: ClassVar[tuple[str, ...]] = ("bend", "gear load")
+    kind = "flexible_link"
+    features = ("bend", "gear load")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [
-            Parameter(name="link_inertia_kg_m2", unit="kg.m2", value=NO_DEFAULT, low=1e-6,
-                      high=100.0, description="inertia of link and load about the joint",
-                      source="data sheet of the link"),
-            Parameter(name="root_stiffness_1_nm_rad", unit="N.m/rad", value=10.0, low=1e-3,
-                      high=1e5, role="nuisance", description="stiffness against deflection",
-                      source="assumed"),
-            Parameter(name="root_damping_1_nm_s_rad", unit="N.m.s/rad", value=0.1, low=0.0,
-                      high=1e3, role="nuisance", description="damping of the deflection",
-                      source="assumed"),
-            Parameter(name="start_deflection_1_rad", unit="rad", value=0.0, low=-3.0, high=3.0,
-                      description="deflection at the start; of a trial, as measured",
-                      source="at rest"),
-            Parameter(name="start_deflection_rate_1_rad_s", unit="rad/s", value=0.0, low=-100.0,
-                      high=100.0, description="its rate at the start; of a trial, as measured",
-                      source="at rest"),
+            Parameter("link_inertia_kg_m2", "kg.m2", NO_DEFAULT, 1e-6, 100.0,
+                      "inertia of link and load about the joint", "data sheet of the link"),
+            Parameter("root_stiffness_1_nm_rad", "N.m/rad", 10.0, 1e-3, 1e5,
+                      "stiffness against deflection", "assumed", role="nuisance"),
+            Parameter("root_damping_1_nm_s_rad", "N.m.s/rad", 0.1, 0.0, 1e3,
+                      "damping of the deflection", "assumed", role="nuisance"),
+            Parameter("start_deflection_1_rad", "rad", 0.0, -3.0, 3.0,
+                      "deflection at the start; of a trial, as measured", "at rest"),
+            Parameter("start_deflection_rate_1_rad_s", "rad/s", 0.0, -100.0, 100.0,
+                      "its rate at the start; of a trial, as measured", "at rest"),
         ]  # fmt: skip
 
     def declare(self, scope: Scope) -> None:

@@ -26,16 +26,13 @@ from typing import Final
 
 import casadi as ca
 
-from models.plant.components.drive import SI_UNIT_OF, declare_goal
+from models.plant.components.drive import declare_goal
 from models.plant.parameter import Parameter
 from models.plant.scope import CurrentSampling, Expr, Scope
 from models.plant.step_model import Variable
 
 NO_ACCELERATION_LIMIT: Final = 1e6
 """Acceleration in rad/s² that counts as no limit: a change of 10 rad takes 6 ms."""
-
-LEAST_SQUARED_SPEED: Final = 1e-12
-"""Added below the root, in (rad/s)²: keeps its derivative finite at rest."""
 
 
 def profiled_change(
@@ -51,7 +48,8 @@ def profiled_change(
     """
     towards = ca.if_else(distance >= rate * ca.fabs(rate) / (2 * acceleration), 1, -1)
     way, begun = towards * distance, towards * rate
-    squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + LEAST_SQUARED_SPEED
+    # The addend keeps the root's derivative finite at rest.
+    squared = ca.fmax(begun**2 / 2 + acceleration * way, 0) + 1e-12
     top = ca.fmin(ca.sqrt(squared), speed)
     rise_s, fall_s = (top - begun) / acceleration, top / acceleration
     level = way - (top + begun) / 2 * rise_s - top / 2 * fall_s
@@ -69,56 +67,45 @@ def profiled_change(
     return towards * ca.if_else(arrived, way, change), towards * ca.if_else(arrived, 0, ended)
 
 
-PHASE_STATE = "step_phase"
-"""State that holds the phase of the step, 0 to 1."""
-
-STEP_STATE = "step_s"
-"""State that holds the length of the step, for outputs and rates."""
-
-
 def goal_shape_parameters(joint: int) -> list[Parameter]:
     """Interpolation, delay and profile of the goal, and the phase of the current's sample."""
     j = joint
     return [
-        Parameter(name=f"goal_interpolation_{j}", unit="1", value=0.0, low=0.0, high=1.0,
-                  role="nuisance", description="0 holds the goal of a step, 1 interpolates it",
-                  source="assumed held", prior_deviation=1.0),
-        Parameter(name=f"current_phase_{j}", unit="1", value=1.0, low=0.02, high=1.0,
-                  role="nuisance", description="phase of the step at which the current is sampled",
-                  source="assumed: read before the next goal is sent", prior_deviation=1.0),
-        Parameter(name=f"goal_delay_{j}_s", unit="s", value=0.0, low=0.0, high=0.01,
-                  role="nuisance", description="time after which a goal takes effect",
-                  source='assumed at once; docs/sources.md, "Control tables": line time, '
-                         "1 to 26 ms",
-                  prior_deviation=0.004),
-        Parameter(name=f"profile_speed_{j}_rad_s", unit="rad/s", value=100.0, low=0.01, high=100.0,
-                  description="speed limit of the goal's profile; 100 is none",
-                  source='docs/sources.md, "Control tables": profile velocity, 0 is none'),
-        Parameter(name=f"profile_acceleration_{j}_rad_s2", unit="rad/s2",
-                  value=NO_ACCELERATION_LIMIT, low=0.5, high=NO_ACCELERATION_LIMIT,
-                  description="acceleration limit of the goal's profile; 1e6 is none",
-                  source='docs/sources.md, "Control tables": profile acceleration, 0 is none'),
+        Parameter(f"goal_interpolation_{j}", "1", 0.0, 0.0, 1.0,
+                  "0 holds the goal of a step, 1 interpolates it", "assumed held", role="nuisance",
+                  prior_deviation=1.0),
+        Parameter(f"current_phase_{j}", "1", 1.0, 0.02, 1.0,
+                  "phase of the step at which the current is sampled",
+                  "assumed: read before the next goal is sent", role="nuisance",
+                  prior_deviation=1.0),
+        Parameter(f"goal_delay_{j}_s", "s", 0.0, 0.0, 0.01, "time after which a goal takes effect",
+                  'assumed at once; docs/sources.md, "Control tables": line time, 1 to 26 ms',
+                  role="nuisance", prior_deviation=0.004),
+        Parameter(f"profile_speed_{j}_rad_s", "rad/s", 100.0, 0.01, 100.0,
+                  "speed limit of the goal's profile; 100 is none",
+                  'docs/sources.md, "Control tables": profile velocity, 0 is none'),
+        Parameter(f"profile_acceleration_{j}_rad_s2", "rad/s2", NO_ACCELERATION_LIMIT, 0.5,
+                  NO_ACCELERATION_LIMIT, "acceleration limit of the goal's profile; 1e6 is none",
+                  'docs/sources.md, "Control tables": profile acceleration, 0 is none'),
     ]  # fmt: skip
 
 
 def declare_step_length(scope: Scope) -> Expr:
-    """Add the length of the step as a state if there is none yet; return its symbol."""
-    if STEP_STATE not in scope.states:
-        symbol = scope.state(Variable(STEP_STATE, "s", nominal=0.017), 1.0)
-        scope.states[STEP_STATE].begin = scope.step_s
-        return symbol
-    return scope.states[STEP_STATE].symbol
+    """Length of the step as a state, for outputs and rates; added if there is none yet."""
+    if "step_s" not in scope.states:
+        scope.state(Variable("step_s", "s", nominal=0.017), 1.0)
+        scope.states["step_s"].begin = scope.step_s
+    return scope.states["step_s"].symbol
 
 
 def declare_shaped_goal(scope: Scope, joint: int) -> None:
     """Add a goal as an input and its shape within the step; set `goal`, `sampling`, `start`."""
     declare_goal(scope, joint)
-    sent, angle = scope.goal[joint], scope.suffix["angle"]
-    unit, step_s = SI_UNIT_OF[angle], declare_step_length(scope)
-    held = 1 - scope.p("goal_interpolation_{j}", joint)
-    shaped = scope.state(Variable(f"shaped_goal_{joint}_{angle}", unit, nominal=0.5), sent)
-    change = scope.state(Variable(f"goal_change_{joint}_{angle}", unit, nominal=0.01))
-    rate = scope.state(Variable(f"goal_rate_{joint}_{angle}_s", f"{unit}/s", nominal=0.5))
+    sent, unit, step_s = scope.goal[joint], scope.suffix["angle"], declare_step_length(scope)
+    at_end = 1 - scope.p("goal_interpolation_{j}", joint)
+    shaped = scope.state(Variable(f"shaped_goal_{joint}_{unit}", unit, nominal=0.5), sent)
+    change = scope.state(Variable(f"goal_change_{joint}_{unit}", unit, nominal=0.01))
+    rate = scope.state(Variable(f"goal_rate_{joint}_{unit}_s", f"{unit}/s", nominal=0.5))
     wanted, scope.states[rate.name()].begin = profiled_change(
         sent - shaped,
         rate,
@@ -127,22 +114,51 @@ def declare_shaped_goal(scope: Scope, joint: int) -> None:
         scope.step_s,
     )
     scope.states[change.name()].begin = wanted
-    scope.states[shaped.name()].begin = shaped + held * wanted
-    scope.states[shaped.name()].rate = (1 - held) * change / step_s
+    scope.states[shaped.name()].begin = shaped + at_end * wanted
+    scope.states[shaped.name()].rate = (1 - at_end) * change / step_s
     scope.goal[joint] = shaped - scope.p("goal_delay_{j}_s", joint) / step_s * change
     scope.sampling[joint] = CurrentSampling(change, lambda: _without_staircase(scope, joint))
 
 
+def _without_staircase(scope: Scope, joint: int) -> Expr:
+    """Goal that follows the line through the middles of its steps instead of the staircase."""
+    if "step_phase" not in scope.states:  # 0 to 1
+        scope.state(Variable("step_phase", "1"))
+        scope.states["step_phase"].begin = ca.SX(0.0)
+        scope.states["step_phase"].rate = 1 / declare_step_length(scope)
+    at_end = 1 - scope.p("goal_interpolation_{j}", joint)
+    phase = scope.states["step_phase"].symbol
+    return scope.goal[joint] + at_end * scope.sampling[joint].goal_change * (phase - 0.5)
+
+
+def goal_rate(scope: Scope, joint: int) -> Expr:
+    """Rate of the goal in this step, after the command port."""
+    sampling = scope.sampling[joint]
+    sent, late = sampling.goal_change / declare_step_length(scope), sampling.delay
+    return sent if late is None else sent + late.share * (late.rate - sent)
+
+
+def declare_goal_rate_change(scope: Scope, joint: int) -> None:
+    """Add the goal's change of rate since the previous step as a state, for `goal_rate_change`."""
+    unit = scope.suffix["angle"]
+    name = f"goal_rate_change_{joint}_{unit}_s"
+    scope.state(Variable(name, f"{unit}/s", nominal=0.1))
+    change = scope.states[f"goal_change_{joint}_{unit}"]
+    scope.states[name].begin = (change.begin - change.symbol) / scope.step_s
+
+
+def goal_rate_change(scope: Scope, joint: int) -> Expr:
+    return scope.states[f"goal_rate_change_{joint}_{scope.suffix['angle']}_s"].symbol
+
+
 def staircase_in_current(scope: Scope, joint: int, decay_s: Expr) -> Expr:
     """Change of the goal in a step times the current's sample above the twin's, per jump."""
-    step_s = declare_step_length(scope)
-    phase = sampling_phase(scope, joint, step_s)
-    sampling = scope.sampling[joint]
-    at_once = sampling.goal_change * above_end(scope, joint, decay_s)
-    late = sampling.delay
+    step_s, sampling = declare_step_length(scope), scope.sampling[joint]
+    at_once, late = sampling.goal_change * above_end(scope, joint, decay_s), sampling.delay
     if late is None:
         return at_once
-    late_phase = ca.fmin(ca.fmax(phase + late.phase_shift, 0.0), 1.0)
+    phase = sampling_phase(scope, joint, step_s) + late.phase_shift
+    late_phase = ca.fmin(ca.fmax(phase, 0.0), 1.0)
     delayed = late.rate * step_s * above_mean(late_phase, step_s, decay_s)
     return at_once + late.share * (delayed - at_once)
 
@@ -154,25 +170,10 @@ def above_end(scope: Scope, joint: int, decay_s: Expr) -> Expr:
     return above_mean(phase, step_s, decay_s) - above_mean(1.0, step_s, decay_s)
 
 
-def declare_goal_rate_change(scope: Scope, joint: int) -> None:
-    """Add the goal's change of rate since the previous step as a state, for `goal_rate_change`."""
-    angle = scope.suffix["angle"]
-    name = f"goal_rate_change_{joint}_{angle}_s"
-    scope.state(Variable(name, f"{SI_UNIT_OF[angle]}/s", nominal=0.1))
-    change = scope.states[f"goal_change_{joint}_{angle}"]
-    scope.states[name].begin = (change.begin - change.symbol) / scope.step_s
-
-
-def goal_rate_change(scope: Scope, joint: int) -> Expr:
-    """Change of the goal's rate at the begin of the step."""
-    return scope.states[f"goal_rate_change_{joint}_{scope.suffix['angle']}_s"].symbol
-
-
-def goal_rate(scope: Scope, joint: int) -> Expr:
-    """Rate of the goal in this step, after the command port."""
-    sampling = scope.sampling[joint]
-    sent, late = sampling.goal_change / declare_step_length(scope), sampling.delay
-    return sent if late is None else sent + late.share * (late.rate - sent)
+def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
+    """Current at a phase of the step above its mean, per jump, as the velocity loop decays."""
+    decay = ca.exp(-step_s / decay_s)
+    return ca.exp(-phase * step_s / decay_s) / (1 - decay) - decay_s / step_s
 
 
 def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
@@ -183,23 +184,3 @@ def sampling_phase(scope: Scope, joint: int, step_s: Expr) -> Expr:
     delay_s = scope.p("goal_delay_{j}_s", joint)
     phase = scope.p("current_phase_{j}", joint) - delay_s / step_s
     return phase - ca.ceil(phase) + 1.0
-
-
-def above_mean(phase: Expr, step_s: Expr, decay_s: Expr) -> Expr:
-    """Difference of the current at a phase of the step from its mean, per jump of the current.
-
-    `decay_s` is the time constant of the velocity loop.
-    """
-    decay = ca.exp(-step_s / decay_s)
-    return ca.exp(-phase * step_s / decay_s) / (1 - decay) - decay_s / step_s
-
-
-def _without_staircase(scope: Scope, joint: int) -> Expr:
-    """Goal that follows the line through the middles of its steps instead of the staircase."""
-    if PHASE_STATE not in scope.states:
-        scope.state(Variable(PHASE_STATE, "1"), 0.0)
-        scope.states[PHASE_STATE].begin = ca.SX(0.0)
-        scope.states[PHASE_STATE].rate = 1 / declare_step_length(scope)
-    held = 1 - scope.p("goal_interpolation_{j}", joint)
-    phase = scope.states[PHASE_STATE].symbol
-    return scope.goal[joint] + held * scope.sampling[joint].goal_change * (phase - 0.5)

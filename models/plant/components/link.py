@@ -33,8 +33,8 @@ E|strain + n|.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Final
 
 import casadi as ca
 
@@ -44,74 +44,64 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Hinge, Scope
 from models.plant.step_model import Variable
 
-STUDY_FRACTIONS: Final = (0.25, 0.5, 0.75, 1.0)
-"""Heights of the marker rows of the study's link, relative to its length."""
-
-
-def slope_fraction(position: float) -> float:
-    """Fraction of the span's bend reached at `position` (0 base, 1 tip) under a tip force."""
-    return 2 * position - position**2
-
 
 class Link(PlantLoad):
     """Inflatable link on a base joint with one or two axes."""
 
-    kind: ClassVar[str] = "link"
-    max_dof: ClassVar[int] = 2
-    features: ClassVar[tuple[str, ...]] = ("bend", "gear load", "tip")
-    hinges: ClassVar[tuple[str, ...]] = ("root", "span")
+    kind = "link"
+    max_dof = 2
+    features = ("bend", "gear load", "tip")
+    hinges = ("root", "span")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         result = [
-            Parameter(name="base_offset_m", unit="m", value=STUDY_LINK.base_offset_m, low=0.0,
-                      high=1.0, description="base plate above the joint axes",
-                      source='docs/sources.md, "The link": assumed'),
-            Parameter(name="base_mass_kg", unit="kg", value=0.5, low=0.0, high=10.0,
-                      description="mass at the base plate, where the link begins",
-                      source='docs/sources.md, "The link": assumed'),
-            Parameter(name="link_length_m", unit="m", value=STUDY_LINK.length_m, low=0.05,
-                      high=10.0, description="length of the link", source="paper, fig. 2"),
-            Parameter(name="link_width_m", unit="m", value=STUDY_LINK.width_m, low=0.01, high=2.0,
-                      description="width of the link", source="paper, fig. 2"),
-            Parameter(name="gravity_m_s2", unit="m/s2", value=STUDY_LINK.gravity.size_m_s2,
-                      low=0.0, high=30.0, description=f"gravity, along {_direction(scope.gravity)}",
-                      source="standard gravity"),
-            Parameter(name="link_mass_kg", unit="kg", value=0.9, low=0.5, high=2.0,
-                      role="nuisance", description="mass of the link",
-                      source='docs/sources.md, "The link": assumed', prior_deviation=0.15),
-            Parameter(name="tip_mass_kg", unit="kg", value=0.25, low=0.05, high=1.0,
-                      role="nuisance", description="hardware at the tip",
-                      source='docs/sources.md, "The link": assumed', prior_deviation=0.05),
-            Parameter(name="root_limit_moment_nm", unit="N.m", value=22.0, low=12.0, high=80.0,
-                      role="nuisance", description="limit moment of the root patch",
-                      source='docs/sources.md, "The link"'),
-            Parameter(name="fold_rad", unit="rad", value=0.5, low=0.3, high=1.0,
-                      description="bend at which a folded hinge takes the limit moment",
-                      source="assumed, far outside the study"),
-            Parameter(name="span_position", unit="1", value=0.184, low=0.0, high=0.45,
-                      description="span hinge from the root, fraction of length",
-                      source="cantilever that bends and shears: slope and deflection meet there"),
-            Parameter(name="edge_gain", unit="1", value=1.0, low=0.3, high=2.0,
-                      role="calibration", description="edge strain per strain of a plane section",
-                      source="plane sections stay plane"),
-            Parameter(name="marker_noise_m", unit="m", value=0.00015, low=0.0, high=0.005,
-                      role="calibration", description="standard deviation of a marker coordinate",
-                      source='docs/sources.md, "The link"'),
+            Parameter("base_offset_m", "m", STUDY_LINK.base_offset_m, 0.0, 1.0,
+                      "base plate above the joint axes", 'docs/sources.md, "The link": assumed'),
+            Parameter("base_mass_kg", "kg", 0.5, 0.0, 10.0,
+                      "mass at the base plate, where the link begins",
+                      'docs/sources.md, "The link": assumed'),
+            Parameter("link_length_m", "m", STUDY_LINK.length_m, 0.05, 10.0, "length of the link",
+                      "paper, fig. 2"),
+            Parameter("link_width_m", "m", STUDY_LINK.width_m, 0.01, 2.0, "width of the link",
+                      "paper, fig. 2"),
+            Parameter("gravity_m_s2", "m/s2", STUDY_LINK.gravity.size_m_s2, 0.0, 30.0,
+                      f"gravity, along {_direction(scope.gravity)}", "standard gravity"),
+            Parameter("link_mass_kg", "kg", 0.9, 0.5, 2.0, "mass of the link",
+                      'docs/sources.md, "The link": assumed', role="nuisance",
+                      prior_deviation=0.15),
+            Parameter("tip_mass_kg", "kg", 0.25, 0.05, 1.0, "hardware at the tip",
+                      'docs/sources.md, "The link": assumed', role="nuisance",
+                      prior_deviation=0.05),
+            Parameter("root_limit_moment_nm", "N.m", 22.0, 12.0, 80.0,
+                      "limit moment of the root patch", 'docs/sources.md, "The link"',
+                      role="nuisance"),
+            Parameter("fold_rad", "rad", 0.5, 0.3, 1.0,
+                      "bend at which a folded hinge takes the limit moment",
+                      "assumed, far outside the study"),
+            Parameter("span_position", "1", 0.184, 0.0, 0.45,
+                      "span hinge from the root, fraction of length",
+                      "cantilever that bends and shears: slope and deflection meet there"),
+            Parameter("edge_gain", "1", 1.0, 0.3, 2.0, "edge strain per strain of a plane section",
+                      "plane sections stay plane", role="calibration"),
+            Parameter("marker_noise_m", "m", 0.00015, 0.0, 0.005,
+                      "standard deviation of a marker coordinate", 'docs/sources.md, "The link"',
+                      role="calibration"),
         ]  # fmt: skip
         for j in scope.joints:
             result += [
-                Parameter(name=f"root_stiffness_{j}_nm_rad", unit="N.m/rad", value=350.0, low=60.0,
-                          high=1000.0, role="nuisance", description="stiffness of the root patch",
-                          source='docs/sources.md, "The link": 80 to 1000 N·m/rad'),
-                Parameter(name=f"span_stiffness_{j}_nm_rad", unit="N.m/rad", value=232.0, low=60.0,
-                          high=1200.0, role="nuisance", description="stiffness of the span hinge",
-                          source='docs/sources.md, "The link": 0.82 · 2 EI/L, EI = 135 N·m²'),
-                Parameter(name=f"root_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=1.5, low=0.05,
-                          high=5.0, role="nuisance", description="damping of the root patch",
-                          source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
-                Parameter(name=f"span_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=0.8, low=0.05,
-                          high=5.0, role="nuisance", description="damping of the span hinge",
-                          source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
+                Parameter(f"root_stiffness_{j}_nm_rad", "N.m/rad", 350.0, 60.0, 1000.0,
+                          "stiffness of the root patch",
+                          'docs/sources.md, "The link": 80 to 1000 N·m/rad', role="nuisance"),
+                Parameter(f"span_stiffness_{j}_nm_rad", "N.m/rad", 232.0, 60.0, 1200.0,
+                          "stiffness of the span hinge",
+                          'docs/sources.md, "The link": 0.82 · 2 EI/L, EI = 135 N·m²',
+                          role="nuisance"),
+                Parameter(f"root_damping_{j}_nm_s_rad", "N.m.s/rad", 1.5, 0.05, 5.0,
+                          "damping of the root patch",
+                          'docs/sources.md, "The link": damping ratio 7 to 9 %', role="nuisance"),
+                Parameter(f"span_damping_{j}_nm_s_rad", "N.m.s/rad", 0.8, 0.05, 5.0,
+                          "damping of the span hinge",
+                          'docs/sources.md, "The link": damping ratio 7 to 9 %', role="nuisance"),
             ]  # fmt: skip
         return result
 
@@ -144,10 +134,11 @@ class Link(PlantLoad):
             scope.bend_torque[hinge, j] = torque
 
     def motion_equations(self, scope: Scope) -> tuple[Expr, Expr]:
+        angles = [scope.angle[j] - scope.windup[j] for j in scope.joints]
         rates = [scope.rate[j] - scope.windup_rate[j] for j in scope.joints]
         return lagrange_equations(
             *self._nodes(scope),
-            (list(self._load_angles(scope).values()), rates),
+            (angles, rates),
             (ca.vertcat(*scope.bend.values()), ca.vertcat(*scope.bend_rate.values())),
             scope.p("gravity_m_s2") * ca.vertcat(*scope.gravity),
         )
@@ -156,21 +147,20 @@ class Link(PlantLoad):
         """Return the Deformation Index, and the end effector in the frame of the motion capture."""
         joint, bend = self._delayed(scope)
         turn_x, turn_y, turn_z = scope.frame_turn_rad
-        turn = symbolic_base_rotation(turn_y, -turn_x) @ _about_z(turn_z)
-        frames = self._frames(scope, joint, bend, scope.cross_bend)
-        tip_m = (1 + scope.frame_scale) * (turn @ frames[2])
+        cos, sin = ca.cos(turn_z), ca.sin(turn_z)
+        about_z = ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
+        turn = symbolic_base_rotation(turn_y, -turn_x) @ about_z
+        tip_m = self._frames(scope, joint, bend, scope.cross_bend)[2]
+        tip_m = (1 + scope.frame_scale) * (turn @ tip_m)
+        description = "Deformation Index (paper, equation 1)"
         result = {
-            "di": (Variable("di", "1", 0.0, "Deformation Index (paper, equation 1)", 0.0,
-                            nominal=0.01), self._deformation_index(scope, joint, bend)),
+            "di": (Variable("di", "1", 0.0, description, 0.0, nominal=0.01),
+                   self._deformation_index(scope, joint, bend)),
         }  # fmt: skip
         for axis, value in zip("xyz", ca.vertsplit(tip_m), strict=True):
             name = f"tip_{axis}_m"
             result[name] = (Variable(name, "m", 0.0, f"end effector, world frame, {axis}"), value)
         return result
-
-    def _load_angles(self, scope: Scope) -> dict[int, Expr]:
-        """Joint angles on the load's side of the gear."""
-        return {j: scope.angle[j] - scope.windup[j] for j in scope.joints}
 
     def _delayed(self, scope: Scope) -> tuple[dict[int, Expr], dict[Hinge, Expr]]:
         """Joint angles and bends as the motion capture measures them, to second order in its times.
@@ -183,19 +173,21 @@ class Link(PlantLoad):
         def late(value: Expr, rate: Expr, acceleration: Expr) -> Expr:
             return value - (delay_s + lag_s) * rate + curvature * acceleration
 
-        standing = self._load_angles(scope)
+        def derivative(rate: Expr) -> Expr:
+            return scope.states[rate.name()].rate
+
         joint = {
             j: late(
-                standing[j] + scope.lean[j],
+                scope.angle[j] - scope.windup[j] + scope.lean[j],
                 scope.rate[j] - scope.windup_rate[j] + scope.lean_rate[j],
-                scope.states[scope.rate[j].name()].rate
+                derivative(scope.rate[j])
                 - scope.windup_acceleration[j]
                 + scope.lean_acceleration[j],
             )
             for j in scope.joints
         }
         bend = {
-            key: late(value, scope.bend_rate[key], scope.states[scope.bend_rate[key].name()].rate)
+            key: late(value, scope.bend_rate[key], derivative(scope.bend_rate[key]))
             for key, value in scope.bend.items()
         }
         return joint, bend
@@ -203,18 +195,16 @@ class Link(PlantLoad):
     def _frames(
         self,
         scope: Scope,
-        joint: dict[int, Expr],
-        bend: dict[Hinge, Expr],
+        joint: Mapping[int, Expr],
+        bend: Mapping[Hinge, Expr],
         across: Mapping[str, Expr],
     ) -> tuple[Expr, Expr, Expr, Expr]:
         """Positions (3,) of root, span hinge and tip, and the rotation of the last section."""
         turns = [list(joint.values())]
         for hinge in self.hinges:
-            own = [bend[hinge, j] for j in scope.joints]
-            turns.append([*own, across[hinge]] if hinge in across else own)
-        base, first, second = (
-            symbolic_base_rotation(*pair, *[0] * (2 - len(pair))) for pair in turns
-        )
+            planes = [bend[hinge, j] for j in scope.joints]
+            turns.append([*planes, across[hinge]] if hinge in across else planes)
+        base, first, second = (symbolic_base_rotation(*turn) for turn in turns)
         length_m, position = scope.p("link_length_m"), scope.p("span_position")
         plate_m = base @ ca.vertcat(0, 0, scope.p("base_offset_m"))
         section = base @ first
@@ -226,18 +216,17 @@ class Link(PlantLoad):
     def _nodes(self, scope: Scope) -> tuple[list[Expr], dict[tuple[int, int], Expr]]:
         """Base plate, span hinge, tip and payload in the frame of the base, and the masses."""
         upright = dict.fromkeys(scope.joints, ca.SX(0))
-        plate_m, hinge_m, tip_m, section = self._frames(scope, upright, scope.bend, {})
-        nodes = [plate_m, hinge_m, tip_m]
+        *nodes, section = self._frames(scope, upright, scope.bend, {})
         masses = {(0, 0): scope.p("base_mass_kg"), (2, 2): scope.p("tip_mass_kg")}
         mass_kg, position = scope.p("link_mass_kg"), scope.p("span_position")
         add_rod(masses, mass_kg * position, 0, 1)
         add_rod(masses, mass_kg * (1 - position), 1, 2)
-        masses[3, 3] = scope.payload_kg  # a node of its own: an offset of zero changes no bit
-        nodes.append(tip_m + section @ ca.vertcat(scope.payload_offset_m, 0, 0))
+        masses[3, 3] = scope.payload_kg  # a node by itself: an offset of zero changes no bit
+        nodes.append(nodes[2] + section @ ca.vertcat(scope.payload_offset_m, 0, 0))
         return nodes, masses
 
     def _deformation_index(
-        self, scope: Scope, joint: dict[int, Expr], bend: dict[Hinge, Expr]
+        self, scope: Scope, joint: Mapping[int, Expr], bend: Mapping[Hinge, Expr]
     ) -> Expr:
         """Equation 1 of the paper over the segments of all edges.
 
@@ -246,10 +235,11 @@ class Link(PlantLoad):
         """
         rows, edges = _edges(scope)
         total: Expr = 0
-        low = 0.0
-        for k, (fraction, segment_m) in enumerate(rows):
-            share = slope_fraction(fraction) - slope_fraction(low)
-            low = fraction
+        below = 0.0
+        for k, (height, segment_m) in enumerate(rows):
+            # Fraction of the span's bend in this segment: the slope is 2 x - x² under a tip force.
+            share = 2 * height - height**2 - (2 * below - below**2)
+            below = height
             turn = [
                 share * (bend["span", j] - scope.rest_bend["span", j])
                 + (k == 0) * (bend["root", j] - scope.rest_bend["root", j])
@@ -273,31 +263,23 @@ def _direction(unit: Sequence[float]) -> str:
     return "(" + ", ".join(f"{part:.4g}" for part in unit) + ")"
 
 
-def _about_z(angle_rad: Expr) -> Expr:
-    cos, sin = ca.cos(angle_rad), ca.sin(angle_rad)
-    return ca.vertcat(ca.horzcat(cos, -sin, 0), ca.horzcat(sin, cos, 0), ca.horzcat(0, 0, 1))
-
-
 def _edges(scope: Scope) -> tuple[list[tuple[float, Expr]], list[tuple[tuple[Expr, Expr], int]]]:
     """Rows and edges of the markers.
 
     A row is its relative height and the length of the segment below. An edge is its distances from
     the axis along x and y, and the number of edges with that strain or its negative.
     """
-    length_m, layout = scope.p("link_length_m"), scope.layout
-    if layout is None:
-        half_m = scope.p("link_width_m") / 2
-        rows = [(f, length_m / len(STUDY_FRACTIONS)) for f in STUDY_FRACTIONS]
+    if scope.layout is None:  # the study's four rows of four
+        segment_m, half_m = scope.p("link_length_m") / 4, scope.p("link_width_m") / 2
+        rows = [(height, segment_m) for height in (0.25, 0.5, 0.75, 1.0)]
         return rows, [((half_m, half_m), 2), ((half_m, -half_m), 2)]
-    below = (0.0, *layout.rows_m)
-    whole_m = layout.rows_m[-1]
-    placed = zip(layout.rows_m, below, strict=False)
-    counts: dict[tuple[float, float], int] = {}
-    for x, y in layout.corners_m:
-        opposite = (-x, -y)
-        key = opposite if opposite in counts else (x, y)
-        counts[key] = counts.get(key, 0) + 1
-    return [(z / whole_m, z - before) for z, before in placed], list(counts.items())
+    heights_m = (0.0, *scope.layout.rows_m)
+    pairs: dict[tuple[float, float], int] = {}
+    for x, y in scope.layout.corners_m:
+        key = (-x, -y) if (-x, -y) in pairs else (x, y)
+        pairs[key] = pairs.get(key, 0) + 1
+    rows = [(z / heights_m[-1], z - below) for below, z in itertools.pairwise(heights_m)]
+    return rows, list(pairs.items())
 
 
 def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
@@ -305,10 +287,6 @@ def mean_magnitude(mean: Expr, deviation: Expr) -> Expr:
     deviation = ca.sqrt(deviation**2 + 1e-16)
     ratio = mean / deviation
     return mean * ca.erf(ratio / 2**0.5) + deviation * (2 / ca.pi) ** 0.5 * ca.exp(-(ratio**2) / 2)
-
-
-Masses = Mapping[tuple[int, int], Expr]
-"""Masses mᵢⱼ = mⱼᵢ in kg by pair i ≤ j of nodes; zero for a missing pair."""
 
 
 def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end: int) -> None:
@@ -323,7 +301,7 @@ def add_rod(masses: dict[tuple[int, int], Expr], mass_kg: Expr, start: int, end:
 
 def lagrange_equations(
     nodes_m: Sequence[Expr],
-    masses: Masses,
+    masses: Mapping[tuple[int, int], Expr],
     joints: tuple[Sequence[Expr], Sequence[Expr]],
     bends: tuple[Expr, Expr],
     gravity_m_s2: Expr,
@@ -342,16 +320,16 @@ def lagrange_equations(
     multiply every term of a bend.
 
     `nodes_m` are the positions r (3,) of the nodes in the frame of the base, as functions of the
-    bends. `joints` are angles and rates of the one or two joints (`symbolic_base_rotation`).
+    bends; `masses` holds mᵢⱼ = mⱼᵢ in kg by pair i ≤ j of nodes. `joints` and `bends` are their
+    coordinates and rates.
     """
     axes, turning, changing = _base_motion(*joints)
-    weight = symbolic_base_rotation(*_both(joints[0])).T @ gravity_m_s2
+    weight = symbolic_base_rotation(*joints[0]).T @ gravity_m_s2
     jacobians, fall = [], []
     for r in nodes_m:
         moved = ca.jtimes(r, *bends)
-        jacobians.append(
-            ca.horzcat(*(ca.cross(axis, r) for axis in axes), ca.jacobian(r, bends[0]))
-        )
+        by_joints = (ca.cross(axis, r) for axis in axes)
+        jacobians.append(ca.horzcat(*by_joints, ca.jacobian(r, bends[0])))
         fall.append(
             ca.cross(changing, r)
             + ca.cross(turning, ca.cross(turning, r) + 2 * moved)
@@ -361,11 +339,8 @@ def lagrange_equations(
     count = len(axes) + bends[0].numel()
     mass_matrix, force = ca.SX.zeros(count, count), ca.SX.zeros(count)
     for i, jacobian in enumerate(jacobians):
-        coupled = [
-            (masses[pair], j)
-            for j in range(len(nodes_m))
-            if (pair := (min(i, j), max(i, j))) in masses
-        ]
+        pairs = ((min(i, j), max(i, j)) for j in range(len(nodes_m)))
+        coupled = [(masses[pair], j) for j, pair in enumerate(pairs) if pair in masses]
         momentum = sum((m * jacobians[j] for m, j in coupled), start=ca.SX(3, count))
         force += jacobian.T @ sum((m * fall[j] for m, j in coupled), start=ca.SX(3, 1))
         for row in range(count):  # the matrix is symmetric
@@ -385,11 +360,7 @@ def _base_motion(angles: Sequence[Expr], rates: Sequence[Expr]) -> tuple[list[Ex
     return axes, axes[0] * rates[0] + axes[1] * rates[1], changing
 
 
-def _both(angles: Sequence[Expr]) -> tuple[Expr, Expr]:
-    return angles[0], angles[1] if len(angles) > 1 else 0
-
-
-def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr) -> Expr:
+def symbolic_base_rotation(about_y: Expr, about_minus_x: Expr = 0) -> Expr:
     """Rotation R_y(first) R_x(-second), like `models.shared.kinematics.base_rotation`."""
     c1, s1 = ca.cos(about_y), ca.sin(about_y)
     c2, s2 = ca.cos(about_minus_x), ca.sin(about_minus_x)

@@ -21,7 +21,7 @@ class PlantLoad:
     features : tuple of str
         Features that effects may need (`models.plant.effects.Need`).
     suffix : dict
-        Unit suffixes of names: `models.plant.scope.ROTARY` or `LINEAR`.
+        Unit suffixes of names, `ROTARY` or `LINEAR`.
     """
 
     kind: ClassVar[str]
@@ -30,7 +30,6 @@ class PlantLoad:
     suffix: ClassVar[dict[str, str]] = ROTARY
 
     def parameters(self, scope: Scope) -> list[Parameter]:
-        """Parameters for the joints of `scope`."""
         raise NotImplementedError
 
     def declare(self, scope: Scope) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.drive import Drive, friction_speed_parameter, start_rate_parameter
@@ -19,24 +17,23 @@ class Measured(Drive):
     that imposes a displacement and measures force. The composition adds the coordinate as an input.
     """
 
-    kind: ClassVar[str] = "measured"
-    features: ClassVar[tuple[str, ...]] = ("imposed motion", "smooth friction")
+    kind = "measured"
+    features = ("imposed motion", "smooth friction")
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         follow_rate = Parameter(
-            name="follow_rate_per_s", unit="1/s", value=200.0, low=20.0, high=2000.0,
-            description="bandwidth that follows the measured coordinate",
-            source="numerical: a fifth of the internal rate",
+            "follow_rate_per_s", "1/s", 200.0, 20.0, 2000.0,
+            "bandwidth that follows the measured coordinate",
+            "numerical: a fifth of the internal rate"
         )  # fmt: skip
         return [follow_rate, *super().parameters(scope)]
 
     def joint_parameters(self, scope: Scope, joint: int) -> list[Parameter]:
         rotary = scope.suffix["angle"] == "rad"
         return [
-            Parameter(name=f"rotor_inertia_{joint}_kg_m2" if rotary else f"rotor_mass_{joint}_kg",
-                      unit="kg.m2" if rotary else "kg", value=0.0, low=0.0, high=1e3,
-                      description="inertia between the force sensor and the load",
-                      source="assumed none"),
+            Parameter(f"rotor_inertia_{joint}_kg_m2" if rotary else f"rotor_mass_{joint}_kg",
+                      "kg.m2" if rotary else "kg", 0.0, 0.0, 1e3,
+                      "inertia between the force sensor and the load", "assumed none"),
             start_rate_parameter(scope, joint),
             friction_speed_parameter(scope, joint),
         ]  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import casadi as ca
 
 from models.plant.components.load import PlantLoad
@@ -18,19 +16,17 @@ class Pendulum(PlantLoad):
     J = (m + m_p + m_a/3) l².
     """
 
-    kind: ClassVar[str] = "pendulum"
-    features: ClassVar[tuple[str, ...]] = ("gear load",)
+    kind = "pendulum"
+    features = ("gear load",)
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [
-            Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.001, high=100.0,
-                      description="mass at the end", source="weighed"),
-            Parameter(name="arm_mass_kg", unit="kg", value=0.0, low=0.0, high=10.0,
-                      role="nuisance", description="mass of the arm", source="not recorded"),
-            Parameter(name="arm_length_m", unit="m", value=NO_DEFAULT, low=0.001, high=10.0,
-                      description="length of the arm", source="measured"),
-            Parameter(name="gravity_m_s2", unit="m/s2", value=9.81, low=0.0, high=30.0,
-                      description="gravity", source="standard gravity"),
+            Parameter("mass_kg", "kg", NO_DEFAULT, 0.001, 100.0, "mass at the end", "weighed"),
+            Parameter("arm_mass_kg", "kg", 0.0, 0.0, 10.0, "mass of the arm", "not recorded",
+                      role="nuisance"),
+            Parameter("arm_length_m", "m", NO_DEFAULT, 0.001, 10.0, "length of the arm",
+                      "measured"),
+            Parameter("gravity_m_s2", "m/s2", 9.81, 0.0, 30.0, "gravity", "standard gravity"),
         ]  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:
@@ -49,14 +45,14 @@ class Pendulum(PlantLoad):
 class Mass(PlantLoad):
     """Mass on a straight guide: m q̈ = F."""
 
-    kind: ClassVar[str] = "mass"
-    features: ClassVar[tuple[str, ...]] = ("straight guide",)
-    suffix: ClassVar[dict[str, str]] = LINEAR
+    kind = "mass"
+    features = ("straight guide",)
+    suffix = LINEAR
 
     def parameters(self, scope: Scope) -> list[Parameter]:
         return [
-            Parameter(name="mass_kg", unit="kg", value=NO_DEFAULT, low=0.01, high=1e4,
-                      role="nuisance", description="moving mass", source="weighed"),
+            Parameter("mass_kg", "kg", NO_DEFAULT, 0.01, 1e4, "moving mass", "weighed",
+                      role="nuisance"),
         ]  # fmt: skip
 
     def apply_transmitted_torque(self, scope: Scope) -> None:

@@ -36,60 +36,36 @@ and mass come before the torques that depend on them. `servo_torque` is last: fr
 depend on the torque that the gear transmits, which is known once all other torques are."""
 
 ORDER: Final[tuple[str, ...]] = (
-    # bend_torque: the rest shape defines the elastic torque, so `prebend` comes before the memory.
+    # The rest shape defines the elastic torque, so it comes before the memory.
     "prebend",
-    # stiffness: all four are factors on the stiffness of a hinge, so their order does not matter.
-    "directional_stiffness",
-    "stiffness_softening",
-    "stiffness_hardening",
-    "pressure_leak",
-    # bend_torque: the memory adds torque in proportion to the stiffness and the bend itself; the
-    # coupling mixes the planes of all torque on a bend, memory, limit and damping included, so it
-    # comes last.
-    "hysteresis",
-    "creep",
-    "cross_axis_coupling",
-    # command: the goal, the gain and the current limit are separate quantities.
-    "dead_time",
-    "position_gain_change",
-    "current_saturation",
-    # servo_torque: the torque constant is a factor, each friction and the cogging an addend.
-    "torque_constant_drift",
-    "coulomb_friction",
-    "viscous_friction",
-    "directional_friction",
-    "stribeck_friction",
-    "stiction",
-    "load_dependent_friction",
-    "cogging",
-    # servo_torque: wind-up and play add up between the drive's side of the gear and the load's.
-    "joint_elasticity",
-    "backlash",
-    # mass: the mass at the tip and its offset are separate quantities.
-    "unmodelled_payload",
-    "payload_offset",
-    # joint_torque: both are addends. Drag also bends the link, after the coupling of the planes.
-    "load_offset",
-    "aerodynamic_drag",
-    # sensor: separate quantities.
-    "encoder_offset",
-    "encoder_ripple",
-    "current_bias",
-    "current_scale",
-    "marker_frame_tilt",
-    "marker_scale",
-    "sync_offset",
-    "sensor_lag",
-)
+    # Factors on the stiffness of a hinge: their order does not matter.
+    "directional_stiffness", "stiffness_softening", "stiffness_hardening", "pressure_leak",
+    # The memory adds torque in proportion to the stiffness and the bend itself; the coupling mixes
+    # the planes of all torque on a bend, memory, limit and damping included, so it comes last.
+    "hysteresis", "creep", "cross_axis_coupling",
+    # The goal, the gain and the current limit are separate quantities.
+    "dead_time", "position_gain_change", "current_saturation",
+    # The torque constant is a factor, each friction and the cogging an addend.
+    "torque_constant_drift", "coulomb_friction", "viscous_friction", "directional_friction",
+    "stribeck_friction", "stiction", "load_dependent_friction", "cogging",
+    # Wind-up and play add up between the drive's side of the gear and the load's.
+    "joint_elasticity", "backlash",
+    # The mass at the tip and its offset are separate quantities.
+    "unmodelled_payload", "payload_offset",
+    # Both are addends. Drag also bends the link, after the coupling of the planes.
+    "load_offset", "aerodynamic_drag",
+    # Sensors: separate quantities.
+    "encoder_offset", "encoder_ripple", "current_bias", "current_scale", "marker_frame_tilt",
+    "marker_scale", "sync_offset", "sensor_lag",
+)  # fmt: skip
 """Every effect of the catalogue. Where two effects of a port do not commute, the comment says why
 the one comes before the other."""
-
-_PLACE: Final = {name: place for place, name in enumerate(ORDER)}
 
 
 def in_order(names: Iterable[str]) -> list[str]:
     """Sort names of effects in the order in which they act within a port."""
-    return sorted(names, key=lambda name: (_PLACE.get(name, len(ORDER)), name))
+    place = {name: place for place, name in enumerate(ORDER)}
+    return sorted(names, key=lambda name: (place.get(name, len(ORDER)), name))
 
 
 EFFECTS: Final[dict[str, type[Effect]]] = {}
@@ -119,8 +95,8 @@ class Effect:
     needs : tuple of str
         Features that the drive or the load must have.
     of_each_joint : bool
-        Whether each joint has its own strength, like the offset of a mounting. All other effects
-        are alike in servos of one make; planes of bending differ.
+        Whether the strength differs by joint, like the offset of a mounting. All other effects are
+        alike in servos of one make; planes of bending differ.
     search_start : mapping of str to float
         Start values of the other parameters in a search for the strength.
     beyond_limit : bool
@@ -168,30 +144,14 @@ class Effect:
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
-        """Return the first strength to try for an effect with a dead zone.
+        """Return the first strength to try for an effect with a dead zone; zero without one.
 
-        Parameters
-        ----------
-        known : mapping of str to float
-            Values of the plant's parameters by name.
-        trials : sequence of Trial
-            Measured trials of the plant.
-
-        Returns
-        -------
-        float
-            Strength; zero if there is no dead zone or the trials do not determine it.
+        `known` holds the plant's parameters by name.
         """
         return 0.0
 
     def apply(self, scope: Scope) -> None:
-        """Change the quantities of the scope at the effect's port.
-
-        Parameters
-        ----------
-        scope : Scope
-            Symbols of the composition.
-        """
+        """Change the quantities of the scope at the effect's port."""
         raise NotImplementedError
 
 
@@ -208,12 +168,9 @@ def _for_joint_kind(q: Parameter, name: str, scope: Scope) -> Parameter:
     if scope.suffix["angle"] == "rad":
         return msgspec.structs.replace(q, name=name)
     above, _, below = q.unit.partition("/")
-    power = sum(
-        exponent * (above.split(".").count(base) - below.strip("()").split(".").count(base))
-        for base, exponent in (("rad", 1), ("m", -1))
-    )
+    up, down = above.split("."), below.strip("()").split(".")
+    factor = PULLEY_M ** (up.count("rad") - down.count("rad") - up.count("m") + down.count("m"))
     unit = q.unit.replace("N.m", "N").replace("rad", "m")
-    factor = PULLEY_M**power
     return msgspec.structs.replace(
         q, name=name, unit=unit, value=q.value * factor, low=q.low * factor, high=q.high * factor
     )
@@ -231,17 +188,12 @@ def check_effects(
     """Refuse effects that are unknown or that the drive and the load do not allow."""
     known = applicable(drive, load)
     for name in names:
-        if name not in EFFECTS:
-            raise InputError(
-                where, f"{name!r} is no effect", "choose from " + ", ".join(sorted(known))
-            )
         if name not in known:
-            raise InputError(
-                where,
+            what = f"{name!r} is no effect" if name not in EFFECTS else (
                 f"effect {name!r} acts on a {EFFECTS[name].needs[0]}, "
-                f"which a {load.kind} on a {drive.kind} drive does not have",
-                "choose from " + ", ".join(sorted(known)),
-            )
+                f"which a {load.kind} on a {drive.kind} drive does not have"
+            )  # fmt: skip
+            raise InputError(where, what, "choose from " + ", ".join(sorted(known)))
 
 
 for _module in pkgutil.iter_modules(__path__):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import casadi as ca
 
 from models.plant.effects import Effect
@@ -11,16 +9,6 @@ from models.plant.parameter import Parameter
 from models.plant.scope import Expr, Scope, substitute
 from models.plant.step_model import Variable
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD
-
-EASE_RAD: Final = 2e-3
-"""Bend over which softening sets in, so that it is smooth at zero."""
-
-FASTEST_SLIP_PER_S: Final = 300.0
-"""Largest bend rate of the hysteresis, in yield bends per second."""
-
-
-BRANCHES: Final = (1 / 16, 1.0, 24.0)
-"""Relaxation times of creep relative to the middle one."""
 
 
 class Prebend(Effect):
@@ -33,20 +21,17 @@ class Prebend(Effect):
     name = "prebend"
     needs = ("bend", "tip")
     per_joint = (
-        Parameter(name="prebend_{j}_rad", unit="rad", value=0.0, low=-0.15, high=0.15,
-                  role="effect", description="bend of the unloaded link from root to tip",
-                  source="assumed straight"),
+        Parameter("prebend_{j}_rad", "rad", 0.0, -0.15, 0.15,
+                  "bend of the unloaded link from root to tip", "assumed straight", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Shift the rest shape of the span, in its torque and its stiffness."""
-        planes = [("span", j) for j in scope.joints]
         gain = 0.5 / (1 - scope.p("span_position"))
         shift = [
-            (scope.bend[key], scope.bend[key] - gain * scope.p("prebend_{j}_rad", key[1]))
-            for key in planes
+            (scope.bend["span", j], scope.bend["span", j] - gain * scope.p("prebend_{j}_rad", j))
+            for j in scope.joints
         ]
-        for key in planes:
+        for key in [("span", j) for j in scope.joints]:
             scope.bend_torque[key] = substitute(scope.bend_torque[key], shift)
             scope.stiffness[key] = substitute(scope.stiffness[key], shift)
 
@@ -60,13 +45,12 @@ class DirectionalStiffness(Effect):
     name = "directional_stiffness"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="directional_stiffness_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="relative gain for positive bend, loss for negative",
-                  source='docs/sources.md, "The link": 0.2 in the rig; assumed none here'),
+        Parameter("directional_stiffness_{j}", "1", 0.0, -0.5, 0.5,
+                  "relative gain for positive bend, loss for negative",
+                  'docs/sources.md, "The link": 0.2 in the rig; assumed none here', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness by the direction of its bend."""
         for (hinge, j), bend in scope.bend.items():
             side = ca.tanh(bend / 0.01)
             scope.stiffness[hinge, j] *= 1 + scope.p("directional_stiffness_{j}", j) * side
@@ -81,14 +65,15 @@ class StiffnessSoftening(Effect):
     name = "stiffness_softening"
     needs = ("bend",)
     shared = (
-        Parameter(name="softening_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
-                  description="stiffness lost at 0.1 rad of bend", source="assumed absent"),
+        Parameter("softening_share", "1", 0.0, 0.0, 0.6, "stiffness lost at 0.1 rad of bend",
+                  "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         loss = scope.p("softening_share")
         for hinge, j in scope.stiffness:
-            size = ca.sqrt(_square(scope, hinge) + EASE_RAD**2) - EASE_RAD
+            # Softening sets in over 2 mrad, so that it is smooth at zero.
+            size = ca.sqrt(_square(scope, hinge) + 2e-3**2) - 2e-3
             scope.stiffness[hinge, j] /= 1 + loss / (1 - loss) * size / REFERENCE_BEND_RAD
 
 
@@ -98,8 +83,8 @@ class StiffnessHardening(Effect):
     name = "stiffness_hardening"
     needs = ("bend",)
     shared = (
-        Parameter(name="hardening_share", unit="1", value=0.0, low=0.0, high=3.0, role="effect",
-                  description="stiffness gained at 0.1 rad of bend", source="assumed absent"),
+        Parameter("hardening_share", "1", 0.0, 0.0, 3.0, "stiffness gained at 0.1 rad of bend",
+                  "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -121,17 +106,17 @@ class PressureLeak(Effect):
     name = "pressure_leak"
     needs = ("bend",)
     shared = (
-        Parameter(name="leak_share", unit="1", value=0.0, low=0.0, high=0.6, role="effect",
-                  description="fraction of stiffness lost per 10 s", source="assumed tight"),
+        Parameter("leak_share", "1", 0.0, 0.0, 0.6, "fraction of stiffness lost per 10 s",
+                  "assumed tight", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Scale each hinge's stiffness and the limit moment by what is left."""
-        left = scope.state(Variable("pressure_left", "1"), 1.0)
-        scope.states[left.name()].rate = left * ca.log(1 - scope.p("leak_share")) / LEAK_TIME_S
+        remaining = scope.state(Variable("pressure_left", "1"), 1.0)
+        per_s = ca.log(1 - scope.p("leak_share"))
+        scope.states[remaining.name()].rate = remaining * per_s / LEAK_TIME_S
         for key in scope.stiffness:
-            scope.stiffness[key] *= left
-        scope.limit_moment *= left
+            scope.stiffness[key] *= remaining
+        scope.limit_moment *= remaining
 
 
 class Hysteresis(Effect):
@@ -140,22 +125,21 @@ class Hysteresis(Effect):
     ż_j = r_j − z_j Σ_k ½ (|r_k z_k| + r_k z_k),   r_j = φ̇_j / u_y
 
     It is added to the elastic torque K φ, below the limit moment. Threads need a few milliseconds
-    to slip, so r is limited below `FASTEST_SLIP_PER_S`. Then no bend rate makes the equation stiff;
-    the study's motions stay far below the limit.
+    to slip, so r is limited below 300 yield bends per second. Then no bend rate makes the equation
+    stiff; the study's motions stay far below the limit.
     """
 
     name = "hysteresis"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="hysteresis_share_{j}", unit="1", value=0.0, low=0.0, high=3.0,
-                  role="effect", description="Bouc-Wen fraction of the root's stiffness",
-                  source='docs/sources.md, "The link"; the root stands for the whole link',
+        Parameter("hysteresis_share_{j}", "1", 0.0, 0.0, 3.0,
+                  "Bouc-Wen fraction of the root's stiffness",
+                  'docs/sources.md, "The link"; the root stands for the whole link', role="effect",
                   prior_deviation=0.25),
     )  # fmt: skip
     shared = (
-        Parameter(name="hysteresis_yield_rad", unit="rad", value=0.01, low=0.005, high=0.1,
-                  role="effect", description="bend at which the patch slips",
-                  source="assumed: a fifth of the bend in the study"),
+        Parameter("hysteresis_yield_rad", "rad", 0.01, 0.005, 0.1, "bend at which the patch slips",
+                  "assumed: a fifth of the bend in the study", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -165,7 +149,7 @@ class Hysteresis(Effect):
             for j in scope.joints
         }
         rate = {j: scope.bend_rate["root", j] / yield_rad for j in scope.joints}
-        speed = sum(r**2 for r in rate.values()) / FASTEST_SLIP_PER_S**2
+        speed = sum(r**2 for r in rate.values()) / 300.0**2
         rate = {j: r / ca.sqrt(1 + speed) for j, r in rate.items()}
         slip = sum((ca.fabs(rate[j] * z[j]) + rate[j] * z[j]) / 2 for j in scope.joints)
         for j in scope.joints:
@@ -189,21 +173,20 @@ class Creep(Effect):
     name = "creep"
     needs = ("bend",)
     per_joint = (
-        Parameter(name="creep_share_{j}", unit="1", value=0.0, low=0.0, high=2.0, role="effect",
-                  description="relaxing fraction of the stiffness",
-                  source='docs/sources.md, "The link": three branches of 6 to 10 %',
+        Parameter("creep_share_{j}", "1", 0.0, 0.0, 2.0, "relaxing fraction of the stiffness",
+                  'docs/sources.md, "The link": three branches of 6 to 10 %', role="effect",
                   prior_deviation=0.25),
     )  # fmt: skip
     shared = (
-        Parameter(name="creep_time_s", unit="s", value=5.0, low=0.8, high=60.0, role="effect",
-                  description="relaxation time of the middle branch",
-                  source='docs/sources.md, "The link": branches of 0.3, 5 and 120 s'),
+        Parameter("creep_time_s", "s", 5.0, 0.8, 60.0, "relaxation time of the middle branch",
+                  'docs/sources.md, "The link": branches of 0.3, 5 and 120 s', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
+        branches = (1 / 16, 1.0, 24.0)
         for (hinge, j), bend in scope.bend.items():
-            fraction = scope.p("creep_share_{j}", j) / len(BRANCHES)
-            for b, ratio in enumerate(BRANCHES, 1):
+            fraction = scope.p("creep_share_{j}", j) / len(branches)
+            for b, ratio in enumerate(branches, 1):
                 name = f"creep_{hinge}_{j}_{b}_rad"
                 crept = scope.state(Variable(name, "rad", nominal=0.05), bend)
                 scope.states[name].rate = (bend - crept) / (ratio * scope.p("creep_time_s"))
@@ -225,24 +208,22 @@ class CrossAxisCoupling(Effect):
     needs = ("bend", "tip")
     beyond_limit = True
     shared = (
-        Parameter(name="coupling_share", unit="1", value=0.0, low=-0.5, high=0.5, role="effect",
-                  description="torque of one plane per other plane's", source="assumed absent"),
-        Parameter(name="coupling_damping_ratio", unit="1", value=0.08, low=0.01, high=0.3,
-                  role="effect", prior_deviation=0.04,
-                  description="damping ratio across the plane of a single joint",
-                  source='docs/sources.md, "The link": damping ratio 7 to 9 %'),
+        Parameter("coupling_share", "1", 0.0, -0.5, 0.5, "torque of one plane per other plane's",
+                  "assumed absent", role="effect"),
+        Parameter("coupling_damping_ratio", "1", 0.08, 0.01, 0.3,
+                  "damping ratio across the plane of a single joint",
+                  'docs/sources.md, "The link": damping ratio 7 to 9 %', role="effect",
+                  prior_deviation=0.04),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add the other plane's torque, or the deflection across the only plane."""
         if len(scope.joints) == 1:
             _bend_across(scope)
             return
-        own = dict(scope.bend_torque)
-        for hinge, j in own:
-            for other in scope.joints:
-                if other != j:
-                    scope.bend_torque[hinge, j] += scope.p("coupling_share") * own[hinge, other]
+        uncoupled = dict(scope.bend_torque)
+        for hinge, j in uncoupled:
+            other = 3 - j
+            scope.bend_torque[hinge, j] += scope.p("coupling_share") * uncoupled[hinge, other]
 
 
 def _bend_across(scope: Scope) -> None:

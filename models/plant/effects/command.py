@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,12 +13,6 @@ from models.plant.effects import Effect
 from models.plant.parameter import Parameter
 from models.plant.scope import DelayedStaircase, Scope
 from models.plant.step_model import Variable
-
-SHORTEST_S: Final = 5e-3
-"""Shortest delay that an internal step of 3 ms integrates stably (|pole| ≤ 4.1 / D)."""
-
-HELD: Final = 9
-"""Rows over which a current is averaged against noise to estimate its limit."""
 
 
 class DeadTime(Effect):
@@ -41,35 +35,35 @@ class DeadTime(Effect):
     name = "dead_time"
     parameter_needs = MappingProxyType({"dead_time_phase_{j}": "goal shape"})
     per_joint = (
-        Parameter(name="dead_time_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
-                  description="delay of the goal on its way to the servo's loop",
-                  source='docs/sources.md, "Control tables": line time, 1 to 26 ms'),
-        Parameter(name="dead_time_phase_{j}", unit="1", value=0.0, low=-1.0, high=1.0,
-                  role="effect", description="phase by which the current is sampled later after "
-                  "the goal's jump than without the delay",
-                  source="unknown: the current may be a mean or be sampled", prior_deviation=0.5),
+        Parameter("dead_time_{j}_s", "s", 0.0, 0.0, 0.2,
+                  "delay of the goal on its way to the servo's loop",
+                  'docs/sources.md, "Control tables": line time, 1 to 26 ms', role="effect"),
+        Parameter("dead_time_phase_{j}", "1", 0.0, -1.0, 1.0,
+                  "phase by which the current is sampled later after the goal's jump than without "
+                  "the delay",
+                  "unknown: the current may be a mean or be sampled", role="effect",
+                  prior_deviation=0.5),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Replace the goal by its delayed value."""
         for j in scope.joints:
-            held, sampling = scope.goal[j], scope.sampling.get(j)
-            goal = held if sampling is None else sampling.smooth_goal()
+            sent, sampling = scope.goal[j], scope.sampling.get(j)
+            goal = sent if sampling is None else sampling.smooth_goal()
             dead_s = scope.p("dead_time_{j}_s", j)
-            delay_s = ca.sqrt(dead_s**2 + SHORTEST_S**2)
-            first = scope.state(Variable(f"delayed_{j}_1", "1"), held)
+            # D_0: the shortest delay that a step of 3 ms integrates stably, |pole| ≤ 4.1 / D.
+            delay_s = ca.sqrt(dead_s**2 + 5e-3**2)
+            first = scope.state(Variable(f"delayed_{j}_1", "1"), sent)
             second = scope.state(Variable(f"delayed_{j}_2", "1"))
             third = scope.state(Variable(f"delayed_{j}_3", "1"))
             scope.states[first.name()].rate = second / delay_s
             scope.states[second.name()].rate = third / delay_s
-            scope.states[third.name()].rate = (
-                60 * (goal - first) - 36 * second - 9 * third
-            ) / delay_s
+            jerk = 60 * (goal - first) - 36 * second - 9 * third
+            scope.states[third.name()].rate = jerk / delay_s
             delayed = first - 2 * second / 5 + third / 20
             # derivative of `delayed`, by the rates of its states above
             rate = (3 * (goal - first) - 0.8 * second - 0.85 * third) / delay_s
             share = dead_s / delay_s
-            scope.goal[j] = held + share * (delayed - held)
+            scope.goal[j] = sent + share * (delayed - sent)
             if sampling is not None:
                 shift = scope.p("dead_time_phase_{j}", j)
                 sampling.delay = DelayedStaircase(share, rate, shift)
@@ -87,9 +81,9 @@ class PositionGainChange(Effect):
     needs = ("position gain",)
     of_each_joint = True
     per_joint = (
-        Parameter(name="position_gain_change_{j}", unit="1", value=0.0, low=-0.8, high=3.0,
-                  role="effect", description="relative change of the position gain",
-                  source='docs/sources.md, "Control tables": position P gain'),
+        Parameter("position_gain_change_{j}", "1", 0.0, -0.8, 3.0,
+                  "relative change of the position gain",
+                  'docs/sources.md, "Control tables": position P gain', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -107,23 +101,22 @@ class CurrentSaturation(Effect):
     name = "current_saturation"
     needs = ("current limit",)
     per_joint = (
-        Parameter(name="current_saturation_{j}_a", unit="A", value=0.0, low=0.0, high=9.5,
-                  role="effect", description="reduction of the limit below the rated one",
-                  source="assumed absent"),
+        Parameter("current_saturation_{j}_a", "A", 0.0, 0.0, 9.5,
+                  "reduction of the limit below the rated one", "assumed absent", role="effect"),
     )  # fmt: skip
 
     @classmethod
     def dead_zone_strength(cls, known: Mapping[str, float], trials: Sequence[Any]) -> float:
         """Rated limit minus the largest sustained current; 0 if no current was measured."""
-        held = np.ones(HELD) / HELD
         measured = [
             t for t in trials
             if all(f"current_{j}_a" in t.columns for j in range(1, t.meta.dof + 1))
         ]  # fmt: skip
         if len(measured) < len(trials) or "current_limit_1_a" not in known:
             return 0.0
+        mean_of_9 = np.ones(9) / 9  # against noise
         currents = [np.abs(c) for t in measured for c in t.current_a.T]
-        largest_a = max(float(np.convolve(c, held, "valid").max()) for c in currents)
+        largest_a = max(float(np.convolve(c, mean_of_9, "valid").max()) for c in currents)
         return known["current_limit_1_a"] - largest_a
 
     def apply(self, scope: Scope) -> None:
@@ -139,9 +132,8 @@ class TorqueConstantDrift(Effect):
 
     name = "torque_constant_drift"
     per_joint = (
-        Parameter(name="torque_constant_drift_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="relative loss of torque per ampere",
-                  source="assumed absent"),
+        Parameter("torque_constant_drift_{j}", "1", 0.0, -0.5, 0.5,
+                  "relative loss of torque per ampere", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

@@ -15,11 +15,6 @@ from models.plant.step_model import Variable
 FASTEST_SLIDE_S: Final = 2e-3
 """Shortest time in which sliding bends or breaks the contacts: two integration steps."""
 
-PEAK_EXPONENT: Final = 1.55
-PEAK_EXPONENT_FALL: Final = 0.1
-"""Exponent that joins the limits of `StribeckFriction`'s peak, and its decrease with the tail κ:
-within 2.1 % up to κ = 1, by a scan."""
-
 
 def friction_direction(scope: Scope, joint: int) -> Expr:
     """Smooth sign of a joint's rate, for dry friction; from the drive if it has one."""
@@ -41,16 +36,15 @@ class CoulombFriction(Effect):
 
     name = "coulomb_friction"
     per_joint = (
-        Parameter(name="coulomb_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
-                  role="effect", description="dry friction at the output",
-                  source='docs/sources.md, "The servo": no-load current'),
+        Parameter("coulomb_friction_{j}_{torque}", "N.m", 0.0, 0.0, 12.0,
+                  "dry friction at the output", 'docs/sources.md, "The servo": no-load current',
+                  role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
-            scope.friction[j] += scope.p("coulomb_friction_{j}_{torque}", j) * friction_direction(
-                scope, j
-            )
+            level = scope.p("coulomb_friction_{j}_{torque}", j)
+            scope.friction[j] += level * friction_direction(scope, j)
 
 
 class ViscousFriction(Effect):
@@ -58,16 +52,15 @@ class ViscousFriction(Effect):
 
     name = "viscous_friction"
     per_joint = (
-        Parameter(name="viscous_friction_{j}_{torque}_s_{angle}", unit="N.m.s/rad", value=0.0,
-                  low=0.0, high=20.0, role="effect", description="friction per rate at the output",
-                  source='docs/sources.md, "The servo": no-load current'),
+        Parameter("viscous_friction_{j}_{torque}_s_{angle}", "N.m.s/rad", 0.0, 0.0, 20.0,
+                  "friction per rate at the output",
+                  'docs/sources.md, "The servo": no-load current', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
         for j in scope.joints:
-            scope.friction[j] += (
-                scope.p("viscous_friction_{j}_{torque}_s_{angle}", j) * scope.rate[j]
-            )
+            coefficient = scope.p("viscous_friction_{j}_{torque}_s_{angle}", j)
+            scope.friction[j] += coefficient * scope.rate[j]
 
 
 class DirectionalFriction(Effect):
@@ -81,14 +74,12 @@ class DirectionalFriction(Effect):
     name = "directional_friction"
     needs = ("straight guide",)
     per_joint = (
-        Parameter(name="directional_friction_{j}_{torque}_s_{angle}", unit="N.m.s/rad", value=0.0,
-                  low=-20.0, high=20.0, role="effect",
-                  description="viscous friction forwards above its mean of both directions",
-                  source="assumed absent"),
+        Parameter("directional_friction_{j}_{torque}_s_{angle}", "N.m.s/rad", 0.0, -20.0, 20.0,
+                  "viscous friction forwards above its mean of both directions", "assumed absent",
+                  role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that opposes one direction and aids the other."""
         for j in scope.joints:
             excess = scope.p("directional_friction_{j}_{torque}_s_{angle}", j)
             scope.friction[j] += excess * scope.rate[j] * friction_direction(scope, j)
@@ -114,26 +105,22 @@ class StribeckFriction(Effect):
     parameter_needs = MappingProxyType({"stribeck_distance_{j}_{angle}": "smooth friction"})
     fitted_last = ("stribeck_tail_{j}",)
     per_joint = (
-        Parameter(name="stribeck_friction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
-                  role="effect", description="extra friction near standstill",
-                  source="assumed absent"),
-        Parameter(name="stribeck_speed_{j}_{angle}_s", unit="rad/s", value=0.15, low=0.01, high=1.0,
-                  role="effect", description="rate at which it has faded to 37 %",
-                  source="assumed: a fifth of the study's peak rate"),
-        Parameter(name="stribeck_tail_{j}", unit="1", value=0.02, low=0.02, high=1.5,
-                  prior_deviation=1.0, description="how slowly it fades at higher rates",
-                  source="assumed next to none; 1 by Hess and Soom"),
-        Parameter(name="stribeck_distance_{j}_{angle}", unit="rad", value=2e-5, low=2e-5,
-                  high=0.05, role="effect", prior_deviation=0.001,
-                  description="distance in which it builds up after a reversal",
-                  source="assumed next to none; a LuGre model of such a servo has 0.2 mrad"),
-        Parameter(name="stribeck_load_{j}", unit="1", value=0.0, low=0.0, high=1.0,
-                  description="extra friction near standstill per transmitted torque",
-                  source="assumed absent"),
+        Parameter("stribeck_friction_{j}_{torque}", "N.m", 0.0, 0.0, 12.0,
+                  "extra friction near standstill", "assumed absent", role="effect"),
+        Parameter("stribeck_speed_{j}_{angle}_s", "rad/s", 0.15, 0.01, 1.0,
+                  "rate at which it has faded to 37 %", "assumed: a fifth of the study's peak rate",
+                  role="effect"),
+        Parameter("stribeck_tail_{j}", "1", 0.02, 0.02, 1.5, "how slowly it fades at higher rates",
+                  "assumed next to none; 1 by Hess and Soom", prior_deviation=1.0),
+        Parameter("stribeck_distance_{j}_{angle}", "rad", 2e-5, 2e-5, 0.05,
+                  "distance in which it builds up after a reversal",
+                  "assumed next to none; a LuGre model of such a servo has 0.2 mrad", role="effect",
+                  prior_deviation=0.001),
+        Parameter("stribeck_load_{j}", "1", 0.0, 0.0, 1.0,
+                  "extra friction near standstill per transmitted torque", "assumed absent"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that fades with the rate."""
         for j in scope.joints:
             tail = scope.p("stribeck_tail_{j}", j)
             ratio = scope.rate[j] / scope.p("stribeck_speed_{j}_{angle}_s", j)
@@ -157,10 +144,11 @@ def _built_up(scope: Scope, joint: int) -> Expr:
 
 
 def _peak(scope: Scope, joint: int) -> Expr:
-    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive has its own sign.
+    """Largest value of tanh(q̇/v_0) φ(q̇/v_s) over rates; 1 if the drive sets the sign.
 
     Interpolated by powers between its limits: 1 for v_s ≫ v_0, and for v_s ≪ v_0 the largest value
-    of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ).
+    of q̇/v_0 φ(q̇/v_s), (v_s/v_0) (κ/((2 − κ)(e^κ − 1)))^(1/2) (2/(2 − κ))^(−1/κ). The exponent
+    falls with the tail κ: the peak is within 2.1 % up to κ = 1, by a scan.
     """
     if joint in scope.friction_direction:
         return 1
@@ -169,7 +157,7 @@ def _peak(scope: Scope, joint: int) -> Expr:
     tail = scope.p("stribeck_tail_{j}", joint)
     width = fading / rising * ca.sqrt(tail / (2 - tail) / ca.expm1(tail))
     limit = width * (2 / (2 - tail)) ** (-1 / tail)
-    exponent = PEAK_EXPONENT - PEAK_EXPONENT_FALL * tail
+    exponent = 1.55 - 0.1 * tail
     return (1 + limit**-exponent) ** (-1 / exponent)
 
 
@@ -187,19 +175,17 @@ class Stiction(Effect):
 
     name = "stiction"
     per_joint = (
-        Parameter(name="stiction_{j}_{torque}", unit="N.m", value=0.0, low=0.0, high=12.0,
-                  role="effect", description="breakaway torque above sliding friction",
-                  source="assumed absent"),
-        Parameter(name="stiction_distance_{j}_{angle}", unit="rad", value=0.01, low=0.002, high=0.1,
-                  role="effect", description="distance in which sliding breaks the contacts",
-                  source="assumed: a hundredth of the study's stroke"),
-        Parameter(name="stiction_dwell_{j}_s", unit="s", value=2.0, low=0.1, high=100.0,
-                  description="time at rest in which they form again",
-                  source="assumed: below the rest before a trial"),
+        Parameter("stiction_{j}_{torque}", "N.m", 0.0, 0.0, 12.0,
+                  "breakaway torque above sliding friction", "assumed absent", role="effect"),
+        Parameter("stiction_distance_{j}_{angle}", "rad", 0.01, 0.002, 0.1,
+                  "distance in which sliding breaks the contacts",
+                  "assumed: a hundredth of the study's stroke", role="effect"),
+        Parameter("stiction_dwell_{j}_s", "s", 2.0, 0.1, 100.0,
+                  "time at rest in which they form again",
+                  "assumed: below the rest before a trial"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Add a friction that is largest at the start of sliding."""
         for j in scope.joints:
             rate = scope.rate[j]
             slid = scope.state(Variable(f"slid_{j}", "1", minimum=-1.0, maximum=1.0))
@@ -217,9 +203,8 @@ class LoadDependentFriction(Effect):
     name = "load_dependent_friction"
     needs = ("gear load",)
     per_joint = (
-        Parameter(name="load_dependent_friction_{j}", unit="1", value=0.0, low=0.0, high=0.5,
-                  role="effect", description="friction per transmitted torque",
-                  source='docs/sources.md, "The servo"'),
+        Parameter("load_dependent_friction_{j}", "1", 0.0, 0.0, 0.5,
+                  "friction per transmitted torque", 'docs/sources.md, "The servo"', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:

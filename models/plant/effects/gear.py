@@ -16,27 +16,26 @@ RIGID_GEAR_TIME_S: Final = 2e-3
 """Time constant of a gear without backlash or compliance: two integration steps."""
 
 PLATE_INERTIA = Parameter(
-    name="plate_inertia_{j}_kg_m2", unit="kg.m2", value=0.04, low=0.02, high=1.0,
-    description="inertia between the gear and the root of the load",
-    source="assumed: base plate and its frame",
+    "plate_inertia_{j}_kg_m2", "kg.m2", 0.04, 0.02, 1.0,
+    "inertia between the gear and the root of the load", "assumed: base plate and its frame"
 )  # fmt: skip
 GEAR_DAMPING = Parameter(
-    name="gear_damping_{j}_nm_s_rad", unit="N.m.s/rad", value=10.0, low=0.0, high=30.0,
-    role="effect", prior_deviation=5.0,
-    description="damping of the gear in series with its compliance", source="assumed",
+    "gear_damping_{j}_nm_s_rad", "N.m.s/rad", 10.0, 0.0, 30.0,
+    "damping of the gear in series with its compliance", "assumed", role="effect",
+    prior_deviation=5.0
 )  # fmt: skip
 
 MOUNT_FRACTION = Parameter(
-    name="backlash_mount_fraction", unit="1", value=0.0, low=-0.5, high=1.5, role="effect",
-    prior_deviation=0.5,
-    description="fraction of the play that is in the link's mount and moves no mass",
-    source="assumed: all in the gear; beyond 0 and 1 it makes up for the gear's inertia",
+    "backlash_mount_fraction", "1", 0.0, -0.5, 1.5,
+    "fraction of the play that is in the link's mount and moves no mass",
+    "assumed: all in the gear; beyond 0 and 1 it makes up for the gear's inertia", role="effect",
+    prior_deviation=0.5
 )  # fmt: skip
 
 MOUNT_TIME = Parameter(
-    name="backlash_mount_time_s", unit="s", value=0.04, low=0.008, high=0.2, role="effect",
-    prior_deviation=0.02, description="mean time of the link through the play of its mount",
-    source="assumed: it falls through 5 mrad in 0.03 s",
+    "backlash_mount_time_s", "s", 0.04, 0.008, 0.2,
+    "mean time of the link through the play of its mount",
+    "assumed: it falls through 5 mrad in 0.03 s", role="effect", prior_deviation=0.02
 )  # fmt: skip
 
 
@@ -50,15 +49,10 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
     ẅ depends on states only, so the load moves on an accelerated base without approximation and its
     reaction acts on the drive. T keeps the equation regular at c = 0, where w stays zero.
     """
-    angle = scope.suffix["angle"]
-    windup = scope.state(
-        Variable(f"{label}_{joint}_{angle}", angle, nominal=1e-3), scope.initial_value(lost)
-    )
-    rate = scope.state(Variable(f"{label}_rate_{joint}_{angle}_s", f"{angle}/s", nominal=0.1))
     mass = RIGID_GEAR_TIME_S**2 + compliance * scope.p(PLATE_INERTIA.name, joint)
     damping = 2 * RIGID_GEAR_TIME_S + compliance * scope.p(GEAR_DAMPING.name, joint)
+    windup, rate = _add_oscillator(scope, joint, label, lost)
     acceleration = (lost - windup - damping * rate) / mass
-    scope.states[windup.name()].rate = rate
     scope.states[rate.name()].rate = acceleration
     scope.windup[joint] += windup
     scope.windup_rate[joint] += rate
@@ -67,16 +61,22 @@ def add_windup(scope: Scope, joint: int, label: str, lost: Expr, compliance: Exp
 
 def add_lean(scope: Scope, joint: int, leaning: Expr, time_s: Expr) -> None:
     """Add a lean w of the link's markers in the mount, (T²/4) ẅ + T ẇ + w = w_l; no mass moves."""
-    lean = scope.state(
-        Variable(f"mount_lean_{joint}_rad", "rad", nominal=1e-3), scope.initial_value(leaning)
-    )
-    rate = scope.state(Variable(f"mount_lean_rate_{joint}_rad_s", "rad/s", nominal=0.1))
+    lean, rate = _add_oscillator(scope, joint, "mount_lean", leaning)
     acceleration = 4 * (leaning - lean - time_s * rate) / time_s**2
-    scope.states[lean.name()].rate = rate
     scope.states[rate.name()].rate = acceleration
     scope.lean[joint] += lean
     scope.lean_rate[joint] += rate
     scope.lean_acceleration[joint] += acceleration
+
+
+def _add_oscillator(scope: Scope, joint: int, label: str, start: Expr) -> tuple[Expr, Expr]:
+    """Add a displacement and its rate as states."""
+    unit = scope.suffix["angle"]
+    displacement = Variable(f"{label}_{joint}_{unit}", unit, nominal=1e-3)
+    value = scope.state(displacement, scope.initial_value(start))
+    rate = scope.state(Variable(f"{label}_rate_{joint}_{unit}_s", f"{unit}/s", nominal=0.1))
+    scope.states[value.name()].rate = rate
+    return value, rate
 
 
 class JointElasticity(Effect):
@@ -88,20 +88,17 @@ class JointElasticity(Effect):
     name = "joint_elasticity"
     needs = ("gear load",)
     per_joint = (
-        Parameter(name="joint_elasticity_{j}_{angle}_{torque}", unit="rad/(N.m)", value=0.0,
-                  low=0.0, high=0.02, role="effect", description="gear wind-up per torque",
-                  source="a stiff gear has 5e-5 (20 kN·m/rad)"),
+        Parameter("joint_elasticity_{j}_{angle}_{torque}", "rad/(N.m)", 0.0, 0.0, 0.02,
+                  "gear wind-up per torque", "a stiff gear has 5e-5 (20 kN·m/rad)", role="effect"),
         PLATE_INERTIA,
         GEAR_DAMPING,
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Wind up by the torque that the load puts on the joint."""
         for j in scope.joints:
             compliance = scope.p("joint_elasticity_{j}_{angle}_{torque}", j)
-            add_windup(
-                scope, j, "elastic_windup", -compliance * scope.transmitted_torque[j], compliance
-            )
+            lost = -compliance * scope.transmitted_torque[j]
+            add_windup(scope, j, "elastic_windup", lost, compliance)
 
 
 class Backlash(Effect):
@@ -116,12 +113,10 @@ class Backlash(Effect):
     name = "backlash"
     needs = ("gear load",)
     per_joint = (
-        Parameter(name="backlash_{j}_{angle}", unit="rad", value=0.0, low=0.0, high=0.1,
-                  role="effect", description="full play of the gear",
-                  source='docs/sources.md, "The servo": below 0.0017 rad (6 arc minutes)'),
-        Parameter(name="backlash_torque_{j}_{torque}", unit="N.m", value=0.5, low=0.05, high=5.0,
-                  description="torque that closes the play",
-                  source="numerical: 2 % of the study's peak torque"),
+        Parameter("backlash_{j}_{angle}", "rad", 0.0, 0.0, 0.1, "full play of the gear",
+                  'docs/sources.md, "The servo": below 0.0017 rad (6 arc minutes)', role="effect"),
+        Parameter("backlash_torque_{j}_{torque}", "N.m", 0.5, 0.05, 5.0,
+                  "torque that closes the play", "numerical: 2 % of the study's peak torque"),
         PLATE_INERTIA,
         GEAR_DAMPING,
     )  # fmt: skip
@@ -129,12 +124,10 @@ class Backlash(Effect):
     search_start = MappingProxyType({MOUNT_FRACTION.name: 0.5})
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return the parameters for the joints of `scope`; only a link has a mount."""
-        own = super().parameters(scope)
-        return own if "tip" in scope.features else own[: -len(self.shared)]
+        every = super().parameters(scope)
+        return every if "tip" in scope.features else every[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
-        """Move the load to the side that its torque presses against."""
         mount = scope.p(MOUNT_FRACTION.name) if "tip" in scope.features else 0
         for j in scope.joints:
             half = scope.p("backlash_{j}_{angle}", j) / 2

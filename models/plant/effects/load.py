@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import casadi as ca
 
 from models.plant.effects import Effect
@@ -16,9 +14,8 @@ class UnmodelledPayload(Effect):
 
     name = "unmodelled_payload"
     shared = (
-        Parameter(name="unmodelled_payload_kg", unit="kg", value=0.0, low=-0.2, high=3.0,
-                  role="effect", description="mass at the tip beyond the declared payload",
-                  source="assumed absent"),
+        Parameter("unmodelled_payload_kg", "kg", 0.0, -0.2, 3.0,
+                  "mass at the tip beyond the declared payload", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -34,9 +31,9 @@ class PayloadOffset(Effect):
     name = "payload_offset"
     needs = ("tip",)
     shared = (
-        Parameter(name="payload_offset_share", unit="1", value=0.0, low=-0.2, high=0.2,
-                  role="effect", description="offset towards +x, fraction of the link's length",
-                  source="assumed absent; hung by hand within 3 mm"),
+        Parameter("payload_offset_share", "1", 0.0, -0.2, 0.2,
+                  "offset towards +x, fraction of the link's length",
+                  "assumed absent; hung by hand within 3 mm", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -49,9 +46,8 @@ class LoadOffset(Effect):
     name = "load_offset"
     of_each_joint = True
     per_joint = (
-        Parameter(name="load_offset_{j}_{torque}", unit="N.m", value=0.0, low=-30.0, high=30.0,
-                  role="effect", description="constant torque on the joint",
-                  source="assumed absent"),
+        Parameter("load_offset_{j}_{torque}", "N.m", 0.0, -30.0, 30.0,
+                  "constant torque on the joint", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -70,28 +66,23 @@ class AerodynamicDrag(Effect):
 
     name = "aerodynamic_drag"
     shared = (
-        Parameter(name="aerodynamic_drag_{torque}", unit="N.m", value=0.0, low=0.0, high=10.0,
-                  role="effect", description="drag torque at 1 rad/s",
-                  source='docs/sources.md, "The link": 0.02 N·m'),
+        Parameter("aerodynamic_drag_{torque}", "N.m", 0.0, 0.0, 10.0, "drag torque at 1 rad/s",
+                  'docs/sources.md, "The link": 0.02 N·m', role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Oppose the motion of joint and bends."""
         fractions = _drag_fractions(scope) if ("span", 1) in scope.bend else {}
         rate = {
             j: scope.rate[j] + sum(s * scope.bend_rate[hinge, j] for hinge, s in fractions.items())
             for j in scope.joints
         }
-        speed = ca.sqrt(sum(r**2 for r in rate.values()) + DRAG_ROUNDING_RAD_S**2)
+        # Linear below 1 µrad/s, so that it has a derivative at rest.
+        speed = ca.sqrt(sum(r**2 for r in rate.values()) + 1e-6**2)
         for j in scope.joints:
             torque = scope.p("aerodynamic_drag_{torque}") * speed * rate[j]
             scope.joint_torque[j] -= torque
             for hinge, fraction in fractions.items():
                 scope.bend_torque[hinge, j] -= fraction * torque
-
-
-DRAG_ROUNDING_RAD_S: Final = 1e-6
-"""Rate below which drag is linear, so that it has a derivative at rest."""
 
 
 def _drag_fractions(scope: Scope) -> dict[str, Expr]:

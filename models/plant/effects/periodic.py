@@ -28,9 +28,8 @@ def periodic(scope: Scope, prefix: str, joint: int, angle: Expr) -> Expr:
 
 
 RATE_FRACTION: Final = Parameter(
-    name="encoder_ripple_rate", unit="1", value=0.0, low=-0.5, high=1.5, role="effect",
-    description="fraction of the error's rate in the velocity loop",
-    source="assumed: sensor at the motor", prior_deviation=0.5,
+    "encoder_ripple_rate", "1", 0.0, -0.5, 1.5, "fraction of the error's rate in the velocity loop",
+    "assumed: sensor at the motor", role="effect", prior_deviation=0.5
 )  # fmt: skip
 
 
@@ -47,23 +46,20 @@ class EncoderRipple(Effect):
     name = "encoder_ripple"
     search_start = MappingProxyType({RATE_FRACTION.name: 0.5})
     per_joint = (
-        Parameter(name="encoder_ripple_{j}_{angle}", unit="rad", value=0.0, low=-0.02, high=0.02,
-                  role="effect", description="sine of the measured angle's periodic error",
-                  source="assumed absent"),
-        Parameter(name="encoder_ripple_cosine_{j}_{angle}", unit="rad", value=0.0, low=-0.02,
-                  high=0.02, role="effect", description="its cosine", source="assumed absent"),
-        Parameter(name="encoder_ripple_order_{j}", unit="1/rad", value=16.0, low=1.0, high=40.0,
-                  description="periods per turn", source="assumed: pole pairs of the encoder"),
+        Parameter("encoder_ripple_{j}_{angle}", "rad", 0.0, -0.02, 0.02,
+                  "sine of the measured angle's periodic error", "assumed absent", role="effect"),
+        Parameter("encoder_ripple_cosine_{j}_{angle}", "rad", 0.0, -0.02, 0.02, "its cosine",
+                  "assumed absent", role="effect"),
+        Parameter("encoder_ripple_order_{j}", "1/rad", 16.0, 1.0, 40.0, "periods per turn",
+                  "assumed: pole pairs of the encoder"),
     )  # fmt: skip
     shared = (RATE_FRACTION,)
 
     def parameters(self, scope: Scope) -> tuple[Parameter, ...]:
-        """Return the parameters for the joints of `scope`; only a cascade has a velocity loop."""
-        own = super().parameters(scope)
-        return own if "goal shape" in scope.features else own[: -len(self.shared)]
+        every = super().parameters(scope)
+        return every if "goal shape" in scope.features else every[: -len(self.shared)]
 
     def apply(self, scope: Scope) -> None:
-        """Add the error as a function of the coordinate."""
         for j in scope.joints:
             scope.encoder_ripple[j] = functools.partial(periodic, scope, self.name, j)
             if "goal shape" in scope.features:
@@ -88,16 +84,14 @@ class Cogging(Effect):
 
     name = "cogging"
     per_joint = (
-        Parameter(name="cogging_{j}_{torque}", unit="N.m", value=0.0, low=-10.0, high=10.0,
-                  role="effect", description="sine of the torque periodic in the angle",
-                  source="assumed absent"),
-        Parameter(name="cogging_cosine_{j}_{torque}", unit="N.m", value=0.0, low=-10.0, high=10.0,
-                  role="effect", description="its cosine", source="assumed absent"),
-        Parameter(name="cogging_order_{j}", unit="1/rad", value=24.0, low=1.0, high=200.0,
-                  description="periods per turn", source="assumed: pins of the gear's last stage"),
+        Parameter("cogging_{j}_{torque}", "N.m", 0.0, -10.0, 10.0,
+                  "sine of the torque periodic in the angle", "assumed absent", role="effect"),
+        Parameter("cogging_cosine_{j}_{torque}", "N.m", 0.0, -10.0, 10.0, "its cosine",
+                  "assumed absent", role="effect"),
+        Parameter("cogging_order_{j}", "1/rad", 24.0, 1.0, 200.0, "periods per turn",
+                  "assumed: pins of the gear's last stage"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Subtract the torque, after the torque that the gear transmits is set."""
         for j in scope.joints:
             scope.joint_torque[j] -= periodic(scope, self.name, j, scope.angle[j])

@@ -18,9 +18,8 @@ class EncoderOffset(Effect):
     name = "encoder_offset"
     of_each_joint = True
     per_joint = (
-        Parameter(name="encoder_offset_{j}_{angle}", unit="rad", value=0.0, low=-0.2, high=0.2,
-                  role="effect", description="constant error of the measured angle",
-                  source="assumed absent"),
+        Parameter("encoder_offset_{j}_{angle}", "rad", 0.0, -0.2, 0.2,
+                  "constant error of the measured angle", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -35,9 +34,8 @@ class CurrentBias(Effect):
     of_each_joint = True
     needs = ("current",)
     per_joint = (
-        Parameter(name="current_bias_{j}_a", unit="A", value=0.0, low=-2.0, high=2.0,
-                  role="effect", description="constant error of the measured current",
-                  source="assumed absent"),
+        Parameter("current_bias_{j}_a", "A", 0.0, -2.0, 2.0,
+                  "constant error of the measured current", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -51,9 +49,8 @@ class CurrentScale(Effect):
     name = "current_scale"
     needs = ("current",)
     per_joint = (
-        Parameter(name="current_scale_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", description="relative error of the measured current",
-                  source="assumed absent"),
+        Parameter("current_scale_{j}", "1", 0.0, -0.5, 0.5,
+                  "relative error of the measured current", "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -72,20 +69,18 @@ class MarkerFrameTilt(Effect):
     name = "marker_frame_tilt"
     needs = ("tip",)
     shared = (
-        Parameter(name="marker_frame_tilt_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
-                  role="effect", description="tilt of the mocap's frame about y",
-                  source="assumed absent"),
-        Parameter(name="marker_frame_roll_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
-                  role="calibration", prior_deviation=0.005,
-                  description="turn of the mocap's frame about x", source="assumed absent"),
-        Parameter(name="marker_frame_yaw_rad", unit="rad", value=0.0, low=-0.2, high=0.2,
-                  role="calibration", prior_deviation=0.005,
-                  description="turn of the mocap's frame about z", source="assumed absent"),
+        Parameter("marker_frame_tilt_rad", "rad", 0.0, -0.2, 0.2,
+                  "tilt of the mocap's frame about y", "assumed absent", role="effect"),
+        Parameter("marker_frame_roll_rad", "rad", 0.0, -0.2, 0.2,
+                  "turn of the mocap's frame about x", "assumed absent", role="calibration",
+                  prior_deviation=0.005),
+        Parameter("marker_frame_yaw_rad", "rad", 0.0, -0.2, 0.2,
+                  "turn of the mocap's frame about z", "assumed absent", role="calibration",
+                  prior_deviation=0.005),
     )  # fmt: skip
 
     @classmethod
     def strengths(cls, scope: Scope) -> tuple[str, ...]:
-        """Return the names of the turns about the joints' axes."""
         return ("marker_frame_tilt_rad", "marker_frame_roll_rad")[: len(scope.joints)]
 
     def apply(self, scope: Scope) -> None:
@@ -105,8 +100,8 @@ class MarkerScale(Effect):
     name = "marker_scale"
     needs = ("tip",)
     shared = (
-        Parameter(name="marker_scale", unit="1", value=0.0, low=-0.2, high=0.2, role="effect",
-                  description="relative error of the mocap's scale", source="assumed absent"),
+        Parameter("marker_scale", "1", 0.0, -0.2, 0.2, "relative error of the mocap's scale",
+                  "assumed absent", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -123,9 +118,9 @@ class SyncOffset(Effect):
     name = "sync_offset"
     needs = ("tip",)
     shared = (
-        Parameter(name="sync_offset_s", unit="s", value=0.0, low=-0.08, high=0.08, role="effect",
-                  description="delay of the mocap's clock behind the servo's",
-                  source="assumed absent; 10 ms count as synchronised"),
+        Parameter("sync_offset_s", "s", 0.0, -0.08, 0.08,
+                  "delay of the mocap's clock behind the servo's",
+                  "assumed absent; 10 ms count as synchronised", role="effect"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
@@ -149,27 +144,26 @@ class SensorLag(Effect):
     name = "sensor_lag"
     parameter_needs = MappingProxyType({"sensor_lag_jump_{j}": "goal shape"})
     per_joint = (
-        Parameter(name="sensor_lag_{j}_s", unit="s", value=0.0, low=0.0, high=0.2, role="effect",
-                  description="mean delay of the low-pass of the measured current",
-                  source="assumed absent"),
-        Parameter(name="sensor_lag_second_{j}", unit="1", value=0.0, low=0.0, high=0.5,
-                  role="effect", prior_deviation=0.29,
-                  description="fraction of it in a second stage; 0.5 is critically damped",
-                  source="assumed of first order; uniform: none to two equal stages"),
-        Parameter(name="sensor_lag_jump_{j}", unit="1", value=0.0, low=-0.5, high=0.5,
-                  role="effect", prior_deviation=0.29,
-                  description="mean of the current above that of the plant, in jumps of a goal "
-                  "that moves as the joint does", source="uniform: a saw-tooth spans one jump"),
-        Parameter(name="sensor_lag_angle_{j}_s", unit="s", value=0.0, low=0.0, high=0.05,
-                  description="low-pass of the measured angle", source="assumed absent"),
+        Parameter("sensor_lag_{j}_s", "s", 0.0, 0.0, 0.2,
+                  "mean delay of the low-pass of the measured current", "assumed absent",
+                  role="effect"),
+        Parameter("sensor_lag_second_{j}", "1", 0.0, 0.0, 0.5,
+                  "fraction of it in a second stage; 0.5 is critically damped",
+                  "assumed of first order; uniform: none to two equal stages", role="effect",
+                  prior_deviation=0.29),
+        Parameter("sensor_lag_jump_{j}", "1", 0.0, -0.5, 0.5,
+                  "mean of the current above that of the plant, in jumps of a goal that moves as "
+                  "the joint does",
+                  "uniform: a saw-tooth spans one jump", role="effect", prior_deviation=0.29),
+        Parameter("sensor_lag_angle_{j}_s", "s", 0.0, 0.0, 0.05, "low-pass of the measured angle",
+                  "assumed absent"),
     )  # fmt: skip
     shared = (
-        Parameter(name="sensor_lag_mocap_s", unit="s", value=0.0, low=0.0, high=0.05,
-                  description="low-pass of the motion capture", source="assumed absent"),
+        Parameter("sensor_lag_mocap_s", "s", 0.0, 0.0, 0.05, "low-pass of the motion capture",
+                  "assumed absent"),
     )  # fmt: skip
 
     def apply(self, scope: Scope) -> None:
-        """Set the low-pass of every joint's signals and of the motion capture."""
         for j in scope.joints:
             second = scope.name("sensor_lag_second_{j}", j)
             shaped = "goal shape" in scope.features

@@ -23,13 +23,11 @@ from models.plant.step_model import StepModel
 
 FUNCTIONS: Final = ("initial", "begin", "flow", "finish", "output")
 
-RUN_FUNCTIONS: Final = ("begin", "rate", "finish", "output")
+RUN_FILES: Final = {"begin": "step", "rate": "step", "finish": "step", "output": "output"}
+"""File of each function of a run; both files take about the same time to compile."""
 
 BLOCK: Final = 16
 """Columns that `run.c` adds at once: four registers of AVX, eight of SSE2."""
-
-_FILE: Final = {"begin": "step", "rate": "step", "finish": "step", "output": "output"}
-"""File of each function; both files take about the same time to compile."""
 
 _GUARDED_ARGUMENT: Final = re.compile(r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0(?=;)")
 _GUARDED_RESULT: Final = re.compile(r"if \(res\[\d+\]!=0\) (?=res\[)")
@@ -77,17 +75,17 @@ def write_run_c(
     state at rest and its slope, in the N_ROWS rows and N_COLUMNS columns of `tables.h`.
     """
     initial = _Derivatives(model.initial, index)
-    derived = {what: _Derivatives(getattr(model, what), index) for what in RUN_FUNCTIONS}
+    derived = {what: _Derivatives(getattr(model, what), index) for what in RUN_FILES}
     if model.smooth_finish is not None:
         derived["finish"] = _Derivatives(model.finish, index, model.smooth_finish)
     states, columns = _reached(initial, derived)
     most, results, tables = np.ones(3, dtype=int), {}, [_table("CHOSEN", columns)]
-    for what, own in derived.items():
-        rows = own.rows(what, states)
-        by_x = own.by_x[rows, states].T
-        by_p = own.by_p[rows, columns if what != "output" else range(len(index))].T
-        results[what] = ca.cse([own.value, ca.vec(by_x.nz[:]), ca.vec(by_p.nz[:])])
-        most = np.maximum(most, [part.numel() for part in results[what]])
+    for what, part in derived.items():
+        rows = part.rows(what, states)
+        by_x = part.by_x[rows, states].T
+        by_p = part.by_p[rows, columns if what != "output" else range(len(index))].T
+        results[what] = ca.cse([part.value, ca.vec(by_x.nz[:]), ca.vec(by_p.nz[:])])
+        most = np.maximum(most, [result.numel() for result in results[what]])
         place = rows if what == "output" else [states.index(i) for i in rows]
         tables += _tables(what.upper(), place, by_x.sparsity(), by_p.sparsity())
     code, constants = _code(derived, results, len(model.parameters))
@@ -112,46 +110,35 @@ def write_run_c(
 def _code(
     derived: Mapping[str, _Derivatives], results: Mapping[str, Sequence[Any]], parameters: int
 ) -> tuple[dict[str, str], int]:
-    """Text of each file, and the number of constants that the functions share."""
-    constants = _Constants(parameters)
-    parts = {w: constants.take_out(results[w], *_constant_in(w, derived)) for w in RUN_FUNCTIONS}
-    symbols = ca.vertcat(*constants.symbols)
+    """Text of each file, and the number of constants that the functions share.
+
+    A constant is a term that depends only on the parameters and the length of a step.
+    """
+    shared_p, shared_step_s = ca.SX.sym("p", parameters), ca.SX.sym("step_s")
+    symbols: list[Any] = []
+    values: list[Any] = []
+    parts = {}
+    for what in RUN_FILES:
+        p, lengths = _constant_in(what, derived)
+        ends = np.cumsum([0, *(part.numel() for part in results[what])]).tolist()
+        whole = ca.vertcat(*results[what])
+        remaining, new, terms = ca.extract_parametric(whole, ca.vertcat(p, *lengths))
+        parts[what] = ca.vertsplit(remaining, ends)
+        symbols += new
+        shared = [shared_p, *[shared_step_s] * len(lengths)]
+        values += ca.substitute(terms, [p, *lengths], shared)
+    constants = ca.vertcat(*symbols)
     files = {
         file: ca.CodeGenerator(f"run_{file}.c", {"mex": False})
         for file in ("output", "step")  # the largest first
     }
-    files["step"].add(constants.function("run_constants"))
-    for what, file in _FILE.items():
+    terms = ca.cse([ca.vertcat(*values)])
+    files["step"].add(ca.Function("run_constants", [shared_p, shared_step_s], terms))
+    for what, file in RUN_FILES.items():
         x, u, p, *time = derived[what].arguments
-        files[file].add(ca.Function(f"run_{what}", [x, u, p, symbols, *time], parts[what]))
+        files[file].add(ca.Function(f"run_{what}", [x, u, p, constants, *time], parts[what]))
     code = {file: without_null_tests(generator.dump()) for file, generator in files.items()}
-    return code, symbols.numel()
-
-
-class _Constants:
-    """Terms of a model's functions that depend only on the parameters and the length of a step."""
-
-    def __init__(self, parameters: int) -> None:
-        self._p, self._step_s = ca.SX.sym("p", parameters), ca.SX.sym("step_s")
-        self.symbols: list[Any] = []
-        self._values: list[Any] = []
-
-    def take_out(self, results: Sequence[Any], p: Any, lengths: Sequence[Any]) -> list[Any]:
-        """Replace the constant terms of a function's results by symbols.
-
-        `lengths` are the arguments of the function that hold the length of a step.
-        """
-        ends = np.cumsum([0, *(part.numel() for part in results)]).tolist()
-        whole, known = ca.vertcat(*results), [p, *lengths]
-        left, symbols, values = ca.extract_parametric(whole, ca.vertcat(*known))
-        self.symbols += symbols
-        self._values += ca.substitute(values, known, [self._p, *[self._step_s] * len(lengths)])
-        return [*ca.vertsplit(left, ends)]
-
-    def function(self, name: str) -> ca.Function:
-        """Function from the parameters and the length of a step to the replaced terms."""
-        results = ca.cse([ca.vertcat(*self._values)])
-        return ca.Function(name, [self._p, self._step_s], results)
+    return code, constants.numel()
 
 
 def _constant_in(what: str, derived: Mapping[str, _Derivatives]) -> tuple[Any, list[Any]]:
@@ -162,9 +149,9 @@ def _constant_in(what: str, derived: Mapping[str, _Derivatives]) -> tuple[Any, l
     """
     x, _, p, *step_s = derived[what].arguments
     if what == "rate":
-        kept, own = derived["begin"].value, derived["begin"].arguments[3]
-        held = [i for i in range(x.numel()) if derived["rate"].value[i].is_zero()]
-        step_s = [x[i] for i in held if ca.is_equal(kept[i], own)]
+        begun, length = derived["begin"].value, derived["begin"].arguments[3]
+        constant = [i for i in range(x.numel()) if derived["rate"].value[i].is_zero()]
+        step_s = [x[i] for i in constant if ca.is_equal(begun[i], length)]
     return p, step_s
 
 
@@ -203,14 +190,15 @@ def _reached(
     initial: _Derivatives, derived: Mapping[str, _Derivatives]
 ) -> tuple[list[int], list[int]]:
     """States whose derivatives can become nonzero, and parameters that affect any state."""
-    found = np.array(_pattern(initial.by_p))
-    step = np.eye(len(found), dtype=bool)
+    reached = np.array(_pattern(initial.by_p))
+    step = np.eye(len(reached), dtype=bool)
     for what in ("begin", "rate", "finish"):
         step |= _pattern(derived[what].by_x)
-        found |= _pattern(derived[what].by_p)
-    while not np.array_equal(further := step @ found, found):
-        found = further
-    return np.flatnonzero(found.any(axis=1)).tolist(), np.flatnonzero(found.any(axis=0)).tolist()
+        reached |= _pattern(derived[what].by_p)
+    while not np.array_equal(further := step @ reached, reached):
+        reached = further
+    states, columns = (np.flatnonzero(reached.any(axis=axis)).tolist() for axis in (1, 0))
+    return states, columns
 
 
 def _pattern(matrix: Any) -> NDArray[np.bool_]:

@@ -22,8 +22,6 @@ from models.plant.step_model import StepModel, names
 from models.shared.c_compiler import compiler_options, load_library
 from models.trials.trial import Trial
 
-_DRIVER: Final = Path(__file__).with_name("run.c")
-_CPU_INFO: Final = Path("/proc/cpuinfo")
 _POINTER: Final = ctypes.POINTER(ctypes.c_double)
 
 _SYMBOLIC_WORK: Final = threading.Lock()
@@ -45,8 +43,6 @@ class CompiledModel:
     """
 
     def __init__(self, model: StepModel, wrt: Sequence[str] = ()) -> None:
-        if model.rate is None:
-            raise ValueError(f"{model.name} has no rate")
         self.model, self.wrt = model, tuple(wrt)
         known = names(model.parameters)
         self._library, self._start = _compiled(model, [known.index(n) for n in wrt])
@@ -63,8 +59,8 @@ class CompiledModel:
         Row k is at k * step_s, the first from the state `x`, by default at rest.
         """
         p = np.asarray(self.model.parameter_values() if p is None else p)
-        x, nothing = self.start(u[0], p) if x is None else x, np.zeros(len(self.wrt), dtype=bool)
-        return self._run(u, step_s, p, x, np.empty(0), nothing)[0]
+        x, none = self.start(u[0], p) if x is None else x, np.zeros(len(self.wrt), dtype=bool)
+        return self._run(u, step_s, p, x, np.empty(0), none)[0]
 
     def derivatives(
         self,
@@ -119,7 +115,7 @@ def _compiled(model: StepModel, index: Sequence[int]) -> tuple[ctypes.CDLL, ca.F
             with _SYMBOLIC_WORK:
                 sources, initial = write_run_c(model, index, directory)
             start.append(initial)
-            return [*sources, _DRIVER]
+            return [*sources, Path(__file__).with_name("run.c")]
 
         library = load_library(write, flags=flags)
         _COMPILED[key] = library, start[0]
@@ -131,27 +127,29 @@ def _vector_flags() -> tuple[str, ...]:
 
     Without errno, the sine and the cosine of one number are one call.
     """
-    known = _CPU_INFO.read_text(encoding="utf-8", errors="replace") if _CPU_INFO.is_file() else ""
+    info = Path("/proc/cpuinfo")
+    known = info.read_text(encoding="utf-8", errors="replace") if info.is_file() else ""
     return ("-fno-math-errno", *(("-mavx2",) if " avx2 " in known else ()))
 
 
 def trial_parameters(model: StepModel, trial: Trial) -> Array:
     """Parameter vector: the plant's values, with the trial's geometry, conditions and start."""
+    meta, columns = trial.meta, trial.columns
     dimensions = ("base_offset_m", "link_length_m", "link_width_m")
-    own = {n: getattr(trial.meta, n) for n in dimensions if trial.meta.link_length_m}
-    own |= trial.meta.conditions
-    for j in range(1, trial.meta.dof + 1):
-        for position, angle in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
-            if position in trial.columns:
-                goal = trial.columns.get(f"goal_{j}_{angle}", np.zeros(1))
-                own[f"start_offset_{j}_{angle}"] = trial.columns[position][0] - goal[0]
-                own[f"start_joint_rate_{j}_{angle}_s"] = start_of_motion(trial, position)[1]
+    values = {n: getattr(meta, n) for n in dimensions if meta.link_length_m} | meta.conditions
+    for j in range(1, meta.dof + 1):
+        for position, unit in ((f"angle_{j}_rad", "rad"), (f"position_{j}_m", "m")):
+            if position in columns:
+                goal = columns.get(f"goal_{j}_{unit}", np.zeros(1))
+                values[f"start_offset_{j}_{unit}"] = columns[position][0] - goal[0]
+                values[f"start_joint_rate_{j}_{unit}_s"] = start_of_motion(trial, position)[1]
         deflection = f"deflection_{j}_rad"
-        if deflection in trial.columns:
+        if deflection in columns:
             start, rate = start_of_motion(trial, deflection)
-            own |= {f"start_{deflection}": start, f"start_deflection_rate_{j}_rad_s": rate}
+            values[f"start_{deflection}"] = start
+            values[f"start_deflection_rate_{j}_rad_s"] = rate
     known = set(names(model.parameters))
-    return model.parameter_values({n: v for n, v in own.items() if n in known})
+    return model.parameter_values({n: v for n, v in values.items() if n in known})
 
 
 def model_inputs(model: StepModel, trial: Trial) -> Array:
@@ -159,10 +157,9 @@ def model_inputs(model: StepModel, trial: Trial) -> Array:
 
     The payload is the declared one. A drive is enabled unless a column says otherwise.
     """
-    columns = dict(trial.columns)
-    for j in range(1, trial.meta.dof + 1):
-        columns.setdefault(f"enabled_{j}", np.ones(len(trial)))
-    columns.setdefault("payload_kg", np.full(len(trial), trial.meta.payload_kg))
+    constant = {f"enabled_{j}": 1.0 for j in range(1, trial.meta.dof + 1)}
+    constant["payload_kg"] = trial.meta.payload_kg
+    columns = {n: np.full(len(trial), v) for n, v in constant.items()} | dict(trial.columns)
     for name in names(model.inputs):
         if name not in columns:
             raise InputError(
@@ -189,47 +186,36 @@ def run_trial(compiled: CompiledModel, trial: Trial, p: Array | None = None) -> 
     return compiled.simulate(u, trial.step_s, p, compiled.start(first, p))
 
 
-def differentiate_trial(
-    compiled: CompiledModel, trial: Trial, p: Array | None = None
-) -> tuple[Array, Array]:
+def differentiate_trial(compiled: CompiledModel, trial: Trial, p: Array) -> tuple[Array, Array]:
     """Outputs as from `run_trial`, and their derivatives (n, len(outputs), len(wrt))."""
     first, u = trial_inputs(compiled.model, trial)
-    p = trial_parameters(compiled.model, trial) if p is None else p
     return compiled.derivatives(u, trial.step_s, p, first)
-
-
-LONGEST_START_S: Final = 0.05
-"""Longest window at the start: a quarter of a period at 5 Hz."""
-
-LEAST_ROWS: Final = 5
-"""Rows of the shortest window."""
-
-CONFIDENCE_SD: Final = 2.0
-"""Half-width of a rate's confidence interval in standard deviations [Katkovnik 1999: 1.5 to 3]."""
 
 
 def start_of_motion(trial: Trial, column: str) -> tuple[float, float]:
     """Value and rate of a column at the first row, by a parabola through its first rows.
 
-    A long window averages noise, a short one follows a jerk. The longest window is used whose rate
-    agrees with that of every shorter one: intersection of confidence intervals [Goldenshluger &
-    Nemirovski 1997; Katkovnik 1999]. The noise is estimated from the third differences, which a
-    smooth motion hardly has.
+    A long window averages noise, a short one follows a jerk. The longest window up to 50 ms (a
+    quarter of a period at 5 Hz) is used whose rate agrees with that of every shorter one, down to 5
+    rows: intersection of confidence intervals of 2 standard deviations [Goldenshluger & Nemirovski
+    1997; Katkovnik 1999]. The noise is estimated from the third differences, which a smooth motion
+    hardly has.
     """
-    longest = min(max(LEAST_ROWS, round(LONGEST_START_S / trial.step_s)), len(trial))
+    least = 5
+    longest = min(max(least, round(0.05 / trial.step_s)), len(trial))
     time_s, values = trial.time_s[:longest] - trial.time_s[0], trial.columns[column][:longest]
-    seen = np.isfinite(values)
-    time_s, values = time_s[seen], values[seen]
-    if len(values) < LEAST_ROWS:
+    measured = np.isfinite(values)
+    time_s, values = time_s[measured], values[measured]
+    if len(values) < least:
         return 0.0, 0.0
     noise = float(np.sqrt(np.mean(np.diff(values, 3) ** 2) / 20))  # 1 + 9 + 9 + 1
     low, high, chosen = -np.inf, np.inf, (0.0, 0.0)
-    for rows in range(LEAST_ROWS, len(values) + 1):
+    for rows in range(least, len(values) + 1):
         powers = np.vander(time_s[:rows] / time_s[rows - 1], 3, increasing=True)
         inverse = np.linalg.pinv(powers)
         value, slope, _ = inverse @ values[:rows]
         rate = slope / time_s[rows - 1]
-        error = CONFIDENCE_SD * noise * float(np.linalg.norm(inverse[1])) / time_s[rows - 1]
+        error = 2.0 * noise * float(np.linalg.norm(inverse[1])) / time_s[rows - 1]
         low, high = max(low, rate - error), min(high, rate + error)
         if low > high:
             break
@@ -275,8 +261,8 @@ def simulate_plant(
     (['time_s', 'goal_1_rad', 'payload_kg', 'angle_1_rad'], True)
     """
     model = plant.step_model(dof, "twin")
-    given = _rows(names(model.inputs), inputs, dof)
-    u = np.column_stack([*given.values()])
+    rows = _rows(names(model.inputs), inputs, dof)
+    u = np.column_stack([*rows.values()])
     y = CompiledModel(model).simulate(u[:-1], step_s)
     if not np.isfinite(y).all():
         raise InputError(
@@ -284,7 +270,7 @@ def simulate_plant(
         )
     time_s: Array = step_s * np.arange(len(u), dtype=np.float64)
     outputs = {name: np.ascontiguousarray(y[:, k]) for k, name in enumerate(names(model.outputs))}
-    return {"time_s": time_s, **given, **outputs}
+    return {"time_s": time_s, **rows, **outputs}
 
 
 def _rows(wanted: Sequence[str], inputs: Mapping[str, ArrayLike], dof: int) -> dict[str, Array]:
@@ -292,15 +278,13 @@ def _rows(wanted: Sequence[str], inputs: Mapping[str, ArrayLike], dof: int) -> d
     usual = {"payload_kg": 0.0} | {f"enabled_{j}": 1.0 for j in range(1, dof + 1)}
     inputs = {name: value for name, value in usual.items() if name in wanted} | dict(inputs)
     for name in sorted({*wanted} ^ inputs.keys()):
-        raise InputError(
-            name, "is missing" if name in wanted else "is no input of this plant",
-            "give " + ", ".join(wanted),
-        )  # fmt: skip
-    given = {name: np.asarray(inputs[name], dtype=np.float64) for name in wanted}
-    count = max((len(a) for a in given.values() if a.ndim == 1), default=0)
-    for name, array in given.items():
+        what = "is missing" if name in wanted else "is no input of this plant"
+        raise InputError(name, what, "give " + ", ".join(wanted))
+    arrays = {name: np.asarray(inputs[name], dtype=np.float64) for name in wanted}
+    count = max((len(a) for a in arrays.values() if a.ndim == 1), default=0)
+    for name, array in arrays.items():
         if array.shape not in ((), (count,)) or count < 2:
             raise InputError(
                 name, f"has the shape {array.shape}", "give two rows or more, all of one length"
             )
-    return {name: np.broadcast_to(array, count).copy() for name, array in given.items()}
+    return {name: np.broadcast_to(array, count).copy() for name, array in arrays.items()}

@@ -62,9 +62,8 @@ SHARES = np.diff([2 * s - s**2 for s in (0, 0.25, 0.5, 0.75, 1)])
 """Share of the span's bend that each quarter of a cantilever takes."""
 
 
-@functools.cache
 def _with_states(plant, dof):
-    """Compile the twin with its states behind its outputs."""
+    """Compile the twin with its states behind its outputs; equal models are compiled once."""
     model = plant.step_model(dof, "twin")
     x, u, p = (model.output.sx_in(k) for k in range(3))
     both = ca.vertcat(model.output(x, u, p), x)
@@ -72,28 +71,12 @@ def _with_states(plant, dof):
     return CompiledModel(replace(model, outputs=model.outputs + model.states, output=output))
 
 
-class _Hashed:
-    """A plant by its document, for the cache."""
-
-    def __init__(self, plant):
-        self.plant, self.key = plant, plant.sha256()
-
-    def __hash__(self):
-        return hash(self.key)
-
-    def __eq__(self, other):
-        return self.key == other.key
-
-    def step_model(self, dof, kind):
-        return self.plant.step_model(dof, kind)
-
-
 @pytest.fixture(scope="session")
 def synthetic():
     """Trials of a plant itself: noisy, with markers whose edges are strained as its bends say."""
 
     def make(plant, payload_kg, count=572, rest=60, amplitude_rad=0.52, trial=1, rng=None, dof=1):
-        compiled = _with_states(_Hashed(plant), dof)
+        compiled = _with_states(plant, dof)
         moving_s = STEP_S * np.maximum(np.arange(count) - rest, 0)
         goal = -amplitude_rad * np.sin(2 * np.pi / 4.352 * moving_s)
         u = np.column_stack([goal] * dof + [np.full(count, payload_kg)])
@@ -143,6 +126,23 @@ def _markers(plant, values, dof):
         at = at + (segment * (1 + strain))[:, :, None] * up[:, None, :]
         rows.append(at)
     return np.concatenate(rows, axis=1)
+
+
+@pytest.fixture(scope="session")
+def plant_with(tmp_path_factory):
+    """Function (drive, load, parameters, effects) -> plant of a file that says so."""
+
+    def plant(drive, load, parameters=(), effects=()):
+        path = tmp_path_factory.mktemp("plant") / "plant.toml"
+        rows = "\n".join(f"{name} = {value}" for name, value in dict(parameters).items())
+        listed = ", ".join(f'{{ name = "{name}" }}' for name in effects)
+        path.write_text(
+            f'schema = 1\nname = "test"\ndrive = {{ kind = "{drive}" }}\n'
+            f'load = {{ kind = "{load}" }}\neffects = [{listed}]\n[parameters]\n{rows}\n'
+        )
+        return read_plant(path)
+
+    return plant
 
 
 @pytest.fixture

@@ -35,8 +35,9 @@ def test_the_first_mode_of_the_link_falls_with_the_payload(twins):
     assert min(light.shares[0], heavy.shares[0]) > 0.8
 
 
-@pytest.mark.parametrize(("position_gain", "velocity_gain"), [(6.0, 5.0), (3.0, 3.0), (8.0, 6.0)])
-@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
+@pytest.mark.parametrize(
+    ("position_gain", "velocity_gain", "payload_kg"), [(3.0, 3.0, 0.0), (8.0, 6.0, 2.0)]
+)
 def test_a_slow_servo_that_swings_is_not_taken_for_the_link(
     twins, position_gain, velocity_gain, payload_kg
 ):

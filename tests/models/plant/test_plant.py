@@ -1,4 +1,4 @@
-"""The plant document: round trip, completion, refusals in one sentence."""
+"""The plant document: round trip, completion, provenance, refusals in one sentence."""
 
 import json
 import tomllib
@@ -8,40 +8,33 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.errors import InputError
 from firmware_py.signals import unit_of
+from models.plant.document import Evaluation, FittedTrial, Provenance, SignalError
+from models.plant.parameter import impossible_sums
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.step_model import names
 
 
 @pytest.mark.parametrize("suffix", [".json", ".toml"])
-def test_a_document_comes_back_the_same(tmp_path, suffix):
-    plant = read_plant().with_values({"link_mass_kg": 2 / 3}, {"link_mass_kg": 0.1})
+def test_a_written_plant_reads_back_the_same(tmp_path, suffix):
+    provenance = Provenance(
+        parent_sha256="ab", fitted_trials=(FittedTrial("a", "12", "measured"),),
+        residual_rms={"di": 1e-3},
+        held_out=Evaluation(signals={"di": SignalError(1e-3, 2e-3, "1")}, trials=1, origins=()),
+        named=("backlash",), servo_gains=(ServoGains(position_p=800, velocity_i=0),),
+    )  # fmt: skip
+    value, error = np.float64(2 / 3), np.float64(0.1)
+    plant = read_plant().with_values({"link_mass_kg": value}, {"link_mass_kg": error})
+    plant = replace(plant, provenance=provenance)
     path = tmp_path / f"plant{suffix}"
     plant.write(path)
     again = read_plant(path)
-    assert again.parameters.keys() == plant.parameters.keys()
-    for name, q in plant.parameters.items():
-        other = again.parameters[name]
-        assert (q.value, q.low, q.high, q.unit, q.role, q.source, q.error) == (
-            other.value, other.low, other.high, other.unit, other.role, other.source, other.error
-        )  # fmt: skip
-    assert again.sha256() == plant.sha256()
-    assert (again.drive, again.load, again.effects) == (plant.drive, plant.load, plant.effects)
+    assert again == plant and again.sha256() == plant.sha256()
 
 
-def test_a_parameter_that_an_older_file_lacks_has_its_default(tmp_path):
-    path = tmp_path / "plant.json"
-    read_plant().with_effects("dead_time").write(path)
-    document = json.loads(path.read_text())
-    for joint in (1, 2):
-        del document["parameters"][f"dead_time_phase_{joint}"]
-    path.write_text(json.dumps(document))
-    assert read_plant(path).parameters["dead_time_phase_1"].value == 0.0
-
-
-def test_a_written_plant_gives_value_unit_bounds_and_source_of_everything(tmp_path):
-    """Without a look at the parts that declare them."""
+def test_a_written_plant_states_value_unit_bounds_and_source_of_everything(tmp_path):
     plant, path = read_plant(), tmp_path / "plant.toml"
     plant.write(path)
     written = tomllib.loads(path.read_text())["parameters"]
@@ -53,21 +46,16 @@ def test_a_written_plant_gives_value_unit_bounds_and_source_of_everything(tmp_pa
         assert entry["source"] == q.source != "" and entry["role"] == q.role, name
 
 
-def test_a_file_gives_what_differs_from_the_parts(tmp_path):
+def test_a_file_states_only_what_differs_from_the_parts(tmp_path):
     path = tmp_path / "plant.toml"
     lines = "base_mass_kg = 0.3\nlink_mass_kg = { value = 1.0, source = 'x' }\n"
     path.write_text(NOMINAL.read_text() + lines)
-    usual, own = read_plant().parameters, read_plant(path).parameters
-    changed = {name for name, q in own.items() if q != usual[name]}
-    assert changed == {"base_mass_kg", "link_mass_kg"}
-    assert own["base_mass_kg"] == msgspec.structs.replace(usual["base_mass_kg"], value=0.3)
-    heavy = msgspec.structs.replace(usual["link_mass_kg"], value=1.0, source="x")
-    assert own["link_mass_kg"] == heavy
-
-
-OF_THE_ESTIMATE = [
-    ("bend", "rad"), ("bend_rate", "rad_s"), ("joint_rate", "rad_s"), ("innovation", "a"),
-]  # fmt: skip
+    usual, changed = read_plant().parameters, read_plant(path).parameters
+    expected = {
+        "base_mass_kg": msgspec.structs.replace(usual["base_mass_kg"], value=0.3),
+        "link_mass_kg": msgspec.structs.replace(usual["link_mass_kg"], value=1.0, source="x"),
+    }
+    assert {name: q for name, q in changed.items() if q != usual[name]} == expected
 
 
 @pytest.mark.parametrize("dof", [1, 2])
@@ -80,13 +68,16 @@ def test_units_have_the_contracts_inputs_and_outputs(dof):
     assert names(twin.outputs) == [*angles, *currents, "di", *tip]
     assert names(observer.inputs) == [*angles, *currents]
     assert names(observer.outputs)[:5] == ["di", *tip, "payload_kg"]
+    of_the_estimate = (
+        "bend_{}_rad",
+        "bend_rate_{}_rad_s",
+        "joint_rate_{}_rad_s",
+        "innovation_{}_a",
+    )
     assert set(names(observer.outputs)[5:]) == {
-        *(f"{name}_{j}_{unit}" for j in joints for name, unit in OF_THE_ESTIMATE),
+        *(name.format(j) for j in joints for name in of_the_estimate),
         *(f"tip_{axis}_deviation_m" for axis in "xyz"),
     }
-    springs, creep_branches, shape_of_goal, sampling, step_length = 2, 3, 3, 1, 1
-    own = 8 + shape_of_goal + sampling + springs * creep_branches
-    assert len(twin.states) == own * dof + step_length
     every = (*twin.inputs, *twin.outputs, *observer.inputs, *observer.outputs)
     assert all((unit_of(v.name) or "1") == v.unit for v in every)
 
@@ -131,23 +122,23 @@ def put(*keys_and_value):
             "error of parameter link_mass_kg",
         ),
         (put("parameters", "link_mass_kg", "value", float("nan")), "link_mass_kg is not a finite"),
+        (put("provenance", {"fitted_trials": [{"name": "a"}]}), "missing required field `sha256`"),
+        (put("provenance", {"parents": "ab"}), "unknown field `parents`"),
+        (put("provenance", "ab"), "Expected `object`"),
     ],
 )
-def test_what_is_wrong_with_a_document_is_said(tmp_path, change, message):
+def test_a_wrong_document_is_refused_by_file_and_field(tmp_path, change, message):
     with pytest.raises(InputError) as refused:
         read_plant(edited(tmp_path, change))
     assert message in str(refused.value)
     assert str(tmp_path) in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["{", "schema = ", ""])
-def test_what_is_no_document_is_refused(tmp_path, text):
-    for suffix in ("json", "toml"):
+def test_a_file_of_another_form_is_refused(tmp_path):
+    for suffix, text in (("json", "{"), ("toml", "schema = "), ("toml", "")):
         path = tmp_path / f"plant.{suffix}"
         path.write_text(text)
-        with pytest.raises(
-            InputError, match=r"no plant document|not JSON|not TOML|no schema version"
-        ):
+        with pytest.raises(InputError, match=r"not JSON|not TOML|no schema version"):
             read_plant(path)
     with pytest.raises(InputError, match="is missing"):
         read_plant(tmp_path / "missing.toml")
@@ -158,14 +149,6 @@ def test_a_value_outside_its_bounds_cannot_be_set():
         read_plant().with_values({"link_mass_kg": -1.0})
     with pytest.raises(InputError, match="is no parameter"):
         read_plant().with_values({"mass": 1.0})
-
-
-def test_values_of_numpy_are_written_as_numbers(tmp_path):
-    value = np.float64(2 / 3)
-    plant = read_plant().with_values({"link_mass_kg": value}, {"link_mass_kg": np.float64(0.1)})
-    plant.write(tmp_path / "plant.json")
-    again = read_plant(tmp_path / "plant.json").parameters["link_mass_kg"]
-    assert (again.value, again.error) == (2 / 3, 0.1)
 
 
 def test_plants_that_differ_in_values_alone_share_their_functions():
@@ -184,3 +167,32 @@ def test_plants_that_differ_in_values_alone_share_their_functions():
     )
     texts = [p.step_model(1, "observer").finish.serialize() for p in (plant, bounded)]
     assert texts[0] != texts[1]
+
+
+def test_fitted_trials_are_distinguished_by_content(make_trial, swing_rad):
+    first, second = make_trial(swing_rad), make_trial(0.5 * swing_rad)
+    assert first.name == second.name
+    parent = Provenance(fitted_trials=Provenance().fitted_with([first]))
+    child = Provenance(fitted_trials=parent.fitted_with([second, first]))
+    assert [t.sha256 for t in child.fitted_trials] == [first.sha256(), second.sha256()]
+    assert child.was_fitted_to(first) and child.was_fitted_to(second)
+    assert not parent.was_fitted_to(second)
+    assert parent.was_fitted_to(replace(first, name="renamed"))
+
+
+def test_sums_of_parameters_that_no_machine_has_are_impossible():
+    full = read_plant().with_effects("unmodelled_payload", "current_saturation")
+    values = {name: q.value for name, q in full.parameters.items()}
+    assert impossible_sums(values, [0.0, 2.0]) == []
+    light = values | {"tip_mass_kg": 0.144, "unmodelled_payload_kg": -0.2}
+    (tip,) = impossible_sums(light, [0.0, 1.0])
+    assert tip.value == pytest.approx(0.144 - 0.2)
+    assert set(tip.parameters) == {"tip_mass_kg", "unmodelled_payload_kg"}
+    assert impossible_sums(light, [1.0, 2.0]) == []
+    for changes, what in (
+        ({"coulomb_friction_2_nm": 1.0, "stribeck_friction_2_nm": -1.5}, "friction of joint 2"),
+        ({"current_limit_1_a": 3.0, "current_saturation_1_a": 3.0}, "current limit of joint 1"),
+    ):
+        (total,) = impossible_sums(changes)
+        assert total.what.replace("friction at standstill", "friction") == what
+    assert impossible_sums({"coulomb_friction_1_nm": 0.0}) == []

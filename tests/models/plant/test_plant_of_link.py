@@ -1,45 +1,53 @@
-"""A plant and a rig of a described link: the study's link gives the study's, others follow."""
+"""Plant and rig of a described link: values, bounds, payloads and markers follow the link."""
+
+import json
+from argparse import Namespace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.link.link_description import (
-    STUDY_LINK,
-    LinkDescription,
-    LinkGravity,
-    LinkServo,
-)
+from dropstitch.__main__ import main
+from firmware_py.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity, LinkServo
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
+from models.commands.simulate import _cases, _complete_from_link
+from models.plan.planning import check_grid
+from models.plant.identification.doubts import refuse_other_links
+from models.plant.parameter import check_payload
 from models.plant.plant import read_plant
+from models.plant.step_model import names
 from models.rig.parameters import read_parameters, rig_of_link
+from models.trials.trial import TrialSet
 
+STEP_S = 0.017
 SMALL = LinkDescription(
     length_m=0.6, width_m=0.1, payload_kg=0.1, joints=1,
     markers=square_layout(0.6, 0.1, rows=3), servo=LinkServo(model="XM430-W350"),
     gravity=LinkGravity(mounting="hanging"),
 )  # fmt: skip
+HEAVY = LinkDescription(length_m=1.0, width_m=0.3, payload_kg=5.0, joints=1)
 
 
-def test_the_studys_link_gives_the_studys_plant_and_rig(plant_of):
+def test_the_studys_link_yields_the_studys_plant_and_rig(plant_of):
     plant, nominal = plant_of(STUDY_LINK), read_plant()
     for name, q in nominal.parameters.items():
-        own = plant.parameters[name]
-        assert (own.value, own.low, own.high) == pytest.approx((q.value, q.low, q.high)), name
-    rig, own = rig_of_link(STUDY_LINK, "link.toml"), read_parameters()
-    assert dict(rig) == pytest.approx(dict(own)) and rig.layout == own.layout
+        scaled = plant.parameters[name]
+        assert (scaled.value, scaled.low, scaled.high) == pytest.approx((q.value, q.low, q.high))
+    rig, study = rig_of_link(STUDY_LINK, "link.toml"), read_parameters()
+    assert dict(rig) == pytest.approx(dict(study)) and rig.layout == study.layout
 
 
 def test_every_value_stays_within_its_bounds_on_other_links(plant_of):
     for link in (SMALL, msgspec.structs.replace(SMALL, length_m=2.0, width_m=0.3, markers=None)):
-        plant = plant_of(link)
-        for q in plant.parameters.values():
+        for q in plant_of(link).parameters.values():
             assert q.low <= q.value <= q.high, q.name
         for name, entry in rig_of_link(link, "link.toml").entries.items():
             assert entry.minimum <= entry.value <= entry.maximum, name
 
 
-def test_a_plant_keeps_its_link_in_its_file(plant_of, tmp_path):
+def test_a_written_plant_includes_its_link(plant_of, tmp_path):
     plant = plant_of(SMALL)
     for suffix in ("json", "toml"):
         plant.write(tmp_path / f"plant.{suffix}")
@@ -47,43 +55,100 @@ def test_a_plant_keeps_its_link_in_its_file(plant_of, tmp_path):
         assert read.link == plant.link and read.sha256() == plant.sha256()
 
 
+def resting(plant, output):
+    """Output of a twin that rests at 0.3 rad with 0.1 kg."""
+    model = plant.step_model(1)
+    y = model.simulate(np.tile([0.3, 0.1], (3, 1)), STEP_S)
+    return y[0, names(model.outputs).index(output)]
+
+
 def test_a_hanging_link_is_bent_inwards_and_an_upright_one_outwards(plant_of):
     """Statics: at rest at +0.3 rad the weight lies beyond the joint upright, below it hanging."""
-    deviation = {}
-    for mounting in ("upright", "hanging"):
-        link = msgspec.structs.replace(SMALL, gravity=LinkGravity(mounting=mounting))
-        model = plant_of(link).step_model(1)
-        y = model.simulate(np.tile([0.3, 0.1], (3, 1)), 0.017)
-        tip_x = y[0, [v.name for v in model.outputs].index("tip_x_m")]
-        deviation[mounting] = tip_x - 0.66 * np.sin(0.3)
-    assert deviation["upright"] > 1e-3 and deviation["hanging"] < -1e-3
-
-
-def test_the_index_of_a_plant_follows_the_places_of_the_markers(plant_of):
-    """At a small bend the strain of an edge is in proportion to its distance from the axis."""
-    half = MarkerLayout(
-        SMALL.layout.rows_m, tuple((x / 2, y / 2) for x, y in SMALL.layout.corners_m)
+    upright, hanging = (
+        resting(
+            plant_of(msgspec.structs.replace(SMALL, gravity=LinkGravity(mounting=m))), "tip_x_m"
+        )
+        for m in ("upright", "hanging")
     )
-    found = []
-    for layout in (SMALL.layout, half):
-        plant = plant_of(msgspec.structs.replace(SMALL, markers=layout))
-        plant = plant.with_values({"marker_noise_m": 0.0})
-        model = plant.step_model(1)
-        y = model.simulate(np.tile([0.3, 0.1], (3, 1)), 0.017)
-        found.append(y[0, [v.name for v in model.outputs].index("di")])
-    assert found[1] == pytest.approx(found[0] / 2, rel=1e-6) and found[0] > 1e-4
+    assert hanging + 1e-3 < 0.66 * np.sin(0.3) < upright - 1e-3
+
+
+def test_the_index_follows_the_places_of_the_markers(plant_of):
+    """At a small bend the strain of an edge is in proportion to its distance from the axis."""
+    corners = tuple((x / 2, y / 2) for x, y in SMALL.layout.corners_m)
+    whole, half = (
+        resting(plant_of(msgspec.structs.replace(SMALL, markers=layout))
+                .with_values({"marker_noise_m": 0.0}), "di")
+        for layout in (SMALL.layout, MarkerLayout(SMALL.layout.rows_m, corners))
+    )  # fmt: skip
+    assert half == pytest.approx(whole / 2, rel=1e-6) and whole > 1e-4
 
 
 @pytest.mark.parametrize(
     ("gravity", "words"),
     [
-        (LinkGravity(), "gravity, along -z"),
-        (LinkGravity(mounting="horizontal"), "gravity, along -x"),
         (LinkGravity(mounting="hanging"), "gravity, along z"),
         (LinkGravity(direction=(0.0, 3.0, -4.0)), "gravity, along (0, 0.6, -0.8)"),
     ],
 )
-def test_gravity_is_described_as_the_link_is_mounted(plant_of, tmp_path, gravity, words):
-    plant_of(msgspec.structs.replace(SMALL, gravity=gravity)).write(tmp_path / "plant.json")
-    model = read_plant(tmp_path / "plant.json").step_model(1, "twin")
+def test_gravity_is_described_as_the_link_is_mounted(plant_of, gravity, words):
+    model = plant_of(msgspec.structs.replace(SMALL, gravity=gravity)).step_model(1, "twin")
     assert [v.description for v in model.parameters if v.name == "gravity_m_s2"] == [words]
+
+
+# --- payload: up to 3 kg in the study, half as much again as another link carries -----------------
+
+
+@pytest.mark.parametrize("kind", ["twin", "observer", "driven"])
+def test_the_largest_payload_of_a_plant_follows_from_its_link(plant_of, kind):
+    for plant, most_kg in ((read_plant(), 3.0), (plant_of(HEAVY), 7.5), (plant_of(SMALL), 0.15)):
+        model = plant.step_model(1, kind)
+        rows = (*model.inputs, *model.parameters, *model.states, *model.outputs)
+        bounds = {v.name: (v.minimum, v.maximum) for v in rows}
+        assert bounds["payload_kg"] == (0.0, pytest.approx(most_kg))
+        if kind != "twin":
+            assert bounds["payload_known_kg"] == (-1.0, pytest.approx(most_kg))
+
+
+def test_the_observer_of_a_heavy_link_estimates_its_payload(plant_of):
+    plant = plant_of(HEAVY)
+    twin, observer = plant.step_model(1, "twin"), plant.step_model(1, "observer")
+    moving_s = STEP_S * np.maximum(np.arange(220) - 20, 0)
+    goal_rad = -0.4 * np.sin(2 * np.pi / 3.0 * moving_s)
+    measured = twin.simulate(np.column_stack([goal_rad, np.full(220, 5.0)]), STEP_S)[:, :2]
+    estimate = observer.simulate(measured, STEP_S)[-1, names(observer.outputs).index("payload_kg")]
+    assert estimate == pytest.approx(5.0, abs=0.2)
+
+
+def test_payloads_beyond_the_link_are_refused(plant_of, make_trial):
+    check_payload(7.5, link=HEAVY)
+    with pytest.raises(InputError, match=r"--payload-kg: is 7.6 kg; give 0 to 7.5 kg"):
+        check_payload(7.6, link=HEAVY)
+    with pytest.raises(InputError, match=r"--payloads: is 2 kg; give 0 to 0.15 kg"):
+        check_grid(plant_of(SMALL), (0.0, 2.0))
+    plant = plant_of(msgspec.structs.replace(STUDY_LINK, payload_kg=1.0))
+    trial = make_trial(np.zeros(8), payload_kg=2.0)
+    with pytest.raises(InputError, match=r"payload of 2 kg, a plant of this link takes 1.5 kg"):
+        refuse_other_links(plant, "plant.json", TrialSet((trial,)))
+    meta = msgspec.structs.replace(trial.meta, payload_kg=1.5)
+    refuse_other_links(plant, "plant.json", TrialSet((replace(trial, meta=meta),)))
+
+
+def test_the_rig_of_a_link_simulates_the_payloads_of_its_plant(tmp_path):
+    rig = rig_of_link(SMALL, tmp_path / "link.toml")
+    args = Namespace(
+        dof=None, phase_deg=None, payloads=None, pressure_pa=None, gravity=None, trials=1, seed=0,
+        workers=1, amplitude_deg=30.0, period=2.0, motion="sinusoid", out=tmp_path / "trials",
+    )  # fmt: skip
+    _complete_from_link(args, SMALL)
+    assert [case.payload_kg for case in _cases(args, rig)] == list(SMALL.payloads_kg)
+    args.payloads = [0.2]
+    with pytest.raises(InputError, match=r"choose 0 to 0.15, or raise payload_kg in .*link.toml"):
+        _cases(args, rig)
+
+
+def test_the_default_payload_of_linearise_is_within_the_bounds(plant_of, tmp_path, capsys):
+    plant_of(SMALL).write(tmp_path / "plant.json")
+    command = ["linearise", "--plant", str(tmp_path / "plant.json"), "--json"]
+    assert main([*command, "--out", str(tmp_path / "linear.json")]) == 0
+    assert json.loads(capsys.readouterr().out)["payload_kg"] == 0.05

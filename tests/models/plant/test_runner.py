@@ -11,19 +11,28 @@ from firmware_py.errors import InputError
 from firmware_py.motion import Motion
 from firmware_py.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import plant_with_every_effect
-from models.plant.plant import read_plant
+from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation import runner
 from models.plant.simulation.model_c import write_run_c
-from models.plant.simulation.runner import CompiledModel, model_inputs, run_trial, simulate_plant
+from models.plant.simulation.runner import (
+    CompiledModel,
+    model_inputs,
+    run_trial,
+    simulate_plant,
+    start_of_motion,
+)
 from models.plant.step_model import names
 from models.shared.c_compiler import OPTIONS_VARIABLE
+from models.trials.files import read_trials
 from models.trials.trial import Trial, TrialMeta
 
 STEP_S = 0.017
 
 
-@pytest.mark.parametrize("dof", [1, 2])
-@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+UNITS = pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (2, "driven"), (1, "observer")])
+
+
+@UNITS
 def test_the_compiled_run_is_the_interpreted_one(bench, dof, unit):
     model = read_plant().step_model(dof, unit)
     u = bench.inputs(model, 60)
@@ -67,28 +76,7 @@ CHOSEN = {
 }
 
 
-@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
-def test_slopes_are_finite_differences_of_the_run(bench, unit):
-    model = read_plant().step_model(1, unit)
-    wrt = CHOSEN[unit]
-    u, plain = bench.inputs(model, 80), CompiledModel(model)
-    y, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
-    assert np.array_equal(y, plain.simulate(u, STEP_S))
-    assert np.array_equal(y, CompiledModel(model, wrt).simulate(u, STEP_S))
-    for k, name in enumerate(wrt):
-        middle = model.parameter_values()[names(model.parameters).index(name)]
-        step = 1e-6 * (abs(middle) or 1.0)
-        ends = [
-            plain.simulate(u, STEP_S, model.parameter_values({name: middle + side * step}))
-            for side in (1, -1)
-        ]
-        difference = (ends[0] - ends[1]) / (2 * step)
-        slope = slopes[:, :, k]
-        assert np.abs(slope).max() > 0
-        assert np.allclose(slope, difference, atol=1e-4 * np.abs(slope).max()), name
-
-
-def test_what_is_constant_in_a_run_is_calculated_once(tmp_path):
+def test_constant_terms_are_computed_once_per_run(tmp_path):
     model = plant_with_every_effect(read_plant()).step_model(1, "twin")
     write_run_c(model, [], tmp_path)
     parts = (tmp_path / "run_step.c").read_text().split("/* run_")
@@ -99,13 +87,12 @@ def test_what_is_constant_in_a_run_is_calculated_once(tmp_path):
 
 def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
     model, building, at_once = read_plant().step_model(1, "observer"), [], []
-    own = runner.write_run_c
 
     def watched(*arguments):
         building.append(1)
         at_once.append(len(building))
         try:
-            return own(*arguments)
+            return write_run_c(*arguments)
         finally:
             building.pop()
 
@@ -141,14 +128,15 @@ def rolled_out_jacobian(model, wrt, u, p):
     return values.reshape(len(rows), -1, len(wrt))
 
 
-@pytest.mark.parametrize("dof", [1, 2])
-@pytest.mark.parametrize("unit", ["twin", "driven", "observer"])
+@UNITS
 def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
     monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")  # the run is short, and the same bits
     model = replace(read_plant().step_model(dof, unit), max_substep_s=STEP_S / 3)
     wrt, u, p = CHOSEN[unit], bench.inputs(model, 6), model.parameter_values()
     expected = rolled_out_jacobian(model, wrt, u, p)
-    _, slopes = CompiledModel(model, wrt).derivatives(u, STEP_S)
+    compiled = CompiledModel(model, wrt)
+    y, slopes = compiled.derivatives(u, STEP_S)
+    assert np.array_equal(y, compiled.simulate(u, STEP_S))
     scale = np.abs(expected).max(axis=(0, 1))
     assert (scale > 0).all()
     assert (np.abs(slopes - expected) <= 1e-10 * scale).all()
@@ -173,12 +161,7 @@ def test_parameters_that_move_no_state_need_no_slope(bench, wrt):
     assert (slopes[:, current] == 1).all() and (np.delete(slopes, current, axis=1) == 0).all()
 
 
-def test_a_model_without_a_rate_is_refused():
-    with pytest.raises(ValueError, match="has no rate"):
-        CompiledModel(replace(read_plant().step_model(1, "twin"), rate=None))
-
-
-def test_slopes_that_are_not_wanted_are_zero_and_the_others_keep_their_bits(bench):
+def test_slopes_that_are_not_wanted_are_zero_and_change_no_other(bench):
     model, wrt = read_plant().step_model(1, "twin"), CHOSEN["twin"]
     u, sensitive = bench.inputs(model, 40), CompiledModel(model, wrt)
     y, every = sensitive.derivatives(u, STEP_S)
@@ -221,3 +204,49 @@ def test_inputs_that_do_not_fit_are_refused():
     for inputs, message in WRONG:
         with pytest.raises(InputError, match=message):
             simulate_plant(plant, inputs)
+
+
+EXAMPLES = NOMINAL.parent / "examples"
+
+
+@pytest.fixture
+def trial_of(tmp_path):
+    """Trial of the EMPS with these positions and commands, at 1 kHz."""
+
+    def make(position_m, command_v):
+        rows = np.column_stack([np.arange(len(position_m)) * 1e-3, command_v, position_m])
+        head = "time_s,command_1_v,position_1_m"
+        np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=head, comments="", fmt="%.12g")
+        meta = ["schema = 1", "dof = 1", "payload_kg = 0.0", "trial = 1", 'motion = "test"',
+                'source = "measured"', "period_s = 1.0", "rest_samples = 1"]  # fmt: skip
+        (tmp_path / "run.toml").write_text("\n".join(meta))
+        return read_trials(tmp_path, read_plant(EXAMPLES / "emps.toml").signals).trials[0]
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("jerk_m_s3", "noise_m", "tolerance_m_s"),
+    # A parabola over 50 ms would be wrong by jerk · (50 ms)² / 10 and more: 15 mm/s; the standard
+    # error of the rate over 50 ms with a noise of 20 µm is 6 mm/s.
+    [(0.0, 1e-7, 5e-4), (-60.0, 1e-7, 5e-4), (0.0, 2e-5, 0.012)],
+)
+def test_the_start_rate_follows_a_jerk_and_averages_noise(
+    trial_of, jerk_m_s3, noise_m, tolerance_m_s
+):
+    time_s, rng = np.arange(400) * 1e-3, np.random.default_rng(2)
+    position_m = 0.1 + 0.04 * time_s + 0.5 * time_s**2 + jerk_m_s3 / 6 * time_s**3
+    noisy = position_m + noise_m * rng.standard_normal(len(time_s))
+    value, rate = start_of_motion(trial_of(noisy, 0 * time_s), "position_1_m")
+    assert value == pytest.approx(0.1, abs=10 * noise_m)
+    assert rate == pytest.approx(0.04, abs=tolerance_m_s)
+
+
+def test_a_part_of_a_recording_that_begins_in_motion_is_simulated_like_the_whole(trial_of):
+    command_v = 2 * np.sin(4e-3 * np.arange(3000))
+    model = read_plant(EXAMPLES / "emps.toml").step_model(1)
+    u = np.column_stack([command_v, 0 * command_v])
+    position_m = model.simulate(u[:-1], 1e-3)[:, 0]
+    simulated = run_trial(CompiledModel(model), trial_of(position_m[700:], command_v[700:]))[:, 0]
+    assert np.abs(np.diff(position_m)).max() > 1e-4
+    assert np.allclose(simulated, position_m[700:], atol=2e-4)

@@ -17,7 +17,7 @@ from models.plant.components.link import (
 )
 from models.plant.compose import apply_load_torques, declare_measured_motion
 from models.plant.effects import EFFECTS, in_order
-from models.plant.plant import declared_parameters, read_plant, scope_of
+from models.plant.plant import read_plant, scope_of
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.shared.kinematics import base_rotation
@@ -45,27 +45,19 @@ def place(model, changes):
 def mass_points(q, payload_kg, angle, root, span):
     """Masses and positions (n, 2) of the planar link, the span cut into fine slices."""
     length, at = q["link_length_m"], q["span_position"] * q["link_length_m"]
-    s = (np.arange(400) + 0.5) / 400 * length
-    turn = np.where(s < at, angle + root, angle + root + span)
-
-    def point(along):
-        first = min(along, at)
-        rest = along - first
-        return np.array([
-            q["base_offset_m"] * np.sin(angle) + first * np.sin(angle + root)
-            + rest * np.sin(angle + root + span),
-            q["base_offset_m"] * np.cos(angle) + first * np.cos(angle + root)
-            + rest * np.cos(angle + root + span),
-        ])  # fmt: skip
-
-    positions = np.array([point(along) for along in s] + [point(length)])
-    masses = np.append(np.full(len(s), q["link_mass_kg"] / len(s)), q["tip_mass_kg"] + payload_kg)
-    assert len(turn) == len(s)
+    along = np.append((np.arange(400) + 0.5) / 400, 1.0) * length
+    first, rest = np.minimum(along, at), np.maximum(along - at, 0.0)
+    positions = np.column_stack([
+        q["base_offset_m"] * axis(angle) + first * axis(angle + root)
+        + rest * axis(angle + root + span)
+        for axis in (np.sin, np.cos)
+    ])  # fmt: skip
+    masses = np.append(np.full(400, q["link_mass_kg"] / 400), q["tip_mass_kg"] + payload_kg)
     return masses, positions
 
 
 def potential(q, payload_kg, angle, root, span):
-    """Energy of gravity and springs (the integrals of the torques in chain.py)."""
+    """Energy of gravity and springs (the integrals of the torques)."""
     masses, positions = mass_points(q, payload_kg, angle, root, span)
     limit, k_root = q["root_limit_moment_nm"], q["root_stiffness_1_nm_rad"]
     fold = limit / (6 * q["fold_rad"] ** 5)
@@ -86,9 +78,8 @@ def kinetic(q, payload_kg, bends, rates, step=1e-6):
     return 0.5 * ahead[0] @ np.sum(velocity**2, axis=1)
 
 
-@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
-def test_energy_never_grows_unforced(payload_kg):
-    plant, q = values()
+def test_energy_never_grows_unforced():
+    (plant, q), payload_kg = values(), 2.0
     model = plant.step_model(1, "driven")
     x = place(model, {"root_bend_1_rad": 0.05, "span_bend_1_rad": -0.03, "step_s": STEP_S})
     p, u = model.parameter_values(), np.array([0.0, payload_kg])
@@ -106,7 +97,7 @@ def test_energy_never_grows_unforced(payload_kg):
     assert lost.sum() > 0.2 * (energies[0] - potential(q, payload_kg, 0.0, 0.0, 0.0))
 
 
-def test_what_energy_is_lost_the_dampers_took():
+def test_the_energy_that_is_lost_went_into_the_dampers():
     plant, q = values()
     model = plant.step_model(1, "driven")
     x = place(model, {"root_bend_1_rad": 0.05, "step_s": STEP_S})
@@ -123,17 +114,16 @@ def test_what_energy_is_lost_the_dampers_took():
     assert lost == pytest.approx(np.trapezoid(powers, dx=step_s), rel=1e-3)
 
 
-@pytest.mark.parametrize("payload_kg", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("payload_kg", [0.0, 2.0])
 def test_modes_are_those_of_the_linear_equations(payload_kg):
     plant, q = values()
     model = plant.step_model(1, "driven")
     x, u = ca.MX.sym("x", len(model.states)), ca.DM([0.0, payload_kg])
     slope = ca.Function("a", [x], [ca.jacobian(model.rate(x, u, model.parameter_values()), x)])
     matrix = np.asarray(slope(place(model, {"step_s": STEP_S})))
-    own = [names(model.states).index(n) for n in
-           ("root_bend_1_rad", "span_bend_1_rad",
-            "root_bend_rate_1_rad_s", "span_bend_rate_1_rad_s")]  # fmt: skip
-    found = np.linalg.eigvals(matrix[np.ix_(own, own)])
+    bends = [names(model.states).index(f"{hinge}_{what}") for what in ("bend_1_rad",
+             "bend_rate_1_rad_s") for hinge in ("root", "span")]  # fmt: skip
+    poles = np.linalg.eigvals(matrix[np.ix_(bends, bends)])
     mass = np.array([
         [kinetic(q, payload_kg, (0, 0), np.add(a, b)) - kinetic(q, payload_kg, (0, 0), a)
          - kinetic(q, payload_kg, (0, 0), b) for b in np.eye(2)] for a in np.eye(2)
@@ -149,13 +139,11 @@ def test_modes_are_those_of_the_linear_equations(payload_kg):
     expected = np.linalg.eigvals(
         np.block([[np.zeros((2, 2)), np.eye(2)], [-inverse @ stiffness, -inverse @ damping]])
     )
-    assert np.allclose(np.sort_complex(found), np.sort_complex(expected), rtol=2e-4)
-    assert (
-        0.5 < np.abs(found).min() / (2 * np.pi) < 6
-    )  # the first mode, docs/sources.md, "The link"
+    assert np.allclose(np.sort_complex(poles), np.sort_complex(expected), rtol=2e-4)
+    assert 0.5 < np.abs(poles).min() / (2 * np.pi) < 6  # docs/sources.md, "The link"
 
 
-@pytest.mark.parametrize(("angle", "payload_kg"), [(0.3, 0.0), (-0.5, 1.0), (0.5, 2.0)])
+@pytest.mark.parametrize(("angle", "payload_kg"), [(0.3, 0.0), (-0.5, 2.0)])
 def test_sag_is_where_the_potential_is_least(angle, payload_kg):
     plant, q = values({"root_damping_1_nm_s_rad": 5.0, "span_damping_1_nm_s_rad": 5.0})
     model = plant.step_model(1, "driven")
@@ -176,19 +164,6 @@ def test_sag_is_where_the_potential_is_least(angle, payload_kg):
     assert np.allclose(tip[[0, 2]], positions[-1], atol=2e-5)
 
 
-def test_a_symmetric_link_moves_symmetrically():
-    plant, _ = values()
-    model = plant.step_model(1, "twin")
-    goal = 0.5 * np.sin(1.44 * STEP_S * np.arange(120))
-    one, other = (
-        model.simulate(np.column_stack([sign * goal, np.full(120, 1.5)]), STEP_S)
-        for sign in (1, -1)
-    )
-    column = {name: k for k, name in enumerate(names(model.outputs))}
-    for name, sign in {"tip_x_m": -1, "tip_z_m": 1, "di": 1, "current_1_a": -1}.items():
-        assert np.allclose(one[:, column[name]], sign * other[:, column[name]], atol=1e-9), name
-
-
 def test_both_planes_are_alike():
     plant, _ = values()
     one, two = plant.step_model(1, "twin"), plant.step_model(2, "twin")
@@ -205,21 +180,18 @@ def arc_markers(q, angle, root, span):
     """Markers (16, 3) and base corners (4, 3) of a link whose span bends like a cantilever."""
     turn = base_rotation(np.atleast_2d(angle))[0]
     section = turn @ base_rotation(np.atleast_2d(root))[0]
-    half, length = q["link_width_m"] / 2, q["link_length_m"]
+    half, fine = q["link_width_m"] / 2, 200
     corners = np.array([[sx * half, sy * half, 0] for sy in (1, -1) for sx in (1, -1)])
-    base = np.add(corners, [0, 0, q["base_offset_m"]])
-    centre, rows, fine = turn @ [0, 0, q["base_offset_m"]], [], 200
+
+    def bent(sigma):
+        return section @ base_rotation(np.atleast_2d((2 * sigma - sigma**2) * np.array(span)))[0]
+
+    centre, rows = turn @ [0, 0, q["base_offset_m"]], []
     for k in range(4 * fine):
-        sigma = (k + 0.5) / (4 * fine)
-        bent = section @ base_rotation(np.atleast_2d((2 * sigma - sigma**2) * np.array(span)))[0]
-        centre = centre + bent[:, 2] * length / (4 * fine)
+        centre = centre + bent((k + 0.5) / (4 * fine))[:, 2] * q["link_length_m"] / (4 * fine)
         if (k + 1) % fine == 0:
-            sigma = (k + 1) / (4 * fine)
-            bent = (
-                section @ base_rotation(np.atleast_2d((2 * sigma - sigma**2) * np.array(span)))[0]
-            )
-            rows.append(centre + corners @ bent.T)
-    return np.array(rows), base @ turn.T
+            rows.append(centre + corners @ bent((k + 1) / (4 * fine)).T)
+    return np.array(rows), np.add(corners, [0, 0, q["base_offset_m"]]) @ turn.T
 
 
 @pytest.mark.parametrize(
@@ -240,14 +212,13 @@ def test_the_index_is_that_of_markers_on_bent_edges(root, span):
     assert y[names(model.outputs).index("di")] == pytest.approx(expected, rel=0.03)
 
 
-@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (0.3, 1.0), (-2.0, 0.5), (4.0, 1e-3)])
+@pytest.mark.parametrize(("mean", "deviation"), [(0.0, 1.0), (-2.0, 0.5)])
 def test_noise_folds_as_the_folded_normal_distribution_does(mean, deviation):
     expected = foldnorm.mean(abs(mean) / deviation, scale=deviation)
     assert float(mean_magnitude(ca.DM(mean), ca.DM(deviation))) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "twin"), (1, "observer"),
-                                           (2, "observer")])  # fmt: skip
+@pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "twin"), (2, "observer")])
 def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
     """Also for a link that cannot carry its load and folds."""
     plant = read_plant()
@@ -255,7 +226,7 @@ def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
     compiled = CompiledModel(model)
     rng = np.random.default_rng(dof)
     u = bench.inputs(model, 200, payload_kg=3.0)
-    for _ in range(40):
+    for _ in range(25):
         changes = {
             v.name: rng.uniform(v.minimum, v.maximum)
             for v in model.parameters
@@ -265,24 +236,12 @@ def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
         assert np.isfinite(y).all(), changes
 
 
-LENGTH_M, MASS_KG, GRAVITY_M_S2 = 0.8, 1.7, 9.81
+LENGTH_M, MASS_KG = 0.8, 1.7
 OBLIQUE_M_S2 = (1.0, -2.0, -9.0)
 
 
-def test_a_standing_rod_is_the_compound_pendulum():
-    angle, rate, none = ca.SX.sym("angle"), ca.SX.sym("rate"), ca.SX(0, 1)
-    nodes = [ca.SX.zeros(3), ca.SX([0, 0, LENGTH_M])]
-    masses = {}
-    add_rod(masses, ca.SX(MASS_KG), 0, 1)
-    down = ca.SX([0, 0, -GRAVITY_M_S2])
-    found = lagrange_equations(nodes, masses, ([angle], [rate]), (none, none), down)
-    mass, force = ca.Function("equations", [angle, rate], found)(0.4, 2.0)
-    assert float(mass) == pytest.approx(MASS_KG * LENGTH_M**2 / 3)
-    assert float(force) == pytest.approx(-MASS_KG * GRAVITY_M_S2 * LENGTH_M / 2 * np.sin(0.4))
-
-
 @pytest.mark.parametrize("joints", [1, 2])
-def test_two_rods_and_a_mass_are_many_points_of_the_world(joints):
+def test_two_rods_and_a_mass_move_like_many_points(joints):
     c, v = ca.SX.sym("c", joints + 2), ca.SX.sym("v", joints + 2)
     b = c[joints:]
     elbow = ca.vertcat(ca.sin(b[0]) / 2, b[1] ** 2, LENGTH_M * ca.cos(b[0]))
@@ -307,9 +266,9 @@ def test_two_rods_and_a_mass_are_many_points_of_the_world(joints):
         fall = ca.jtimes(jacobian @ v, c, v) - ca.SX(OBLIQUE_M_S2)
         force += m * jacobian.T @ fall
     at = ([0.3, -0.4, 0.7, -0.2][: joints + 2], [1.1, -0.8, 0.6, 2.0][: joints + 2])
-    found = ca.Function("ours", [c, v], ours)(*at)
-    theirs = ca.Function("theirs", [c, v], [mass, force])(*at)
-    for a, e in zip(found, theirs, strict=True):
+    equations = ca.Function("ours", [c, v], ours)(*at)
+    expected = ca.Function("theirs", [c, v], [mass, force])(*at)
+    for a, e in zip(equations, expected, strict=True):
         np.testing.assert_allclose(a, e, rtol=1e-4, atol=1e-5)
 
 
@@ -338,8 +297,7 @@ def root_torque():
     plant = read_plant().with_values(MEMORY | {f"directional_stiffness_{j}": 0.0 for j in (1, 2)})
     load, scope = Link(), scope_of(plant.drive, plant.load, 2)
     effects = [EFFECTS[name]() for name in in_order(plant.effects)]
-    declared = declared_parameters(scope, plant.drive, plant.load, effects, observer=True)
-    scope.declare([plant.parameters[q.name] for q in declared])
+    scope.declare(list(plant.parameters.values()))
     declare_measured_motion(scope, effects)
     load.declare(scope)
     apply_load_torques(scope, load, effects)
@@ -366,7 +324,7 @@ def root_torque():
 
 
 def test_no_fast_bend_takes_more_than_the_limit_moment(root_torque):
-    """Creep and hysteresis are below the limit too: behind it they added 15 N·m to it."""
+    """Creep and hysteresis are below the limit too."""
     step_s = 1e-4
     path = np.outer(np.linspace(0, 0.2, 500), [1.0, 0.0])  # 0.2 rad in 50 ms
     torque = np.linalg.norm(root_torque(path, step_s), axis=1)
@@ -374,7 +332,7 @@ def test_no_fast_bend_takes_more_than_the_limit_moment(root_torque):
     assert 0.8 * 28.9 < torque.max() < 28.9 + fold
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_closed_path_of_the_root_yields_energy(root_torque, seed):
     """Cycles in both planes, up to far beyond the limit moment, after the memory has settled."""
     rng, step_s = np.random.default_rng(seed), 1e-3

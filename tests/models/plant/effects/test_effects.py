@@ -1,36 +1,37 @@
-"""The catalogue as a whole: complete, absent at zero, differentiable, stable, refused in place."""
+"""The catalogue as a whole: complete, absent at zero, differentiable, stable, in a fixed order."""
+
+import random
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from firmware_py.errors import InputError
-from models.plant.effects import EFFECTS
+from models.plant import plant as plant_module
+from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
+from models.plant.effects_page import main as write_page
 from models.plant.plant import read_plant, scope_of
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
-from models.shared.catalogue import EVERY_EFFECT
+from models.shared.catalogue import CATALOGUE, EVERY_EFFECT
 
 ALL = tuple(read_plant().applicable())
-"""Effects of the link; those of other loads have tests of their own."""
-UNITS = ("twin", "driven", "observer")
+"""Effects of the link."""
+ROOT = Path(__file__).parents[4]
 
 
-def unit_of_strength(name, drive="cascade", load="link"):
-    plant_scope = scope_of(drive, load, 1)
-    return EFFECTS[name]().parameters(plant_scope)[0].unit
-
-
-def test_every_name_of_the_catalogue_is_an_effect_with_its_port_and_unit():
-    assert set(EFFECTS) == set(EVERY_EFFECT)
+def test_every_effect_of_the_catalogue_has_its_port_unit_and_place():
+    assert sorted(ORDER) == sorted(EFFECTS) == sorted(EVERY_EFFECT)
     for name, row in EVERY_EFFECT.items():
         assert EFFECTS[name].port == row.port
-        assert unit_of_strength(name) == row.unit, name
+        assert EFFECTS[name]().parameters(scope_of("cascade", "link", 1))[0].unit == row.unit, name
 
 
 def test_every_effect_is_bounded_and_absent_by_default():
+    scope = scope_of("cascade", "link", 2)
     for name, effect in EFFECTS.items():
-        parameters = effect().parameters(scope_of("cascade", "link", 2))
-        strengths = effect.strengths(scope_of("cascade", "link", 2))
+        parameters, strengths = effect().parameters(scope), effect.strengths(scope)
         assert parameters[0].name == strengths[0]
         assert len({q.name for q in parameters}) == len(parameters)
         for q in parameters:
@@ -43,61 +44,40 @@ def test_every_effect_is_bounded_and_absent_by_default():
 
 
 @pytest.mark.parametrize(
-    "effect, phase",
+    "effect, parameter",
     [
         ("dead_time", "dead_time_phase_1"),
         ("sensor_lag", "sensor_lag_jump_1"),
         ("stribeck_friction", "stribeck_distance_1_rad"),
     ],
 )
-def test_a_drive_without_a_staircase_or_with_bristles_has_no_parameter_for_it(effect, phase):
-    held, plain = (
+def test_a_parameter_is_left_out_for_a_drive_without_its_feature(effect, parameter):
+    with_feature, without = (
         {q.name for q in EFFECTS[effect]().parameters(scope_of(drive, load, 1))}
         for drive, load in (("cascade", "link"), ("duty", "pendulum"))
     )
-    assert held - plain == {phase}
+    assert with_feature - without == {parameter}
 
 
-@pytest.mark.parametrize("unit", UNITS)
-@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (2, "driven"), (1, "observer")])
 def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
-    without = bench.run((), dof=dof, kind=unit, count=120)
-    holding = bench.run(ALL, dof=dof, kind=unit, count=120)
-    for output, values in without.items():
-        assert np.array_equal(values, holding[output]), output
-
-
-def test_all_effects_at_zero_change_no_bit_of_the_nominal_plant(bench):
-    """Beside the effects that it holds at their own strength, in both planes."""
+    """Beside the effects that the nominal plant has at their identified strength."""
     nominal = read_plant()
     runs = []
     for plant in (nominal, nominal.with_effects(*ALL)):
-        model = plant.step_model(2)
-        runs.append(model.simulate(bench.inputs(model, 30), bench.step_s))
+        model = plant.step_model(dof, unit)
+        runs.append(CompiledModel(model).simulate(bench.inputs(model, 120), bench.step_s))
     assert np.array_equal(*runs)
-
-
-def test_the_order_in_a_document_does_not_matter(bench):
-    changes = {"prebend_1_rad": 0.05, "directional_stiffness_1": 0.3, "creep_share_1": 0.2}
-    trio = ("prebend", "directional_stiffness", "creep")
-    forward, backward = bench.run(trio, changes), bench.run(trio[::-1], changes)
-    assert all(np.array_equal(forward[k], backward[k]) for k in forward)
-
-
-# --- sensitivities --------------------------------------------------------------------------------
-
-UNEXCITED = {"current_saturation_1_a"}  # the limit is far
 
 
 def test_sensitivities_by_every_strength_at_zero(bench):
     """Exact, also where zero is a bound; zero only where the run does not excite the effect."""
-    plant = bench.plant(*ALL)
-    model = plant.step_model(1)
+    plant, plain = bench.plant(*ALL), bench.compiled(ALL)
+    model = plain.model
     strengths = [s for name in ALL for s in plant.strengths(name, 1)]
     u = bench.inputs(model, 100)
     _, slopes = CompiledModel(model, strengths).derivatives(u, bench.step_s)
     assert np.isfinite(slopes).all()
-    plain = bench.compiled(ALL)
     for k, name in enumerate(strengths):
         step = 1e-5 * min(plant.parameters[name].high, 1.0)
         ends = [
@@ -106,21 +86,15 @@ def test_sensitivities_by_every_strength_at_zero(bench):
         ]
         difference = (ends[0] - ends[1]) / (2 * step)
         scale = np.abs(slopes[:, :, k]).max()
-        assert (scale > 0) == (name not in UNEXCITED), name
+        assert (scale > 0) == (name != "current_saturation_1_a"), name  # the limit is far
         assert np.abs(slopes[:, :, k] - difference).max() <= 1e-3 * scale + 1e-6, name
 
 
-# --- stability ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("dof", [1, 2])
-def test_all_effects_at_once_stay_finite_within_half_their_bounds(bench, dof):
+def test_all_effects_at_once_stay_finite_within_half_their_bounds(bench):
     """Beyond that, effects that all weaken drive and link together let the robot fall over."""
-    plant = bench.plant(*ALL)
+    plant, dof = bench.plant(*ALL), 2
     strengths = {s for name in ALL for s in plant.strengths(name, dof)}
-    model = bench.compiled(ALL, dof).model
     drawn = [q for q in plant.parameters.values() if q.role == "effect" or q.name in strengths]
-    drawn = [q for q in drawn if q.name in names(model.parameters)]
     rng = np.random.default_rng(2026)
     finite = 0
     for _ in range(40):
@@ -128,79 +102,56 @@ def test_all_effects_at_once_stay_finite_within_half_their_bounds(bench, dof):
             q.name: rng.uniform(q.low, q.high) * (0.5 if q.name in strengths else 1.0)
             for q in drawn
         }
-        finite += all(
-            np.isfinite(v).all() for v in bench.run(ALL, changes, dof=dof, count=400).values()
-        )
+        outputs = bench.run(ALL, changes, dof=dof, count=400)
+        finite += all(np.isfinite(v).all() for v in outputs.values())
     assert finite >= 39
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_one_effect_stays_finite_at_its_bounds(bench, name):
+@pytest.mark.parametrize("dof", [1, 2])
+def test_one_effect_stays_finite_at_its_bounds(bench, dof):
     plant = bench.plant(*ALL)
-    for dof in (1, 2):
+    for name in ALL:
         for side in ("low", "high"):
             changes = {s: getattr(plant.parameters[s], side) for s in plant.strengths(name, dof)}
             outputs = bench.run(ALL, changes, dof=dof)
-            assert all(np.isfinite(v).all() for v in outputs.values()), (dof, side)
-            assert np.abs(outputs["tip_x_m"]).max() < 1.2
+            assert all(np.isfinite(v).all() for v in outputs.values()), (name, side)
+            assert np.abs(outputs["tip_x_m"]).max() < 1.2, (name, side)
 
 
-# --- documents ------------------------------------------------------------------------------------
-
-
-OWN = {
-    "link": {},
+MACHINES = {
     "mass": {"mass_kg": 95.0, "force_constant_1_n_v": 35.0},
     "pendulum": {"mass_kg": 0.5, "arm_length_m": 0.1, "duty_gain_1": 1.0, "current_limit_1_a": 3.0},
-}
-"""Constants of the machine, by load."""
-
-
-def document(tmp_path, drive, load, effect):
-    path = tmp_path / "plant.toml"
-    path.write_text(
-        f'schema = 1\nname = "p"\ndrive = {{ kind = "{drive}" }}\nload = {{ kind = "{load}" }}\n'
-        f'effects = [{{ name = "{effect}" }}]\n[parameters]\n'
-        + "".join(f"{name} = {value}\n" for name, value in OWN[load].items())
-    )
-    return path
-
-
-def test_an_unknown_effect_is_refused_with_the_list(tmp_path):
-    with pytest.raises(InputError, match=r"'fricton' is no effect.*coulomb_friction.*sync_offset"):
-        read_plant(document(tmp_path, "cascade", "link", "fricton"))
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("drive", "load", "effect", "missing"),
+    ("drive", "load", "effect", "message"),
     [
-        ("force", "mass", "prebend", "bend"),
-        ("duty", "pendulum", "creep", "bend"),
-        ("duty", "pendulum", "sync_offset", "tip"),
-        ("force", "mass", "backlash", "gear load"),
-        ("force", "mass", "current_bias", "current"),
-        ("force", "mass", "current_saturation", "current limit"),
+        ("cascade", "link", "fricton", "'fricton' is no effect.*coulomb_friction.*sync_offset"),
+        ("force", "mass", "prebend", "prebend' acts on a bend, which a mass"),
+        ("duty", "pendulum", "sync_offset", "sync_offset' acts on a tip, which a pendulum"),
+        ("force", "mass", "backlash", "backlash' acts on a gear load, which a mass"),
+        ("duty", "pendulum", "directional_friction", "acts on a straight guide"),
     ],
 )
-def test_an_effect_that_makes_no_sense_is_refused(tmp_path, drive, load, effect, missing):
-    with pytest.raises(InputError, match=f"{effect}' acts on a {missing}, which a {load}"):
-        read_plant(document(tmp_path, drive, load, effect))
+def test_an_effect_that_makes_no_sense_is_refused(plant_with, drive, load, effect, message):
+    with pytest.raises(InputError, match=message):
+        plant_with(drive, load, MACHINES.get(load, {}), [effect])
 
 
 @pytest.mark.parametrize(("drive", "load"), [("duty", "pendulum"), ("force", "mass")])
-def test_the_others_work_on_every_load(tmp_path, drive, load):
-    plant = read_plant(document(tmp_path, drive, load, "coulomb_friction"))
-    held = plant.applicable()
-    assert {"coulomb_friction", "viscous_friction", "dead_time", "load_offset"} <= set(held)
-    grown = plant.with_effects(*held)
+def test_the_applicable_effects_work_on_other_loads(plant_with, drive, load):
+    plant = plant_with(drive, load, MACHINES[load], ["coulomb_friction"])
+    effects = plant.applicable()
+    assert {"coulomb_friction", "viscous_friction", "dead_time", "load_offset"} <= set(effects)
+    grown = plant.with_effects(*effects)
     models = [p.step_model(1) for p in (plant, grown)]
-    time_s = 0.01 * np.arange(40)
     constant = {"payload_kg": 1.0, "enabled_1": 1.0, "supply_1_v": 5.0}
-    u = np.array([[constant.get(n, 0.0) for n in names(models[0].inputs)]] * len(time_s))
-    u[:, 0] = 0.3 * np.sin(5 * time_s)
+    u = np.array([[constant.get(n, 0.0) for n in names(models[0].inputs)]] * 40)
+    u[:, 0] = 0.3 * np.sin(0.05 * np.arange(40))
     without, absent = (m.simulate(u, 0.01) for m in models)
     assert np.array_equal(without, absent)
-    for name in held:
+    for name in effects:
         (strength,) = grown.strengths(name, 1)
         q = grown.parameters[strength]
         changed = models[1].simulate(u, 0.01, models[1].parameter_values({strength: 0.3 * q.high}))
@@ -208,3 +159,88 @@ def test_the_others_work_on_every_load(tmp_path, drive, load):
     if load == "mass":
         assert grown.parameters["coulomb_friction_1_n"].unit == "N"
         assert grown.parameters["viscous_friction_1_n_s_m"].unit == "N.s/m"
+
+
+# --- order and registration -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def registry():
+    """Effects by name; what a test adds or reorders is undone afterwards."""
+    known = dict(EFFECTS)
+    yield EFFECTS
+    EFFECTS.clear()
+    EFFECTS.update(known)
+
+
+@pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (1, "observer")])
+def test_the_order_of_definition_does_not_change_the_composed_model(registry, dof, unit):
+    def composed(effects):
+        model = read_plant().with_effects(*effects).step_model(dof, unit)
+        functions = ("initial", "begin", "rate", "finish", "output")
+        return (
+            [getattr(model, name).serialize() for name in functions],
+            names(model.parameters),
+            names(model.states),
+        )
+
+    before = composed(CATALOGUE)
+    plant_module._compose.cache_clear()
+    rows = list(registry.items())
+    random.Random(1).shuffle(rows)
+    registry.clear()
+    registry.update(rows)
+    assert composed([name for name in reversed(registry) if name in CATALOGUE]) == before
+    assert read_plant().applicable() == [e for e in ORDER if e in CATALOGUE]
+
+
+@pytest.mark.parametrize(
+    ("unit", "ports"), [("twin", PORTS), ("driven", [p for p in PORTS if p != "command"])]
+)
+def test_the_ports_are_applied_in_the_declared_order(registry, unit, ports):
+    applied = []
+
+    def probe(at):
+        class Probe(Effect):
+            name, port = f"probe_{at}", at
+
+            def apply(self, scope):
+                applied.append(self.port)
+
+    for port in reversed(PORTS):
+        probe(port)
+    read_plant().with_effects(*(f"probe_{port}" for port in PORTS)).step_model(1, unit)
+    assert applied == list(ports)
+    assert in_order(("probe_mass", "sync_offset", "probe_command", "encoder_offset")) == [
+        "encoder_offset", "sync_offset", "probe_command", "probe_mass",
+    ]  # fmt: skip
+
+
+def test_the_example_of_the_guide_is_an_effect(registry, monkeypatch, tmp_path):
+    monkeypatch.chdir(ROOT)
+    guide, space = Path("docs/plant/add-an-effect.md").read_text(), {}
+    for block in re.findall(r"```python\n(.*?)```", guide, re.S):
+        exec(block, space)
+    model = CompiledModel(space["model"], ["hose_spring_1_nm"])
+    u = np.zeros((100, len(model.model.inputs)))
+    u[:, 0] = 0.3 * np.sin(2 * 0.017 * np.arange(100))
+    y, slope = model.derivatives(u, 0.017)
+    assert np.array_equal(y, CompiledModel(read_plant().step_model(1)).simulate(u, 0.017))
+    ends = [
+        model.simulate(u, 0.017, model.model.parameter_values({"hose_spring_1_nm": c}))
+        for c in (1e-5, -1e-5)
+    ]
+    assert slope[:, :, 0] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-4, abs=1e-6)
+    variables = {v.name: v for v in model.model.parameters}
+    assert variables["hose_spring_1_nm"].unit == "N.m"
+    assert variables["hose_spring_1_nm"].maximum == 5.0 and "hose_rest_2_rad" not in variables
+    path = tmp_path / "plant.json"
+    space["plant"].with_values({"hose_spring_1_nm": 0.8}).write(path)
+    again = read_plant(path)
+    assert "hose_spring" in again.effects and again.parameters["hose_spring_1_nm"].value == 0.8
+
+
+def test_the_page_of_the_effects_is_that_of_the_catalogue(tmp_path):
+    write_page([str(tmp_path / "effects.md")])
+    page = ROOT / "docs" / "gap" / "effects.md"
+    assert (tmp_path / "effects.md").read_text(encoding="utf-8") == page.read_text(encoding="utf-8")
