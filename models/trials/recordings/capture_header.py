@@ -9,6 +9,7 @@ header rows, with a name over every third column. The columns become `Frame`, `T
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,31 +74,18 @@ def _qtm(path: Path, cells: list[str], lines: Iterator[str]) -> tuple[CaptureHea
     names = _names(path, facts.get("MARKER_NAMES", []))
     if not names:
         raise InputError(path, "is a QTM export without MARKER_NAMES", "export labelled 3D data")
-    rows = len(facts)
     if cells[0] == "Frame":
-        return CaptureHeader(names, "mm", rows + 1), lines
-    lines = itertools.chain([line], lines)
-    if len(cells) != 3 * len(names):
-        return CaptureHeader(names, "mm", rows), lines
-    return CaptureHeader(names, "mm", rows, _rate_hz(path, facts.get("FREQUENCY", []))), lines
-
-
-def _names(path: Path, cells: list[str]) -> tuple[str, ...]:
-    names = tuple(filter(None, cells))
-    if 3 * len(names) > MOST_COLUMNS:
-        what = f"has {len(names)} markers, more than {MOST_COLUMNS // 3}"
-        raise InputError(path, what, "leave out what is not needed")
-    return names
-
-
-def _rate_hz(path: Path, cells: list[str]) -> float:
-    try:
-        rate_hz = float(cells[0])
-    except (IndexError, ValueError):
-        rate_hz = 0.0
-    if not 0 < rate_hz < float("inf"):
-        raise InputError(path, "has neither times nor FREQUENCY", "export it with its time data")
-    return rate_hz
+        return CaptureHeader(names, "mm", len(facts) + 1), lines
+    rate_hz = None
+    if len(cells) == 3 * len(names):  # positions only
+        try:
+            rate_hz = float(facts["FREQUENCY"][0])
+        except (LookupError, ValueError):
+            rate_hz = 0.0
+        if not 0 < rate_hz < math.inf:
+            what = "has neither times nor FREQUENCY"
+            raise InputError(path, what, "export it with its time data")
+    return CaptureHeader(names, "mm", len(facts), rate_hz), itertools.chain([line], lines)
 
 
 def _trc(path: Path, lines: Iterator[str]) -> CaptureHeader:
@@ -109,17 +97,22 @@ def _trc(path: Path, lines: Iterator[str]) -> CaptureHeader:
     return CaptureHeader(names, facts.get("Units") or "mm", 5)
 
 
+def _names(path: Path, cells: list[str]) -> tuple[str, ...]:
+    names = tuple(filter(None, cells))
+    if 3 * len(names) > MOST_COLUMNS:
+        what = f"has {len(names)} markers, more than {MOST_COLUMNS // 3}"
+        raise InputError(path, what, "leave out what is not needed")
+    return names
+
+
 def _rows(header: CaptureHeader, lines: Iterator[str]) -> Iterator[str]:
     """Rows that are not blank, with a time where they have none."""
-    number = 0
-    for line in lines:
-        cells = line.rstrip("\r\n").split("\t")
-        if not any(cells):
-            continue
-        if header.rate_hz is not None:
-            line = "\t".join([str(number + 1), repr(number / header.rate_hz), line])
-        number += 1
-        yield line
+    filled = (line for line in lines if line.strip())
+    for number, line in enumerate(filled):
+        if header.rate_hz is None:
+            yield line
+        else:
+            yield f"{number + 1}\t{number / header.rate_hz!r}\t{line}"
 
 
 def _cells(line: str) -> list[str]:

@@ -116,24 +116,21 @@ def _position_columns(
     path: Path, labels: dict[str, list[str]], mapping: RecordingMap
 ) -> dict[str, list[int]]:
     """Columns of X, Y and Z by the trial's name of the marker."""
-    best: dict[str, tuple[int, dict[str, list[int]]]] = {}
-    for k, (kind, name, measure, axis) in enumerate(
-        zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
-    ):
+    ranks: dict[str, dict[int, dict[str, list[int]]]] = {}  # By marker, rank and axis
+    cells = zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
+    for k, (kind, name, measure, axis) in enumerate(cells):
         marker = mapping.marker_of(name)
-        rank = _RANK.get(kind.lower(), 2)
-        if marker is None or measure != "Position" or axis not in ("X", "Y", "Z"):
-            continue
-        if marker not in best or rank < best[marker][0]:
-            best[marker] = (rank, {})
-        if rank == best[marker][0]:
-            best[marker][1].setdefault(axis, []).append(k)
-    for name, (_, axes) in best.items():
+        if marker is not None and measure == "Position" and axis in ("X", "Y", "Z"):
+            axes = ranks.setdefault(marker, {}).setdefault(_RANK.get(kind.lower(), 2), {})
+            axes.setdefault(axis, []).append(k)
+    positions = {}
+    for marker, by_rank in ranks.items():
+        axes = by_rank[min(by_rank)]
         for axis in "XYZ":
-            count = len(axes.get(axis, []))
-            if count != 1:
+            if len(axes.get(axis, [])) != 1:
                 raise InputError(
-                    path, f"holds {count} columns for {axis} of {name}",
+                    path, f"holds {len(axes.get(axis, []))} columns for {axis} of {marker}",
                     "map one marker to it, and export it with all its positions",
                 )  # fmt: skip
-    return {name: [axes[axis][0] for axis in "XYZ"] for name, (_, axes) in best.items()}
+        positions[marker] = [axes[axis][0] for axis in "XYZ"]
+    return positions

@@ -17,9 +17,6 @@ from firmware_py.errors import InputError
 from models.trials.recordings.mapping import MocapFrame
 from models.trials.trial import Array, TrialMeta
 
-_OPPOSITE_M: Final = 1e-3
-"""Largest distance from the axis at which the midpoint of two markers is the row's centre."""
-
 
 @dataclass(frozen=True)
 class Series:
@@ -56,12 +53,9 @@ class Series:
         for name, values in self.columns.items():
             infinite = np.flatnonzero(np.isinf(values))
             if len(infinite):
-                raise InputError(
-                    self.path,
-                    f"sample {infinite[0] + 1}: {name} is {values[infinite[0]]}, "
-                    "not a finite number",
-                    "correct it or leave it out",
-                )
+                k = infinite[0]
+                what = f"sample {k + 1}: {name} is {values[k]}, not a finite number"
+                raise InputError(self.path, what, "correct it or leave it out")
 
     def has(self, marker: str) -> bool:
         """Whether all coordinates of a marker or the tip are among the columns."""
@@ -89,7 +83,7 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     """
     places = np.asarray(places_m)
     apart = np.abs(places[:, None] + places[None]).max(axis=2)
-    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < _OPPOSITE_M) if i <= j]
+    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < 1e-3) if i <= j]
     if not pairs:
         return np.asarray(corners_m.mean(axis=0))
     diagonals_m = np.array([corners_m[i] + corners_m[j] for i, j in pairs]) / 2
@@ -113,6 +107,8 @@ def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) 
     """Positions (n, 3) in the world frame; `default_up` is used if the map does not state `up`."""
     rotation = world_rotation(frame, default_up)
     origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
+    if np.array_equal(rotation, np.eye(3)) and not origin_m.any():
+        return positions_m  # a marker of which one coordinate is missing keeps the others
     return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
 
 

@@ -88,7 +88,7 @@ def test_clocks_that_drift_apart_are_told(rate_error, count, rigid_markers, tmp_
 @pytest.mark.parametrize(("change_s", "count"), [(0.0015, 0), (0.0025, 1), (-0.0025, 1)])
 def test_a_drift_over_the_edges_of_a_signal_is_told(change_s, count):
     drift = ClockDrift(change_s, 2e-4, 7.8)
-    clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", edges_drift=drift)
+    clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", drifts=(drift,))
     assert ["drift apart by 2.5" in f.text for f in judge_clock(clock)] == [True] * count
 
 
