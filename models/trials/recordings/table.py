@@ -1,9 +1,9 @@
 """Reader of tables (CSV, TSV, JSON, MATLAB) whose columns a map renames to those of a trial.
 
 The map defines what the columns mean, so the log of another plant needs another map but no other
-reader. Text may also be a marker export of QTM or TRC (`capture_header`). In JSON a map may name
-paths: `samples[].motor.position` is one value of every entry of a list, `channels.force` a whole
-list. `[]` (in a pointer: `*`) stands for every entry of a list, `[2]` for the third one::
+reader. Text may also be a marker export of QTM or TRC. In JSON a map may name paths:
+`samples[].motor.position` is one value of every entry of a list, `channels.force` a whole list.
+`[]` (in a pointer: `*`) stands for every entry of a list, `[2]` for the third one::
 
     samples[].motor.position      /samples/*/motor/position
     samples[].force[0]            /samples/*/force/0
@@ -15,20 +15,28 @@ A pointer follows RFC 6901 (`~1` is a slash, `~0` a tilde) except for the `*`.
 from __future__ import annotations
 
 import io
+import itertools
+import math
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
+import msgspec
 import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_CELLS, read_bytes, read_json, read_lines
 from firmware_py.signals import TIME, unit_of
-from models.shared.numeric_text import check_columns, not_a_number, read_header, read_numbers
-from models.trials.recordings.capture_header import capture_header
-from models.trials.recordings.mapping import RecordingMap, Scalar
+from models.shared.numeric_text import (
+    MOST_COLUMNS,
+    check_columns,
+    not_a_number,
+    read_header,
+    read_numbers,
+)
+from models.trials.recordings.mapping import ColumnSource, RecordingMap, Scalar
 from models.trials.recordings.series import Series, marker_columns, to_world
 from models.trials.trial import Array
 from models.trials.units import factor_to_si
@@ -148,20 +156,117 @@ def _text_columns(path: Path, mapping: RecordingMap) -> tuple[Columns, Recording
     A column without use is empty, whatever its cells hold. The most frequent character of `,`, `;`
     and tabulator in the header is the separator.
     """
-    export, lines = capture_header(path, read_lines(path, "name an existing table"))
-    if export:
+    lines = read_lines(path, "name an existing table")
+    first, above = next(lines, ""), 1
+    delimiter = max(",;\t", key=first.count)
+    if export := _export_header(path, _cells(first), lines):
         mapping = export.complete(mapping)
         header, delimiter, above = export.columns, "\t", export.rows
+        lines = export.rows_below(lines)
         check_columns(path, header)
     else:
-        first, above = next(lines, ""), 1
-        delimiter = max(",;\t", key=first.count)
         header = read_header(path, first, delimiter)
     sources = {column.source for column in mapping.columns.values()}
     used = [k for k, name in enumerate(header) if name in sources or _has_meaning(name, mapping)]
     samples = read_numbers(path, lines, header, used, delimiter, above)
     columns: Columns = {name: np.zeros(0) for name in header}
     return columns | {header[k]: samples[:, i] for i, k in enumerate(used)}, mapping
+
+
+# --- marker exports as text: QTM's TSV, and the TRC of OpenSim and other programs -----------------
+#
+# Both are tables below rows of metadata. QTM writes `KEY<tab>value`, with the names in
+# `MARKER_NAMES`, and may omit the columns `Frame` and `Time` and their header row. TRC has five
+# header rows, with a name over every third column.
+
+_KEY: Final = re.compile(r"[A-Z_]+")
+_MOST_FACTS: Final = 100
+"""Most rows of metadata in QTM's header; it writes ten to twelve."""
+
+
+class _ExportHeader(NamedTuple):
+    """Header of a marker export."""
+
+    markers: tuple[str, ...]  # Names in the file
+    unit: str  # Unit of length
+    rows: int  # Number of header rows
+    read: str = ""  # Row of samples that was read to find the end of the header
+    rate_hz: float | None = None  # Rate of rows without a time; None if rows have a time
+
+    @property
+    def columns(self) -> list[str]:
+        return ["Frame", "Time", *(f"{name} {axis}" for name in self.markers for axis in "XYZ")]
+
+    def complete(self, mapping: RecordingMap) -> RecordingMap:
+        """Map with columns and units of the time and of `[markers]`."""
+        columns = {TIME.name: ColumnSource(source="Time", unit="s")}
+        for name in self.markers:
+            marker = mapping.marker_of(name)
+            for axis in "xyz" if marker else "":
+                source = ColumnSource(source=f"{name} {axis.upper()}", unit=self.unit)
+                columns[f"{marker}_{axis}_m"] = source
+        return msgspec.structs.replace(mapping, columns=columns | mapping.columns)
+
+    def rows_below(self, lines: Iterator[str]) -> Iterator[str]:
+        """Rows that are not blank, with a time where they have none."""
+        filled = (line for line in itertools.chain([self.read], lines) if line.strip())
+        for number, line in enumerate(filled):
+            if self.rate_hz is None:
+                yield line
+            else:
+                yield f"{number + 1}\t{number / self.rate_hz!r}\t{line}"
+
+
+def _export_header(path: Path, first: list[str], lines: Iterator[str]) -> _ExportHeader | None:
+    """Header of a marker export; None for any other table."""
+    if first[0] == "NO_OF_FRAMES":
+        return _qtm(path, first, lines)
+    return _trc(path, lines) if first[0] == "PathFileType" else None
+
+
+def _qtm(path: Path, cells: list[str], lines: Iterator[str]) -> _ExportHeader:
+    facts: dict[str, list[str]] = {}
+    line = ""
+    while _KEY.fullmatch(cells[0]) and len(facts) < _MOST_FACTS:
+        facts[cells[0]] = cells[1:]
+        line = next(lines, "")
+        cells = _cells(line)
+    names = _names(path, facts.get("MARKER_NAMES", []))
+    if not names:
+        raise InputError(path, "is a QTM export without MARKER_NAMES", "export labelled 3D data")
+    if cells[0] == "Frame":
+        return _ExportHeader(names, "mm", len(facts) + 1)
+    rate_hz = None
+    if len(cells) == 3 * len(names):  # positions only
+        try:
+            rate_hz = float(facts["FREQUENCY"][0])
+        except (LookupError, ValueError):
+            rate_hz = 0.0
+        if not 0 < rate_hz < math.inf:
+            what = "has neither times nor FREQUENCY"
+            raise InputError(path, what, "export it with its time data")
+    return _ExportHeader(names, "mm", len(facts), line, rate_hz)
+
+
+def _trc(path: Path, lines: Iterator[str]) -> _ExportHeader:
+    keys, values, named, _ = (_cells(next(lines, "")) for _ in range(4))
+    names = _names(path, named[2:])
+    if named[0] != "Frame#" or not names:
+        raise InputError(path, "is a TRC file without names of markers", "export it again")
+    facts = dict(zip(keys, values, strict=False))
+    return _ExportHeader(names, facts.get("Units") or "mm", 5)
+
+
+def _names(path: Path, cells: list[str]) -> tuple[str, ...]:
+    names = tuple(filter(None, cells))
+    if 3 * len(names) > MOST_COLUMNS:
+        what = f"has {len(names)} markers, more than {MOST_COLUMNS // 3}"
+        raise InputError(path, what, "leave out what is not needed")
+    return names
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.rstrip("\r\n").split("\t")]
 
 
 # --- JSON ------------------------------------------------------------------------------------
