@@ -53,7 +53,7 @@ from models.trials.clock import (
     synchronise,
 )
 from models.trials.files import read_trial, write_trial
-from models.trials.recordings import read_series
+from models.trials.recordings import UP, read_series
 from models.trials.recordings.assembly import assemble_trial
 from models.trials.recordings.mapping import BASE_MARKERS, RecordingMap
 from models.trials.recordings.robot_log import motion_rows, with_log_conditions
@@ -136,7 +136,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
 
     # Check each file, and align the markers to the world frame
     if link:
-        zero_m = to_world({"zero": np.zeros((1, 3))}, mapping.frame, "z")["zero"][0]
+        zero_m = to_world(np.zeros(3), mapping.frame, "z")
         remedy = "check that these markers were hidden: the samples are left out"
         series, zeros = without_zeros(series, mapping.known_markers, zero_m, remedy)
         verdict.findings += [*zeros, *judge_markers(series, mapping), *judge_goal_sources(mapping)]
@@ -248,8 +248,6 @@ def _completed(
 
 # --- frames --------------------------------------------------------------------------------------
 
-_UP: Final = {"motive": "y"}
-"""Upward axis by format; z in all other formats."""
 _LYING_RAD: Final = np.radians(30.0)
 """Tilt above which the file's upward axis is another, and a lean of the link is not known."""
 _REST_RANGE_M: Final = 3e-3
@@ -276,7 +274,7 @@ def _aligned(
     """Align the markers to the world frame; judge the pose before and after."""
     pose = verdict.pose = _rest_pose_of(series, mapping, rest_rad)
     if pose is not None:
-        verdict.findings += judge_pose(pose, mapping, _UP.get(source.kind, "z"))
+        verdict.findings += judge_pose(pose, mapping, UP.get(source.kind, "z"))
         if lean := _removed_lean(pose, mapping):
             verdict.findings += causes.REMOVED_LEAN.beyond(lean[1], lean=_lean_words(*lean))
     verdict.refuse(source.file)

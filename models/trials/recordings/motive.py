@@ -18,7 +18,7 @@ from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_lines
 from models.shared.numeric_text import MOST_COLUMNS, read_numbers
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import Array
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
@@ -29,10 +29,7 @@ _MOST_HEADER_LINES: Final = 100
 
 
 def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read the markers of a Motive export, in the world frame.
-
-    y points up unless the map's `[frame]` says otherwise.
-    """
+    """Read the markers of a Motive export."""
     lines = read_lines(path, "name an existing export of Motive")
     metres, labels, above = _header(path, lines)
     positions = _position_columns(path, labels, mapping)
@@ -49,9 +46,8 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     used = [time, *(k for axes in positions.values() for k in axes)]
     samples = read_numbers(path, lines, names, used, above=above)
     columns: dict[str, Array] = {}
-    for i, name in enumerate(positions):  # one by one: one copy of a long capture, not four
-        in_file_m = metres * samples[:, 1 + 3 * i : 4 + 3 * i]
-        columns |= marker_columns(to_world({name: in_file_m}, mapping.frame, default_up="y"))
+    for i, name in enumerate(positions):
+        columns |= marker_columns({name: metres * samples[:, 1 + 3 * i : 4 + 3 * i]})
     return [Series(samples[:, 0].copy(), columns, path)]
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import MOST_BYTES, open_bounded
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.units import factor_to_si
 
 MOST_FILES: Final = 100
@@ -31,10 +31,7 @@ Samples = list[tuple[float, dict[str, Any]]]
 
 
 def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read joint states, goals and markers of a bag, one series per topic.
-
-    z points up unless the map's `[frame]` says otherwise.
-    """
+    """Read joint states, goals and markers of a bag, one series per topic."""
     if not mapping.topics:
         raise InputError(
             mapping.path, "names no topics", 'add [topics] like "/joint_states" = "joints"'
@@ -156,6 +153,4 @@ def _series(path: Path, topic: str, rows: Samples, mapping: RecordingMap) -> Ser
     is_joints = mapping.topics[topic] in ("joints", "goals")
     empty = np.nan if is_joints else (np.nan,) * 3
     columns = {n: np.array([v.get(n, empty) for _, v in rows], float) for n in names}
-    if not is_joints:
-        columns = marker_columns(to_world(columns, mapping.frame, "z"))
-    return Series(time_s, columns, path)
+    return Series(time_s, columns if is_joints else marker_columns(columns), path)

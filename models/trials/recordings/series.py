@@ -1,13 +1,13 @@
 """Series: channels sampled together, under the column names of a trial, in SI units.
 
-Positions of markers come from the frame of the motion capture; `to_world` turns them into the
-world frame of docs/trials.md.
+Readers give the positions of markers in the frame of the motion capture; `in_world` turns them into
+the world frame of docs/trials.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -103,13 +103,21 @@ _OVER: Final = np.diag([1.0, -1.0, -1.0])
 """Half a turn about x, for a link that points down an axis."""
 
 
-def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
-    """Positions (n, 3) in the world frame; `default_up` is used if the map does not state `up`."""
+def in_world(series: Series, markers: Sequence[str], frame: MocapFrame, default_up: str) -> Series:
+    """Series whose markers are turned from the frame of the file into the world frame."""
+    columns = dict(series.columns)
+    for name in filter(series.has, markers):  # one by one: one copy of a long capture, not four
+        columns |= marker_columns({name: to_world(series.position_m(name), frame, default_up)})
+    return replace(series, columns=columns)
+
+
+def to_world(position_m: Array, frame: MocapFrame, default_up: str) -> Array:
+    """Positions (…, 3) in the world frame; `default_up` is used if the map does not state `up`."""
     rotation = world_rotation(frame, default_up)
     origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
     if np.array_equal(rotation, np.eye(3)) and not origin_m.any():
-        return positions_m  # a marker of which one coordinate is missing keeps the others
-    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
+        return position_m  # a marker of which one coordinate is missing keeps the others
+    return np.asarray(position_m @ rotation.T - origin_m)
 
 
 def world_rotation(frame: MocapFrame, default_up: str) -> Array:

@@ -37,7 +37,7 @@ from models.shared.numeric_text import (
     read_numbers,
 )
 from models.trials.recordings.mapping import ColumnSource, RecordingMap, Scalar
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.series import Series
 from models.trials.trial import Array
 from models.trials.units import factor_to_si
 
@@ -46,7 +46,7 @@ Columns = dict[str, Any]
 
 
 def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read the columns of a table that the map names, in SI units; markers in the world frame.
+    """Read the columns of a table that the map names, in SI units.
 
     A column that the map does not name is kept if its own name ends in a unit suffix; all others
     are dropped. A marker export (QTM, TRC) needs `[markers]` only.
@@ -77,10 +77,7 @@ def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
     if TIME.name not in columns:
         remedy = 'add time_s = { from = "…", unit = "s" }'
         raise _wrong_map(path, "no column is mapped to time_s", raw, mapping, remedy)
-    series = Series(columns.pop(TIME.name), columns, path)
-    markers_m = {n: series.position_m(n) for n in mapping.known_markers if series.has(n)}
-    columns |= marker_columns(to_world(markers_m, mapping.frame, "z"))
-    return [series]
+    return [Series(columns.pop(TIME.name), columns, path)]
 
 
 def read_scalars(path: Path) -> dict[str, Scalar]:
