@@ -1,7 +1,7 @@
 """Import of recordings as trials: names and units mapped, files merged, clocks synchronised.
 
-Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows what
-was found. An import that cannot be right is refused with its likely cause, a doubtful one warned
+Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows the
+findings. An import that cannot be right is refused with its likely cause, a doubtful one warned
 of. Several files, or a folder, are imported with one map; conditions then come from their names or
 from a table ([takes] in the map, docs/trials.md). An import replaces only trials of the same
 recordings: neither a file that is read nor any other trial.

@@ -137,7 +137,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
     # Check each file, and align the markers to the world frame
     if link:
         zero_m = to_world(np.zeros(3), mapping.frame, "z")
-        remedy = "check that these markers were hidden: the samples are left out"
+        remedy = "check that these markers were hidden: the samples are not used"
         series, zeros = without_zeros(series, mapping.known_markers, zero_m, remedy)
         verdict.findings += [*zeros, *judge_markers(series, mapping), *judge_goal_sources(mapping)]
         for side in filter(None, (servo, series)):

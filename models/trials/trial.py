@@ -34,7 +34,7 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     # SI unit of the plant's quantity in the spelling of FMI, "1" if dimensionless. The map of an
     # import converts a recording that is in another unit.
     unit: str
-    # `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
+    # `goal`: sent to the drive, constant until the next. `measured`: compared with the plant's
     # output of that name. `supply`: measured, and an input of the plant. `condition`: constant in a
     # trial, set under `[conditions]` of its TOML file, and replaces the plant's parameter of that
     # name. All but conditions are columns.

@@ -1,6 +1,6 @@
-"""Assembly of series, each on its own sample times, into a trial with one uniform step.
+"""Assembly of series with different sample times into a trial with one uniform step.
 
-The rows are the servo's own samples if they have the trial's step: a goal belongs to the sample
+The rows are the samples of the servo if they have the trial's step: a goal belongs to the sample
 after which it was sent, and a row between two samples would combine an angle and a goal from times
 up to half a step apart. Markers move smoothly and may be interpolated, goals may not.
 """
@@ -30,8 +30,8 @@ LONGEST_TIP_GAP_S: Final = 0.1
 def assemble_trial(series: list[Series], mapping: RecordingMap, name: str) -> Trial:
     """Resample all series over their common time, and make a trial of them.
 
-    Angles, currents and positions are interpolated linearly, goals are held. Without motion
-    capture, tip and markers stay empty.
+    Angles, currents and positions are interpolated linearly, goals are constant until the next one.
+    Without motion capture, tip and markers stay empty.
     """
     where, layout, step_s = series[0].path, mapping.layout, mapping.step_s
     if not mapping.signals:
@@ -182,9 +182,9 @@ def _even(through_s: float, start_s: float, end_s: float, step_s: float) -> Arra
 
 
 def resample(time_s: Array, values: Array, grid_s: Array, *, hold: bool = False) -> Array:
-    """Values (n,) at the times of a grid (m,), interpolated linearly or held; NaN next to NaN.
+    """Values (n,) at the times of a grid (m,), interpolated linearly; NaN next to NaN.
 
-    A grid time that coincides with a sample gets exactly that sample.
+    With `hold` the last value applies. A grid time that coincides with a sample gets that sample.
     """
     before = np.clip(np.searchsorted(time_s, grid_s, side="right") - 1, 0, len(time_s) - 2)
     fraction = (grid_s - time_s[before]) / (time_s[before + 1] - time_s[before])

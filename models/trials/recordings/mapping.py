@@ -163,7 +163,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return 1 if dof == 1 else 2
 
     def is_goal(self, column: str) -> bool:
-        """Whether a column is held from one sample to the next."""
+        """Whether a column is constant from one sample to the next."""
         if column in self.signals:
             return self.signals[column].role == "goal"
         return column.startswith("goal")

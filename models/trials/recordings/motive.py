@@ -34,10 +34,10 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     metres, labels, above = _header(path, lines)
     positions = _position_columns(path, labels, mapping)
     if not positions:
-        found = sorted({name for name in labels["Name"] if name})
+        names = sorted(filter(None, set(labels["Name"])))
         raise InputError(
             path,
-            "holds none of the mapped markers; it has " + (", ".join(found[:20]) or "no names"),
+            "holds none of the mapped markers; it has " + (", ".join(names[:20]) or "no names"),
             'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
         )
     cells = zip(labels["Name"][2:], labels["Frame"][2:], strict=True)

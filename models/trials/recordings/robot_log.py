@@ -1,12 +1,12 @@
 """Reader of the logs of `dropstitch run`: goals, angles and currents of a trial.
 
-The robot has no motion capture. Its predicted tip gets its own columns (`predicted_tip_x_m` …); the
-tip and the markers come from a second file or stay empty. Ticks without fresh data are left out of
-the measured series, so that stale values do not become samples; goals are known in every tick.
-Goals begin with the motion, at time zero: a trial, whose first rows are at rest, holds neither the
-approach nor a probing motion. The clock of the motion capture is estimated from both, however.
-Samples of a retried read are late: angle and current are interpolated to the time of their row.
-Rows from an alert or an early stop on are not part of the motion.
+The robot has no motion capture: the tip and the markers come from a second file or stay empty. Its
+predicted tip has columns of another name (`predicted_tip_x_m` …). Ticks without fresh data are no
+samples; goals are known in every tick. Goals begin with the motion, at time zero: a trial, whose
+first rows are at rest, holds neither the approach nor a probing motion, but the clock of the motion
+capture is estimated from them too. Samples of a retried read are late: angle and current are
+interpolated to the time of their row. Rows from an alert or an early stop on are not part of the
+motion.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ expects at rest."""
 
 
 def motion_rows(log: Recording) -> tuple[Recording, str | None]:
-    """Rows of a log in which the robot followed its motion, and why the others are left out.
+    """Rows of a log in which the robot followed its motion, and why the others are not used.
 
     The first alert ends them, or a stop before the end of the motion. Rows of a stop after the
     motion stay: they hold its last goals.

@@ -58,11 +58,11 @@ def _check_files(path: Path) -> None:
     files = list(itertools.islice(path.iterdir(), MOST_FILES + 1))
     if len(files) > MOST_FILES:
         raise InputError(path, f"holds more than {MOST_FILES} files", "name one bag")
-    left, remedy = MOST_BYTES, "name the directory of a bag"
+    remaining, remedy = MOST_BYTES, "name the directory of a bag"
     for file in files:
         most = MOST_METADATA_BYTES if file.suffix == ".yaml" else MOST_BYTES
-        with open_bounded(file, remedy, min(max(left, 0), most)) as stream:
-            left -= stream.seek(0, io.SEEK_END)
+        with open_bounded(file, remedy, min(max(remaining, 0), most)) as stream:
+            remaining -= stream.seek(0, io.SEEK_END)
 
 
 def _messages(path: Path, topics: list[str]) -> Iterator[tuple[str, int, Any]]:

@@ -87,9 +87,9 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     if not pairs:
         return np.asarray(corners_m.mean(axis=0))
     diagonals_m = np.array([corners_m[i] + corners_m[j] for i, j in pairs]) / 2
-    seen = np.isfinite(diagonals_m)
-    total_m = np.where(seen, diagonals_m, 0.0).sum(axis=0)
-    count = seen.sum(axis=0)
+    visible = np.isfinite(diagonals_m)
+    total_m = np.where(visible, diagonals_m, 0.0).sum(axis=0)
+    count = visible.sum(axis=0)
     return np.asarray(np.where(count > 0, total_m / np.maximum(count, 1), np.nan))
 
 

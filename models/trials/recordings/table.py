@@ -48,7 +48,7 @@ Columns = dict[str, Any]
 def read_table(path: Path, mapping: RecordingMap) -> list[Series]:
     """Read the columns of a table that the map names, in SI units.
 
-    A column that the map does not name is kept if its own name ends in a unit suffix; all others
+    A column that the map does not name is used if its name ends in a unit suffix; all others
     are dropped. A marker export (QTM, TRC) needs `[markers]` only.
     """
     if path.suffix.lower() == ".json":
@@ -96,7 +96,7 @@ def read_scalars(path: Path) -> dict[str, Scalar]:
 
 
 def _has_meaning(name: str, mapping: RecordingMap) -> bool:
-    """Whether a column is a signal by its own name."""
+    """Whether a column is a signal by its name in the file."""
     return unit_of(name) is not None and name not in mapping.columns
 
 

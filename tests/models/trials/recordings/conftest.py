@@ -1,4 +1,4 @@
-"""One known run of a rigid link, seen by a servo and by motion capture on their own clocks."""
+"""One known run of a rigid link, recorded by a servo and by motion capture on two clocks."""
 
 from types import SimpleNamespace
 

@@ -36,8 +36,8 @@ def test_resampling_is_exact_at_samples_and_linear_between(values, grid):
     assert resample(time_s, values, np.array(grid)) == pytest.approx(
         np.interp(grid, time_s, values)
     )
-    held = resample(time_s, values, np.array(grid), hold=True)
-    assert held.tolist() == [values[int(np.floor(t))] for t in grid]
+    constant = resample(time_s, values, np.array(grid), hold=True)
+    assert constant.tolist() == [values[int(np.floor(t))] for t in grid]
 
 
 def test_an_occlusion_is_not_spread_to_measured_samples():

@@ -1,8 +1,8 @@
 """Takes as a user would record them, written from a trial: a Motive export and a servo log.
 
 The markers, which a trial without noise gives, are brought to the rate of the cameras by a cubic
-spline, get noise, are moved to the capture's own frame and clock, and written with y up. The
-servo's log is a table in degrees and milliamperes on its own clock. Every field that is not its
+spline, get noise, are moved to the frame and clock of the capture, and written with y up. The
+servo's log is a table in degrees and milliamperes on another clock. Every field that is not its
 default changes the take in one way.
 """
 
@@ -117,8 +117,8 @@ class WrittenTake:
         in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
         names = [f"Link:{name}" for name in STUDY_LINK.layout.names]
         names += [f"Base:{name}" for name in BASE_MARKERS] if self.base else []
-        kept = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
-        labels = [names[k] for k in kept for _ in "XYZ"]
+        present = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
+        labels = [names[k] for k in present for _ in "XYZ"]
         unit = "Millimeters" if self.millimetres else "Meters"
         head = [
             f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
@@ -129,7 +129,7 @@ class WrittenTake:
             ",," + ",".join(["Position"] * len(labels)),
             "Frame,Time (Seconds)," + ",".join("XYZ"[i % 3] for i in range(len(labels))),
         ]
-        cells = in_file[:, kept].reshape(len(frames_s), -1)
+        cells = in_file[:, present].reshape(len(frames_s), -1)
         rows = [
             f"{k},{k / self.rate_hz:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
             for k, row in enumerate(cells.tolist())
@@ -141,10 +141,10 @@ class WrittenTake:
     ) -> dict[str, dict[str, Any]]:
         trial = self.signals(trial) if self.signals is not None else trial
         time_s = trial.time_s
-        kept = (time_s >= self.first_s) & (time_s <= self.last_s)
+        logged = (time_s >= self.first_s) & (time_s <= self.last_s)
         start_s, length_s = self.gap_s
-        kept &= (time_s <= start_s) | (time_s >= start_s + length_s)
-        kept &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
+        logged &= (time_s <= start_s) | (time_s >= start_s + length_s)
+        logged &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
         stamp_ms = 1e3 * (time_s - self.first_s - self.offset_s + self.epoch_s)
         columns: dict[str, dict[str, Any]] = {"time_s": {"from": "stamp", "unit": "ms"}}
         header, values = ["stamp"], [stamp_ms]
@@ -160,7 +160,7 @@ class WrittenTake:
                 f"angle_{j}_rad": {"from": f"pos{source}", "unit": "deg"},
                 f"current_{j}_a": {"from": f"cur{j}", "unit": "mA"},
             }
-        table: Array = np.column_stack(values)[kept]
+        table: Array = np.column_stack(values)[logged]
         rows = [";".join(f"{v:.4f}" for v in row) for row in table.tolist()]
         text = "\n".join([";".join(header), *rows]) + "\n"
         path.write_text(text.replace(".", ",") if self.commas else text)
