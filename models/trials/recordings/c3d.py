@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded
-from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.mapping import RecordingMap, no_markers
 from models.trials.recordings.series import Series, marker_columns
 from models.trials.units import factor_to_si
 
@@ -50,11 +50,7 @@ def _points(path: Path, file: Any, mapping: RecordingMap) -> Series:
         if marker:
             markers_m[marker] = np.where(residuals[k] < 0, np.nan, points_m[:, k]).T
     if not markers_m:
-        raise InputError(
-            path,
-            "holds none of the mapped markers; it has " + (", ".join(labels[:20]) or "none"),
-            "map them under [markers] in MAP.toml",
-        )
+        raise no_markers(path, labels)
     header = file["header"]["points"]
     rate_hz = _rate_hz(path, header["frame_rate"])
     time_s = (header["first_frame"] + np.arange(points_m.shape[2])) / rate_hz

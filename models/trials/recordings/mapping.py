@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -185,6 +185,13 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 return marker
         bare = name.rsplit(":", 1)[-1].strip().lower()
         return bare if not self.markers and bare in self.known_markers else None
+
+
+def no_markers(path: Path, names: Iterable[str]) -> InputError:
+    """Error of a file of which the map names no marker."""
+    listed = ", ".join(list(dict.fromkeys(filter(None, names)))[:20]) or "no names"
+    what = f"holds none of the mapped markers; it has {listed}"
+    return InputError(path, what, 'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"')
 
 
 def read_mapping(path: Path | None) -> RecordingMap:

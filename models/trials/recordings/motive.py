@@ -17,7 +17,7 @@ from typing import Final
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_lines
 from models.shared.numeric_text import MOST_COLUMNS, read_numbers
-from models.trials.recordings.mapping import RecordingMap
+from models.trials.recordings.mapping import RecordingMap, no_markers
 from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import Array
 
@@ -34,12 +34,7 @@ def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
     metres, labels, above = _header(path, lines)
     positions = _position_columns(path, labels, mapping)
     if not positions:
-        names = sorted(filter(None, set(labels["Name"])))
-        raise InputError(
-            path,
-            "holds none of the mapped markers; it has " + (", ".join(names[:20]) or "no names"),
-            'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
-        )
+        raise no_markers(path, labels["Name"])
     cells = zip(labels["Name"][2:], labels["Frame"][2:], strict=True)
     names = [*labels["Frame"][:2], *(" ".join(filter(None, cell)) for cell in cells)]
     time = labels["Frame"].index("Time (Seconds)")
@@ -55,6 +50,7 @@ def _header(path: Path, lines: Iterator[str]) -> tuple[float, dict[str, list[str
     """Unit of length in m, label rows by label ("" for Rotation / Position), number of lines."""
     rows = csv.reader(lines)
     labels: dict[str, list[str]] = {}
+    again = "export it from Motive again"
     try:
         metres = _length_unit(path, next(rows, []))
         for row in rows:
@@ -63,48 +59,38 @@ def _header(path: Path, lines: Iterator[str]) -> tuple[float, dict[str, list[str
                 raise InputError(path, what, "export fewer assets")
             if row and row[0] == "Frame":
                 labels["Frame"] = row
-                break
-            if len(row) > 2 and row[0] == "":
+            elif len(row) > 2 and row[0] == "":
                 labels[row[1]] = row
-            if rows.line_num > _MOST_HEADER_LINES:
+            if "Frame" in labels or rows.line_num > _MOST_HEADER_LINES:
                 break
     except csv.Error as error:
-        raise InputError(
-            path, f"is not CSV text ({error})", "export it from Motive again"
-        ) from None
+        raise InputError(path, f"is not CSV text ({error})", again) from None
     if "Frame" not in labels:
-        raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
+        raise InputError(path, "has no row that begins with Frame", again)
     frame = labels["Frame"]
-    missing = {"Type", "Name", ""} - labels.keys()
+    missing = sorted({"Type", "Name", ""} - labels.keys())
     if missing or "Time (Seconds)" not in frame:
-        lacks = " and ".join(map(repr, sorted(missing) or ["Time (Seconds)"]))
-        raise InputError(
-            path, f"line {rows.line_num}: the header lacks its {lacks} row",
-            "export it from Motive again",
-        )  # fmt: skip
-    width = len(frame)
-    return metres, {k: (v + [""] * width)[:width] for k, v in labels.items()}, rows.line_num
+        lacks = " and ".join(map(repr, missing or ["Time (Seconds)"]))
+        what = f"line {rows.line_num}: the header lacks its {lacks} row"
+        raise InputError(path, what, again)
+    cut = {k: (v + [""] * len(frame))[: len(frame)] for k, v in labels.items()}
+    return metres, cut, rows.line_num
 
 
 def _length_unit(path: Path, first: list[str]) -> float:
     """Unit of length in m, from the header's first line."""
     header = dict(zip(first[::2], first[1::2], strict=False))
+    unit, space = header.get("Length Units", ""), header.get("Coordinate Space", "Global")
     if first and first[0].startswith("Format Version;"):
-        raise InputError(
-            path, "is separated by semicolons, with decimal commas",
-            "export it with commas and decimal points",
-        )  # fmt: skip
+        what = "is separated by semicolons, with decimal commas"
+        raise InputError(path, what, "export it with commas and decimal points")
     if "Format Version" not in header:
-        raise InputError(
-            path, "is no Motive export with header", "export CSV with 'Header Information' on"
-        )
-    unit = header.get("Length Units", "")
+        remedy = "export CSV with 'Header Information' on"
+        raise InputError(path, "is no Motive export with header", remedy)
     if unit.lower() not in _METRES:
         raise InputError(path, f"Length Units is {unit!r}", "export in Meters or Millimeters")
-    if header.get("Coordinate Space", "Global") != "Global":
-        raise InputError(
-            path, f"Coordinate Space is {header['Coordinate Space']}", "export it as Global"
-        )
+    if space != "Global":
+        raise InputError(path, f"Coordinate Space is {space}", "export it as Global")
     return _METRES[unit.lower()]
 
 

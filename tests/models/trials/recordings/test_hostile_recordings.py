@@ -1,4 +1,4 @@
-"""Recordings that once took gigabytes, hung, crashed or ended in a traceback: one sentence each."""
+"""Damaged and hostile recordings end in one sentence, within limits of memory and time."""
 
 import io
 import json
@@ -58,13 +58,10 @@ def log_with(metadata, messages):
     ("key", "value", "what"),
     [
         ("dof", "1000000000", "is not a log of dropstitch"),
-        ("dof", "one", "is not a log of dropstitch"),
-        ("config", "[1]", "its metadata are damaged: config"),
         ("config", '{"motion": {"design": 3}}', "its metadata are damaged: config"),
         ("config", '{"a":' * 5000, "its metadata are damaged: config"),
         ("payload_kg", "heavy", "its metadata are damaged: payload_kg"),
         ("period_s", "0", "its metadata are damaged: period_s"),
-        ("motion", "7", "its metadata are damaged: motion"),
     ],
 )
 def test_metadata_of_a_log_are_checked(sentence, key, value, what):
@@ -123,16 +120,6 @@ def test_two_columns_of_one_name_are_refused(sentence):
 def test_a_motive_file_of_newlines_takes_no_memory(sentence):
     head = valid_files.motive().split(b"\n")[0]
     assert "no row that begins with Frame" in sentence("a.csv", head + b"\n" * 1_000_000, "motive")
-
-
-@pytest.mark.parametrize("kind", ["c3d", "motive", "table", "recording", "map"])
-def test_a_directory_in_place_of_a_file_is_refused(sentence, tmp_path, kind):
-    (tmp_path / "folder").mkdir()
-    if kind == "map":
-        argv = ("--map", str(tmp_path / "folder"))
-        assert "is no file but a directory" in sentence("a.csv", CSV.encode(), more=argv)
-    else:
-        sentence("folder", kind=kind)  # a directory of takes, which holds none
 
 
 def test_a_damaged_header_of_a_c3d_takes_no_memory(sentence):
@@ -209,11 +196,6 @@ def test_a_compressed_bag_does_not_fill_the_disk(sentence, bag, monkeypatch, tmp
 )
 def test_deep_and_huge_json_is_refused(sentence, content):
     sentence("a.json", content)
-
-
-def test_a_map_without_from_is_refused(sentence):
-    map_ = MAP.replace(b'from = "stamp"', b"")
-    assert "missing required field `from`" in sentence("a.csv", CSV.encode(), map_=map_)
 
 
 @pytest.mark.parametrize("name", ["../x", "/tmp/x", ".x", "a\nb", "x" * 300])
