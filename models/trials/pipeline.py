@@ -1,15 +1,16 @@
 """Import of one recording: read, check, align, synchronise, assemble, check, write.
 
-`import_take` is the whole way from files to a trial with its page; `inspect_import` is the part
-without writing. Findings are collected in an `ImportVerdict`, which refuses the import as soon as
+`import_take` is the whole way from files to a trial with its page; `Inspection` is the part without
+writing. Findings are collected in an `ImportVerdict`, which refuses the import as soon as
 one of them says that it cannot be right.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -90,7 +91,7 @@ def import_take(
     verdict = ImportVerdict(name)
     mapping, cut_off = _completed(mapping, source, verdict)
     try:
-        trial = inspect_import(source, mapping, verdict)
+        trial = Inspection(source, mapping, verdict).trial()
         meta = msgspec.structs.replace(trial.meta, recording_sha256=recording_sha256)
         path = write_trial(replace(trial, meta=meta), scratch)
         trial = read_trial(path, mapping.signals)  # it passes the checks of any other trial
@@ -123,62 +124,135 @@ def import_take(
     return facts
 
 
-def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict) -> Trial:
-    """Trial of a recording, with every finding in the verdict; refused by `InputError`."""
-    link = not mapping.signals
+@dataclass(frozen=True)
+class Inspection:
+    """Import of a recording without writing; every finding is added to the verdict."""
 
-    # Read
-    series, epoch_s = _since_epoch(read_series(source.file, source.kind, mapping))
-    servo: list[Series] = []
-    servo_epoch_s = 0.0
-    if source.servo:
-        servo, servo_epoch_s = _since_epoch(read_series(source.servo, None, mapping.for_servo()))
+    source: Source
+    mapping: RecordingMap
+    verdict: ImportVerdict
 
-    # Check each file, and align the markers to the world frame
-    if link:
-        zero_m = to_world(np.zeros(3), mapping.frame, "z")
-        remedy = "check that these markers were hidden: the samples are not used"
-        series, zeros = without_zeros(series, mapping.known_markers, zero_m, remedy)
-        verdict.findings += [*zeros, *judge_markers(series, mapping), *judge_goal_sources(mapping)]
-        for side in filter(None, (servo, series)):
-            verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
-        verdict.findings += judge_fixed_base(series, mapping.meta(0))
-        rest_rad = _first_angles([*servo, *series], mapping.dof)
-        series = _aligned(series, mapping, verdict, rest_rad, source)
-    for side in (servo, series):
-        verdict.findings += judge_steps(side, mapping)
+    def trial(self) -> Trial:
+        """Trial of the recording; refused by `InputError` if a finding says that it is wrong."""
+        mapping, verdict = self.mapping, self.verdict
+        meta = None if mapping.signals else mapping.meta(0)  # of a trial of the link
 
-    # Synchronise
-    if servo:
-        servo = _on_mocap_clock(servo, series, source, mapping, verdict, epoch_s - servo_epoch_s)
-    elif link:
-        remedy = "give the angles as a second file with --servo"
-        verdict.clock, late = judge_common_clock(series, mapping.meta(0), remedy)
-        verdict.findings += late
-    series = [*series, *servo]
-    if link:
-        verdict.findings += judge_base_offset(series, mapping.meta(0))
-    series = _without(
-        series, SYNC, *(f"{name}_{axis}_m" for name in BASE_MARKERS for axis in "xyz")
-    )
-    verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
-    start_s = max(s.time_s[0] for s in series)
-    verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
-    verdict.findings += judge_gaps(verdict.gaps)
-    if servo and verdict.clock and not verdict.refused:
-        verdict.findings += judge_clock(verdict.clock)
-        drifts = bool(verdict.clock.drifts)
-        if verdict.refused:
-            _judge_whole_files(servo, series[: -len(servo)], mapping, verdict, drifts)
-    verdict.refuse(source.file)
+        # Read
+        series, epoch_s = _since_epoch(read_series(self.source.file, self.source.kind, mapping))
+        servo: list[Series] = []
+        servo_epoch_s = 0.0
+        if self.source.servo:
+            servo = read_series(self.source.servo, None, mapping.for_servo())
+            servo, servo_epoch_s = _since_epoch(servo)
 
-    # Assemble, and check the trial
-    trial = verdict.trial = assemble_trial(series, mapping, verdict.name)
-    if link:
-        verdict.findings += judge_conditions(trial, is_described=bool(mapping.link))
-        verdict.findings += judge_whole(trial)
-    verdict.refuse(source.file)
-    return trial
+        # Check each file, and align the markers to the world frame
+        if meta is not None:
+            zero_m = to_world(np.zeros(3), mapping.frame, "z")
+            remedy = "check that these markers were hidden: the samples are not used"
+            series, zeros = without_zeros(series, mapping.known_markers, zero_m, remedy)
+            verdict.findings += zeros
+            verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
+            for side in filter(None, (servo, series)):
+                verdict.findings += [*judge_times(side), *judge_signals(side, mapping.dof)]
+            verdict.findings += judge_fixed_base(series, meta)
+            series = self._aligned(series, _first_angles([*servo, *series], mapping.dof))
+        for side in (servo, series):
+            verdict.findings += judge_steps(side, mapping)
+
+        # Synchronise
+        if servo:
+            servo = self._on_mocap_clock(servo, series, epoch_s - servo_epoch_s)
+        elif meta is not None:
+            remedy = "give the angles as a second file with --servo"
+            verdict.clock, late = judge_common_clock(series, meta, remedy)
+            verdict.findings += late
+        series = [*series, *servo]
+        if meta is not None:
+            verdict.findings += judge_base_offset(series, meta)
+        base = [f"{name}_{axis}_m" for name in BASE_MARKERS for axis in "xyz"]
+        series = _without(series, SYNC, *base)
+        verdict.steps_s = {s.path.name: float(np.median(np.diff(s.time_s))) for s in series}
+        start_s = max(s.time_s[0] for s in series)
+        verdict.gaps = longest_gaps(series, start_s, min(s.time_s[-1] for s in series))
+        verdict.findings += judge_gaps(verdict.gaps)
+        if servo and verdict.clock and not verdict.refused:
+            verdict.findings += judge_clock(verdict.clock)
+            if verdict.refused:
+                drifts = bool(verdict.clock.drifts)
+                self._judge_whole_files(servo, series[: -len(servo)], may_be_rate=drifts)
+        verdict.refuse(self.source.file)
+
+        # Assemble, and check the trial
+        trial = verdict.trial = assemble_trial(series, mapping, verdict.name)
+        if meta is not None:
+            verdict.findings += judge_conditions(trial, is_described=bool(mapping.link))
+            verdict.findings += judge_whole(trial)
+        verdict.refuse(self.source.file)
+        return trial
+
+    def _aligned(self, series: list[Series], rest_rad: Array | None) -> list[Series]:
+        """Align the markers to the world frame; judge the pose before and after."""
+        verdict, by_base = self.verdict, self.mapping.frame.align == "base"
+        pose = verdict.pose = self._rest_pose(series, rest_rad)
+        if pose is not None:
+            verdict.findings += judge_pose(pose, self.mapping, UP.get(self.source.kind, "z"))
+            if lean := _removed_lean(pose, self.mapping):
+                verdict.findings += causes.REMOVED_LEAN.beyond(lean[1], lean=_lean_words(*lean))
+        verdict.refuse(self.source.file)
+        series = align_markers(series, self.mapping, rest_rad)
+        if by_base and pose is not None:
+            verdict.pose = self._rest_pose(series, rest_rad) or pose
+            verdict.findings += judge_base(verdict.pose)
+            verdict.refuse(self.source.file)
+        return series
+
+    def _rest_pose(self, series: list[Series], rest_rad: Array | None) -> RestPose | None:
+        known: dict[str, Array] = {}
+        for s in series:
+            known |= _rest_means_m(s, self.mapping.layout.names)
+        return rest_pose(known, self.mapping.meta(0), rest_rad)
+
+    def _on_mocap_clock(
+        self, servo: list[Series], mocap: list[Series], apart_s: float
+    ) -> list[Series]:
+        """Servo's series on the clock of the motion capture; the files' epochs are `apart_s` apart.
+
+        An offset that the user states is compared with what signal or motion determine.
+        """
+        verdict, link = self.verdict, not self.mapping.signals
+        if self.source.offset_s is not None:
+            clock = Synchronisation(self.source.offset_s - apart_s, np.nan, by="option")
+            with contextlib.suppress(InputError, ValueError, IndexError):  # too little motion
+                if link:
+                    meta = self.mapping.meta(0)
+                    estimate = synchronise(servo, mocap, meta, near_s=clock.offset_s)
+                    verdict.findings += judge_given_offset(clock.offset_s, estimate, apart_s)
+        else:
+            try:
+                clock = synchronise(servo, mocap, self.mapping.meta(0))
+            except InputError as error:
+                is_unlike = isinstance(error, UnlikeMotionsError)
+                self._judge_whole_files(servo, mocap, may_be_rate=is_unlike)
+                verdict.refuse(self.source.file)
+                raise
+        servo = [replace(s, time_s=s.time_s + clock.offset_s) for s in servo]
+        verdict.findings += judge_shared_signals(_without(servo, SYNC), _without(mocap, SYNC))
+        second_s = clock.second_offset_s + apart_s
+        verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s, second_offset_s=second_s)
+        return servo
+
+    def _judge_whole_files(
+        self, servo: list[Series], mocap: list[Series], may_be_rate: bool
+    ) -> None:
+        """Put in front why the clocks of two files may not fit: a gap in one of them, or a rate."""
+        self.verdict.gaps = [
+            gap for side in (servo, mocap)
+            for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
+        ]  # fmt: skip
+        reasons = judge_gaps(self.verdict.gaps)
+        if may_be_rate and not self.mapping.signals:
+            reasons = reasons or judge_frame_rate(servo, mocap, self.mapping.meta(0))
+        self.verdict.findings[:0] = reasons
 
 
 def _without(series: list[Series], *names: str) -> list[Series]:
@@ -262,37 +336,6 @@ def _first_angles(series: list[Series], dof: int) -> Array | None:
             first = np.array([np.nanmedian(s.columns[name][:5]) for name in names])
             return first if np.isfinite(first).all() else None
     return None
-
-
-def _aligned(
-    series: list[Series],
-    mapping: RecordingMap,
-    verdict: ImportVerdict,
-    rest_rad: Array | None,
-    source: Source,
-) -> list[Series]:
-    """Align the markers to the world frame; judge the pose before and after."""
-    pose = verdict.pose = _rest_pose_of(series, mapping, rest_rad)
-    if pose is not None:
-        verdict.findings += judge_pose(pose, mapping, UP.get(source.kind, "z"))
-        if lean := _removed_lean(pose, mapping):
-            verdict.findings += causes.REMOVED_LEAN.beyond(lean[1], lean=_lean_words(*lean))
-    verdict.refuse(source.file)
-    series = align_markers(series, mapping, rest_rad)
-    if mapping.frame.align == "base" and pose is not None:
-        verdict.pose = _rest_pose_of(series, mapping, rest_rad) or pose
-        verdict.findings += judge_base(verdict.pose)
-        verdict.refuse(source.file)
-    return series
-
-
-def _rest_pose_of(
-    series: list[Series], mapping: RecordingMap, rest_rad: Array | None
-) -> RestPose | None:
-    known: dict[str, Array] = {}
-    for s in series:
-        known |= _rest_means_m(s, mapping.layout.names)
-    return rest_pose(known, mapping.meta(0), rest_rad)
 
 
 def _rest_means_m(series: Series, markers: Sequence[str]) -> dict[str, Array]:
@@ -405,60 +448,3 @@ def _since_epoch(series: list[Series]) -> tuple[list[Series], float]:
         replace(s, time_s=even_s if np.abs(even_s - time_s).max() < _LOST_DIGITS_S else time_s)
         for s, time_s, even_s in zip(series, times_s, evens_s, strict=True)
     ], epoch_s
-
-
-def _on_mocap_clock(
-    servo: list[Series],
-    mocap: list[Series],
-    source: Source,
-    mapping: RecordingMap,
-    verdict: ImportVerdict,
-    apart_s: float,
-) -> list[Series]:
-    """Servo's series on the clock of the motion capture; the files' epochs are `apart_s` apart."""
-    if source.offset_s is not None:
-        clock = Synchronisation(source.offset_s - apart_s, np.nan, by="option")
-        if not mapping.signals:
-            verdict.findings += _judge_offset(servo, mocap, mapping, clock.offset_s, apart_s)
-    else:
-        try:
-            clock = synchronise(servo, mocap, mapping.meta(0))
-        except InputError as error:
-            is_unlike = isinstance(error, UnlikeMotionsError)
-            _judge_whole_files(servo, mocap, mapping, verdict, is_unlike)
-            verdict.refuse(source.file)
-            raise
-    servo = [replace(s, time_s=s.time_s + clock.offset_s) for s in servo]
-    verdict.findings += judge_shared_signals(_without(servo, SYNC), _without(mocap, SYNC))
-    second_s = clock.second_offset_s + apart_s
-    verdict.clock = replace(clock, offset_s=clock.offset_s + apart_s, second_offset_s=second_s)
-    return servo
-
-
-def _judge_offset(
-    servo: list[Series], mocap: list[Series], mapping: RecordingMap, offset_s: float, apart_s: float
-) -> list[ImportFinding]:
-    """Findings on an offset by hand, where signal or motion determine another."""
-    try:
-        estimate = synchronise(servo, mocap, mapping.meta(0), near_s=offset_s)
-    except (InputError, ValueError, IndexError):  # too little of the motion is in both files
-        return []
-    return judge_given_offset(offset_s, estimate, apart_s)
-
-
-def _judge_whole_files(
-    servo: list[Series],
-    mocap: list[Series],
-    mapping: RecordingMap,
-    verdict: ImportVerdict,
-    may_be_rate: bool,
-) -> None:
-    """Put in front why the clocks of two files may not fit: a gap in one of them, or its rate."""
-    verdict.gaps = [
-        gap for side in (servo, mocap)
-        for gap in longest_gaps(side, side[0].time_s[0], side[0].time_s[-1])
-    ]  # fmt: skip
-    reasons = judge_gaps(verdict.gaps)
-    if may_be_rate and not mapping.signals:
-        reasons = reasons or judge_frame_rate(servo, mocap, mapping.meta(0))
-    verdict.findings[:0] = reasons

@@ -8,7 +8,7 @@ from models.trials.checks.clocks import judge_clock
 from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import ClockDrift, Synchronisation, synchronise
-from models.trials.pipeline import Source, inspect_import
+from models.trials.pipeline import Inspection, Source
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
@@ -113,7 +113,7 @@ def inspected(path, rigid_markers, servo_epoch_s, offset_s=None):
     }  # fmt: skip
     verdict = ImportVerdict("take")
     source = Source(path / "mocap.csv", "table", path / "servo.csv", offset_s)
-    inspect_import(source, RecordingMap(trial=trial), verdict)
+    Inspection(source, RecordingMap(trial=trial), verdict).trial()
     return verdict
 
 

@@ -13,7 +13,7 @@ from firmware_py.motion import Motion
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.verdict import ImportVerdict
-from models.trials.pipeline import Source, inspect_import
+from models.trials.pipeline import Inspection, Source
 from models.trials.recordings.mapping import read_mapping
 from tests.models.trials.recordings.written_takes import ORIGIN_M, REST, WrittenTake, rigid_trial
 
@@ -37,7 +37,7 @@ def inspected(trial, directory, **fields):
     verdict, refusal = ImportVerdict("take"), ""
     source = Source(directory / "take.csv", "motive", directory / "servo.csv")
     try:
-        inspect_import(source, read_mapping(directory / "map.toml"), verdict)
+        Inspection(source, read_mapping(directory / "map.toml"), verdict).trial()
     except InputError as error:
         refusal = str(error)
     findings = [(f.level, f.cause, f.text.replace("\xa0", " ")) for f in verdict.findings]
