@@ -246,16 +246,3 @@ def test_goals_from_another_program_state_their_duration_and_reach(tmp_path, imp
     assert trial.meta.amplitude_rad == np.abs(records["goal_1_rad"]).max()
     assert trial.meta.period_s == pytest.approx(PERIOD_S * (COUNT - 60))
     assert not [f for f in result["findings"] if "amplitude_rad" in f["text"]]
-
-
-@pytest.mark.parametrize(("amplitude_rad", "fits"), [(0.1, True), (0.2, True), (0.4, False)])
-def test_the_amplitude_of_a_plan_may_be_twice_its_largest_goal(
-    tmp_path, import_, amplitude_rad, fits
-):
-    """From a first goal of the other sign the reach is twice as far."""
-    records = swinging()
-    time_s = np.maximum(records["time_s"] - 60 * PERIOD_S, 0.0)
-    records["goal_1_rad"] = records["angle_1_rad"] = 0.1 * np.cos(time_s)
-    known = {"motion": "plan_line", "period_s": 4.0, "amplitude_rad": amplitude_rad}
-    log = log_of(tmp_path / "run.mcap", records, 1, motion=json.dumps(known))
-    assert fits == ("amplitude" not in {f["cause"] for f in import_(log)[1]["findings"]})

@@ -52,8 +52,7 @@ class WrittenTake:
     swap_joints: bool = False  # Whether the log's joints are mapped crosswise
     # Keys of `[frame]` that the map gives wrongly
     wrong: dict[str, Any] = field(default_factory=dict)
-    first_s: float = 0.0  # Time from which and until which both files are written
-    last_s: float = np.inf
+    first_s: float = 0.0  # Time from which both files are written
     # Start and length of a gap in the servo's log, (0, 0) for none
     gap_s: tuple[float, float] = (0.0, 0.0)
     commas: bool = False  # Whether the log has decimal commas
@@ -96,8 +95,7 @@ class WrittenTake:
 
     def _write_motive(self, trial: Trial, path: Path, rng: np.random.Generator) -> None:
         time_s = trial.time_s
-        last_s = min(self.last_s, time_s[-1])
-        frames_s = np.arange(max(self.first_s, time_s[0]), last_s, 1 / RATE_HZ)
+        frames_s = np.arange(max(self.first_s, time_s[0]), time_s[-1], 1 / RATE_HZ)
         markers_m = trial.markers_m
         if self.base:
             meta, angle_rad = trial.meta, trial.angle_rad * float(self.base == "plate")
@@ -141,7 +139,7 @@ class WrittenTake:
     ) -> dict[str, dict[str, Any]]:
         trial = self.signals(trial) if self.signals is not None else trial
         time_s = trial.time_s
-        logged = (time_s >= self.first_s) & (time_s <= self.last_s)
+        logged = time_s >= self.first_s
         start_s, length_s = self.gap_s
         logged &= (time_s <= start_s) | (time_s >= start_s + length_s)
         logged &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
