@@ -88,14 +88,6 @@ def check_signal_units(where: Path, signals: Mapping[str, SignalRole]) -> None:
     The suffix of the plant's name of a signal states its unit. A condition has the unit of the
     parameter that it replaces (`models.plant.plant.read_plant`). A condition, or a name without a
     suffix, must have an SI unit here.
-
-    Examples
-    --------
-    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("m", "measured")})
-    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("mm", "measured")})
-    Traceback (most recent call last):
-    firmware_py.errors.InputError: car.toml: signal encoder is given in 'mm', which is no SI unit; \
-give 'm' here, the map of the import converts the recording.
     """
     for name, signal in signals.items():
         quantity = signal.quantity or name
