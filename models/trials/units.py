@@ -67,7 +67,7 @@ def base_exponents(unit: str) -> dict[str, int]:
     A unit is a product and quotient of symbols; an integer after a symbol is its power.
     """
     powers: Counter[str] = Counter()
-    signs, end = [1], 0  # Sign of each open bracket
+    signs, end = [1], 0  # Sign of each open bracket, and of the factor
     while factor := _FACTOR.match(unit, end):
         operator, opened, symbol, power, closed = factor.groups()
         signs += [-signs[-1] if operator == "/" else signs[-1]] * (len(opened) + 1)
