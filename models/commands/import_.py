@@ -1,7 +1,7 @@
 """Import of recordings as trials: names and units mapped, files merged, clocks synchronised.
 
-Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows what
-was found. An import that cannot be right is refused with its likely cause, a doubtful one warned
+Every import is checked against the nominal link and gets a page, OUT/NAME.html, that shows the
+findings. An import that cannot be right is refused with its likely cause, a doubtful one warned
 of. Several files, or a folder, are imported with one map; conditions then come from their names or
 from a table ([takes] in the map, docs/trials.md). An import replaces only trials of the same
 recordings: neither a file that is read nor any other trial.
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
-import os
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,12 +62,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     mapping = read_mapping(args.map)
     takes = find_takes(args.file, args.kind, mapping)
-    single = args.name or takes[0].file.stem
-    _check_replaced(args, takes, mapping, [t.file.stem for t in takes] if takes[1:] else [single])
     if len(takes) == 1:
-        result = _import(args, takes[0], single)
+        name = args.name or takes[0].file.stem
+        _check_replaced(args, takes, mapping, [name])
+        result = _import(args, takes[0], name)
         emit(args, result, _described(result))
         return DONE
+    _check_replaced(args, takes, mapping, [take.file.stem for take in takes])
     for option in ("servo", "name", "offset"):
         if getattr(args, option) is not None:
             raise InputError(
@@ -78,12 +78,11 @@ def run(args: argparse.Namespace) -> int:
     for take in takes:
         try:
             result = _import(args, take, take.file.stem)
-            text = _described(result)
+            texts.append(_described(result))
         except InputError as error:
             result = {"file": str(take.file), "verdict": "refused", "why": str(error)}
-            text = f"refused: {error}"
+            texts.append(f"refused: {error}")
         results.append(result)
-        texts.append(text)
     refused = sum(result["verdict"] == "refused" for result in results)
     imported = f"{len(takes) - refused} of {len(takes)} takes imported"
     emit(args, {"takes": results}, "\n".join([*texts, imported]))
@@ -99,19 +98,19 @@ def _check_replaced(
         *(take.file for take in takes), *(take.servo for take in takes), args.servo, args.map,
         *(args.map.parent / name for name in beside if name),
     ]  # fmt: skip
-    read = {key: path for path in inputs if (key := _file_key(path)) is not None}
+    read = {key: path for path in inputs if path and (key := _file_key(path))}
     written = [f"{name}{suffix}" for name in names for suffix in (".csv", ".toml", ".html")]
     replaced = [file for file in written if _file_key(args.out / file) in read]
     check_output_directory(args.out, replaced, read.values())
 
 
-def _file_key(path: Path | None) -> tuple[int, int] | None:
+def _file_key(path: Path) -> tuple[int, int] | None:
     """Device and inode of an existing file, whatever link or spelling leads to it."""
     try:
-        found = os.stat(path or "")
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _import(args: argparse.Namespace, take: Take, name: str) -> dict[str, Any]:

@@ -17,7 +17,6 @@ phase with the motion: offsets of the encoder and of the frame.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Final, Literal, NamedTuple
@@ -27,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
-from scipy.signal import find_peaks as maxima
+from scipy.signal import fftconvolve, find_peaks
 
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
@@ -40,17 +38,6 @@ from models.trials.trial import Array, TrialMeta
 
 SYNC: Final = "sync_v"
 """Name of a hardware synchronisation signal in a map's `[columns]` and `[servo_columns]`."""
-LONGEST_S: Final = 10_000.0
-"""Longest recording whose offset is searched: a million coarse steps."""
-MIN_CORRELATION: Final = 0.9
-"""Smallest correlation of two files with the same motion."""
-SAME_MOTION: Final = 0.97
-"""Correlation above which two files certainly hold one motion; bend leaves 0.99 and more."""
-NEAR_FACTOR: Final = 3.0
-NEAR_FLOOR: Final = 0.001
-"""A second offset competes if its lack of correlation is below this multiple of the best one's plus
-the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset, ten
-minutes of a nearly periodic motion 0.003]."""
 
 
 class UnlikeMotionsError(InputError):
@@ -60,23 +47,9 @@ class UnlikeMotionsError(InputError):
 class ClockDrift(NamedTuple):
     """Change of the offset from the first half of the motion to the second, or over sync edges."""
 
-    # Offset of the second half minus that of the first, or at the last edge minus at the first
     change_s: float
     deviation_s: float  # Standard deviation of the change
-    over_s: float  # Time between the middles of the halves, or between those edges
-
-
-class OffsetFit(NamedTuple):
-    """Offset fitted to the motion."""
-
-    offset_s: float  # Add it to the servo's times
-    error_s: float  # Half width of the 95 % interval of the offset
-    lag_s: float  # Lag of the bend, removed from the offset
-    correlation: float  # Correlation of angle and direction at the offset
-    # Direction without bend minus angle, about its mean, at every compared sample; (n, dof), rad
-    residual: Array
-    time_s: Array  # Times of these samples on the motion capture's clock, (n,)
-    drift: ClockDrift | None = None  # None if half of the motion has too few samples
+    over_s: float  # Time between the middles of the halves, or between first and last edge
 
 
 @dataclass(frozen=True)
@@ -93,90 +66,169 @@ class Synchronisation:
     second_correlation: float = np.nan
     # Source of the offset: the motion, a hardware signal, or the user's option
     by: Literal["motion", "sync", "option"] = "motion"
-    fit: OffsetFit | None = None
-    # Change of the offset over the edges of a hardware signal
-    edges_drift: ClockDrift | None = None
-
-    @property
-    def drifts(self) -> list[ClockDrift]:
-        """Drifts of the offset, measured by edges and by motion."""
-        drifts = (self.edges_drift, self.fit.drift if self.fit is not None else None)
-        return [drift for drift in drifts if drift is not None]
+    drifts: tuple[ClockDrift, ...] = ()  # By edges and by motion, where they determine it
+    # Direction without bend minus angle, about its mean, at the compared samples, (n, dof) in rad,
+    # and their times on the motion capture's clock, (n,)
+    residual: Array | None = None
+    time_s: Array | None = None
 
 
-def synchronise(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
+def synchronise(
+    servo: list[Series], mocap: list[Series], meta: TrialMeta, near_s: float | None = None
+) -> Synchronisation:
     """Estimate the offset between the clocks of two files, with its error.
 
     The motion capture needs the first marker row or the tip; its second row measures the bend.
+    Of a motion that agrees at several offsets, the one at `near_s` is fitted.
     """
     edges = _by_edges(servo, mocap)
-    if not edges:
-        return _by_motion(servo, mocap, meta)
     if len(edges) == 1 and edges[0].error_s <= FINE_S:
-        return _of_edges(edges[0])
-    return _edges_with_motion(edges, servo, mocap, meta)
+        return edges[0]
+    try:
+        motion = _by_motion(servo, mocap, meta, near_s)
+    except InputError as error:
+        if len(edges) == 1:
+            return edges[0]
+        if not edges:
+            raise
+        raise InputError(
+            servo[0].path,
+            f"its {SYNC} repeats itself and fits at {edges[0].offset_s:.3f} s and at "
+            f"{edges[1].offset_s:.3f} s, and the motion does not decide: {error.what}",
+            "send pulses at uneven times, or give --offset SECONDS",
+        ) from None
+    if not edges:
+        return motion
+    nearest = min(edges, key=lambda edge: abs(edge.offset_s - motion.offset_s))
+    low_s, high_s = nearest.offset_s - nearest.error_s, nearest.offset_s + nearest.error_s
+    inside_s = float(np.clip(motion.offset_s, low_s, high_s))
+    if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal is trusted, not the motion
+        return nearest
+    return replace(
+        motion, offset_s=inside_s, error_s=min(nearest.error_s, motion.error_s), by="sync",
+        drifts=nearest.drifts + motion.drifts,
+    )  # fmt: skip
 
 
-def offset_near(
-    servo: list[Series], mocap: list[Series], meta: TrialMeta, given_s: float
-) -> Synchronisation | None:
-    """Offset from signal or motion, to be compared with one that the user gave.
+# --- by a synchronisation signal -----------------------------------------------------------------
 
-    If the motion is periodic, the offset is fitted near the user's. None if it cannot be estimated.
+FINE_S: Final = 0.001
+"""Half width of the signal's offset above which the motion refines it: the clock's target."""
+JITTER_S: Final = 2e-4
+"""Error of a time stamp [assumed]."""
+RATE_DIFFERENCE: Final = 3e-5
+"""Relative difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
+
+
+def _by_edges(servo: list[Series], mocap: list[Series]) -> list[Synchronisation]:
+    first, second = (next((s for s in side if SYNC in s.columns), None) for side in (servo, mocap))
+    if first is None or second is None:
+        return []
+    edges = [rising_edges_s(s.time_s, s.columns[SYNC]) for s in (first, second)]
+    offsets = edge_offsets(*edges)
+    if not offsets:
+        raise InputError(
+            first.path,
+            f"its {SYNC} has {len(edges[0])} rising edges, that of {second.path} "
+            f"{len(edges[1])}, and they do not fit together",
+            "map the same signal in both files, correct the unit and rate of their times, or leave "
+            f"{SYNC} out",
+        )
+    return offsets
+
+
+def rising_edges_s(time_s: Array, level_v: Array) -> Array:
+    """Times of the samples before and after each rise through mid-range, shape (edges, 2)."""
+    measured = np.isfinite(level_v)
+    time_s, level_v = time_s[measured], level_v[measured]
+    if len(level_v) < 2 or np.ptp(level_v) < 0.5:  # logic is at 1.8 V or more
+        return np.zeros((0, 2))
+    middle = 0.5 * (level_v.min() + level_v.max())
+    at = np.flatnonzero((level_v[:-1] < middle) & (level_v[1:] >= middle))
+    return np.column_stack([time_s[at], time_s[at + 1]])
+
+
+def edge_offsets(servo_s: Array, mocap_s: Array) -> list[Synchronisation]:
+    """Offsets at which the edges (edges, 2) of two files match, the one with the most pairs first.
+
+    Either file may lack edges at its ends: half of the edges of the file with fewer need a partner.
+    There are several offsets if the signal is periodic, and none if nothing matches.
     """
-    try:
-        return synchronise(servo, mocap, meta)
-    except InputError:
-        pass
-    try:
-        angle = _angle(servo, meta.dof)
-        fit = fit_offset(angle, *_direction(mocap, meta), given_s)
-    except (InputError, ValueError, IndexError):  # too little of the motion is in both
-        return None
-    if not fit.correlation >= MIN_CORRELATION:
-        return None
-    return Synchronisation(fit.offset_s, fit.correlation, fit.error_s, fit.lag_s, fit=fit)
+    least = max(0.5 * min(len(servo_s), len(mocap_s)), 1)
+    offsets = []
+    for shift in range(1 - len(servo_s), len(mocap_s)):
+        servo, mocap = servo_s[max(-shift, 0) :], mocap_s[max(shift, 0) :]
+        pairs = min(len(servo), len(mocap))
+        if pairs < least:
+            continue
+        servo, mocap = servo[:pairs], mocap[:pairs]
+        slack_s = JITTER_S + RATE_DIFFERENCE * float(servo[-1, 1] - servo[0, 0])
+        low_s = float(np.max(mocap[:, 0] - servo[:, 1])) - slack_s
+        high_s = float(np.min(mocap[:, 1] - servo[:, 0])) + slack_s
+        if low_s <= high_s:
+            offset = Synchronisation(
+                0.5 * (low_s + high_s), np.nan, 0.5 * (high_s - low_s), by="sync",
+                drifts=_drift_of_edges(servo, mocap),
+            )  # fmt: skip
+            offsets.append((pairs, offset))
+    return [offset for _, offset in sorted(offsets, key=lambda entry: -entry[0])]
 
 
-def shift_clock(series: list[Series], offset_s: float) -> list[Series]:
-    """Add `offset_s` to the times of series."""
-    return [replace(s, time_s=s.time_s + offset_s) for s in series]
+def _drift_of_edges(servo_s: Array, mocap_s: Array) -> tuple[ClockDrift, ...]:
+    """Change of the offset over pairs of edges, by a line through the middles of their intervals.
 
-
-def without_sync(series: list[Series]) -> list[Series]:
-    """Remove the synchronisation signal, which is not a signal of the trial."""
-    return [
-        replace(s, columns={n: v for n, v in s.columns.items() if n != SYNC}) if SYNC in s.columns
-        else s
-        for s in series
-    ]  # fmt: skip
+    An edge is uniformly distributed between its two samples: its variance is a twelfth of the
+    square of their distance.
+    """
+    if len(servo_s) < 4:
+        return ()
+    time_s = mocap_s.mean(axis=1)
+    centred_s = time_s - time_s.mean()
+    slope = float(centred_s @ (time_s - servo_s.mean(axis=1)) / (centred_s @ centred_s))
+    widths_s = [np.median(edges[:, 1] - edges[:, 0]) for edges in (servo_s, mocap_s)]
+    deviation_s = np.hypot(np.linalg.norm(widths_s) / np.sqrt(12.0), JITTER_S)
+    over_s = float(time_s[-1] - time_s[0])
+    slope_deviation = float(deviation_s / np.linalg.norm(centred_s))
+    return (ClockDrift(slope * over_s, slope_deviation * over_s, over_s),)
 
 
 # --- by the motion -------------------------------------------------------------------------------
 
+LONGEST_S: Final = 10_000.0
+"""Longest recording whose offset is searched: a million coarse steps."""
+MIN_CORRELATION: Final = 0.9
+"""Smallest correlation of two files with the same motion."""
+SAME_MOTION: Final = 0.97
+"""Correlation above which two files certainly hold one motion; bend leaves 0.99 and more."""
+NEAR_FACTOR: Final = 3.0
+NEAR_FLOOR: Final = 0.001
+"""A second offset competes if its lack of correlation is below this multiple of the best one's plus
+the floor [assumed: the study's motion, with its rest, has 0.07 to 0.09 at the second offset, ten
+minutes of a nearly periodic motion 0.003]."""
 
-def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Synchronisation:
-    angle = _angle(servo, meta.dof)
-    seen, bend, ratio = _direction(mocap, meta)
-    for own, time_s in ((servo, angle.time_s), (mocap, seen.time_s)):
+
+def _by_motion(
+    servo: list[Series], mocap: list[Series], meta: TrialMeta, near_s: float | None
+) -> Synchronisation:
+    angle, direction = _angle(servo, meta.dof), _direction(mocap, meta)
+    for side, time_s in ((servo, angle.time_s), (mocap, direction.root.time_s)):
         if time_s[-1] - time_s[0] > LONGEST_S:
             what = f"lasts {time_s[-1] - time_s[0]:.3g} s, more than {LONGEST_S:g} s"
-            raise InputError(own[0].path, what, "check the unit of its times, or give --offset")
+            raise InputError(side[0].path, what, "check the unit of its times, or give --offset")
+    files = f"its angle and the motion in {mocap[0].path}"
 
-    def unlike(correlation: float, offset_s: float) -> UnlikeMotionsError:
-        return UnlikeMotionsError(
-            servo[0].path,
-            f"its angle and the motion in {mocap[0].path} correlate by {correlation:.2f} at best "
-            f"(at {offset_s:.3f} s)",
-            "check joint order, signs and [frame] in MAP.toml, or give --offset SECONDS",
-        )
+    def check_correlation(correlation: float, offset_s: float) -> None:
+        if not correlation >= MIN_CORRELATION:
+            raise UnlikeMotionsError(
+                servo[0].path,
+                f"{files} correlate by {correlation:.2f} at best (at {offset_s:.3f} s)",
+                "check joint order, signs and [frame] in MAP.toml, or give --offset SECONDS",
+            )
 
-    def best(of: list[Peak], default: Peak | None = None) -> Peak | None:
-        return max(of, key=lambda peak: peak.correlation, default=default)
-
-    peaks = find_peaks(angle, seen)
-    first = best([p for p in peaks if p.as_mapped]) or Peak(0.0, 0.0)
-    other = best([p for p in peaks if not p.as_mapped])
+    peaks = correlation_peaks(angle, direction.root)
+    mapped = [peak for peak in peaks if peak.as_mapped]
+    first = mapped[0] if mapped else Peak(0.0, 0.0)
+    other = max((p for p in peaks if not p.as_mapped), key=lambda p: p.correlation, default=None)
     if (
         other is not None
         and other.correlation >= MIN_CORRELATION
@@ -189,26 +241,25 @@ def _by_motion(servo: list[Series], mocap: list[Series], meta: TrialMeta) -> Syn
             "check joint order, signs (scale = -1.0) and [frame] in MAP.toml, with mirror for a "
             "left-handed file",
         )
-    if not first.correlation >= MIN_CORRELATION:
-        raise unlike(first.correlation, first.offset_s)
-    fit = fit_offset(angle, seen, bend, ratio, first.offset_s)
-    if not fit.correlation >= MIN_CORRELATION:
-        raise unlike(fit.correlation, fit.offset_s)
-    second = best([p for p in peaks if abs(p.offset_s - first.offset_s) > SEPARATION_S])
-    second = second or Peak(np.nan, np.nan)
+    check_correlation(first.correlation, first.offset_s)
+    motion = fit_offset(angle, direction, first.offset_s)
+    check_correlation(motion.correlation, motion.offset_s)
+    apart = (peak for peak in peaks if abs(peak.offset_s - first.offset_s) > SEPARATION_S)
+    second = max(apart, key=lambda peak: peak.correlation, default=Peak(np.nan, np.nan))
     if 1 - second.correlation < NEAR_FACTOR * (1 - first.correlation) + NEAR_FLOOR:
-        kind = InputError if fit.correlation > SAME_MOTION else UnlikeMotionsError
+        if near_s is not None:
+            motion = fit_offset(angle, direction, near_s)
+            check_correlation(motion.correlation, motion.offset_s)
+            return motion
+        kind = InputError if motion.correlation > SAME_MOTION else UnlikeMotionsError
         raise kind(
             servo[0].path,
-            f"its angle and the motion in {mocap[0].path} agree at {fit.offset_s:.3f} s and nearly "
+            f"{files} agree at {motion.offset_s:.3f} s and nearly "
             f"as well at {second.offset_s:.3f} s (correlations {first.correlation:.4f} and "
             f"{second.correlation:.4f}): the motion repeats itself, with too little rest to tell",
             "record the rest before the motion in both files, or give --offset SECONDS",
         )
-    return Synchronisation(
-        fit.offset_s, fit.correlation, fit.error_s, fit.lag_s, second.offset_s, second.correlation,
-        fit=fit,
-    )  # fmt: skip
+    return replace(motion, second_offset_s=second.offset_s, second_correlation=second.correlation)
 
 
 class ClockSignal(NamedTuple):
@@ -216,6 +267,17 @@ class ClockSignal(NamedTuple):
 
     time_s: Array
     values: Array
+
+
+class Direction(NamedTuple):
+    """Direction of the link near its root in rad, and what is known of its bend."""
+
+    root: ClockSignal
+    bend: Array | None = None  # Turn from the first row to the second, (n, dof), if measured
+    # Nominal ratio κ of the bend below the first row to `bend`: of all bend, and of the lagging
+    # bend, as shear is elastic and does not lag. Zero for the base plate, which does not bend.
+    whole_ratio: float = 0.0
+    late_ratio: float = 0.0
 
 
 def _angle(servo: list[Series], dof: int) -> ClockSignal:
@@ -228,21 +290,17 @@ def _angle(servo: list[Series], dof: int) -> ClockSignal:
     raise InputError(servo[0].path, f"has no {' and '.join(names)}", "map them under [columns]")
 
 
-def _direction(mocap: list[Series], meta: TrialMeta) -> tuple[ClockSignal, Array | None, BendRatio]:
-    """Direction of the link near its root, bend above, and nominal ratio of the bend below.
-
-    The base plate does not bend, so its markers are preferred. Without them and the first row, the
-    direction of the tip has to do.
-    """
+def _direction(mocap: list[Series], meta: TrialMeta) -> Direction:
+    """Direction by the base plate, else by the first marker row, else by the tip."""
 
     def owner(*names: str) -> Series | None:
         return next((s for s in mocap if all(map(s.has, names))), None)
 
-    layout, ratio, bend = meta.layout, nominal_bend_ratio(meta), None
+    layout, bend, ratios = meta.layout, None, nominal_bend_ratios(meta)
     if series := owner(*BASE_MARKERS):
         b1, b2, b3, b4 = (series.position_m(name) for name in BASE_MARKERS)
         root = pointing_angles_rad(np.cross(b1 + b3 - b2 - b4, b1 + b2 - b3 - b4))
-        ratio = BendRatio(0.0, 0.0)
+        ratios = (0.0, 0.0)
     elif series := owner(*layout.row(0)):
         rows_m = [
             row_centre_m(np.array([series.position_m(n) for n in names]), layout.corners_m)
@@ -262,7 +320,7 @@ def _direction(mocap: list[Series], meta: TrialMeta) -> tuple[ClockSignal, Array
     if bend is not None:
         bend = bend[whole, : meta.dof]
         bend = bend if np.isfinite(bend).all(axis=1).sum() > LEAST_SAMPLES else None
-    return ClockSignal(series.time_s[whole], root[whole]), bend, ratio
+    return Direction(ClockSignal(series.time_s[whole], root[whole]), bend, *ratios)
 
 
 def _complete(series: Series, values: Array) -> Array:
@@ -273,38 +331,29 @@ def _complete(series: Series, values: Array) -> Array:
     return whole
 
 
-class BendRatio(NamedTuple):
-    """Bend below the first row, relative to the bend between the first two rows."""
+def nominal_bend_ratios(meta: TrialMeta) -> tuple[float, float]:
+    """Bend below the first row over the bend between the first two: of all bend, without shear.
 
-    whole: float  # Ratio of all bend, shear included
-    late: float  # Ratio of the lagging bend: shear is elastic and does not lag
-
-
-def nominal_bend_ratio(meta: TrialMeta) -> BendRatio:
-    """Ratio for a nominal link of this size under a force at its tip; zero with a single row."""
+    They are those of a nominal link of this size under a force at its tip, and zero with one row.
+    """
     if meta.layout.rows < 2:
-        return BendRatio(0.0, 0.0)
+        return 0.0, 0.0
     size = {"length_m": meta.link_length_m, "width_m": meta.link_width_m}
     scale = LinkScale(msgspec.structs.replace(STUDY_LINK, pressure_pa=meta.pressure_pa, **size))
-    first_m, second_m = meta.layout.rows_m[:2]
+    rows_m = np.array(meta.layout.rows_m[:2])
+    deflection_m, _ = scale.deflection(rows_m, 1.0)
 
-    rows_m = np.array([first_m, second_m])
-    whole_m, _ = scale.deflection(rows_m, 1.0)
+    def ratio(first_m: float, second_m: float) -> float:
+        below = first_m / (meta.base_offset_m + rows_m[0])
+        return float(below / ((second_m - first_m) / (rows_m[1] - rows_m[0]) - below))
 
-    def ratio(deflection_m: Array) -> float:
-        first, second = deflection_m
-        below = first / (meta.base_offset_m + first_m)
-        return float(below / ((second - first) / (second_m - first_m) - below))
-
-    return BendRatio(ratio(whole_m), ratio(whole_m - rows_m / scale.shear_n))
+    return ratio(*deflection_m), ratio(*(deflection_m - rows_m / scale.shear_n))
 
 
 # --- search over all offsets, signs and orders ---------------------------------------------------
 
 COARSE_STEP_S: Final = 0.01
 """Step of the search in s."""
-LEAST_OVERLAP: Final = 0.5
-"""Smallest fraction of the motion of one file in the overlap."""
 SEPARATION_S: Final = 0.25
 """Smallest distance of two peaks: the period of the fastest motion, 4 Hz."""
 
@@ -326,36 +375,38 @@ class Peak(NamedTuple):
     @property
     def words(self) -> str:
         """How the angles are read."""
-        turned = [f"joint {j + 1}" for j, sign in zip(*self[2:], strict=True) if sign < 0]
-        swapped = ["joints 1 and 2 are swapped"] if list(self.joints) != sorted(self.joints) else []
-        verb = "counts" if len(turned) == 1 else "count"
-        other = [f"the servo of {' and '.join(turned)} {verb} the other way"] if turned else []
-        return ", and ".join(swapped + other)
+        turned = [f"joint {j + 1}" for j, s in zip(self.joints, self.signs, strict=True) if s < 0]
+        words = ["joints 1 and 2 are swapped"] if list(self.joints) != sorted(self.joints) else []
+        if turned:
+            verb = "counts" if len(turned) == 1 else "count"
+            words.append(f"the servo of {' and '.join(turned)} {verb} the other way")
+        return ", and ".join(words)
 
 
-def find_peaks(angle: ClockSignal, seen: ClockSignal) -> list[Peak]:
-    """Best offsets of the angles as mapped, then the best one of each other reading.
+def correlation_peaks(angle: ClockSignal, direction: ClockSignal) -> list[Peak]:
+    """Peaks over the offset: the best two as mapped, then the best of each other reading.
 
-    On a coarse grid, the correlation of angles and directions is computed at every offset at which
-    the overlap contains half of the motion of one file. There are two peaks of the mapped reading
-    (one if no other is far enough) and one of each other reading; none if the files have too little
-    in common.
+    The correlation is computed on a coarse grid, at every offset at which the overlap contains half
+    of the motion of one file. There may be fewer peaks, or none.
     """
-    a, b = _on_grid(angle), _on_grid(seen)
+    a, b = _on_grid(angle), _on_grid(direction)
     covariance, enough = _covariances(a, b)
-    start_s = float(seen.time_s[0] - angle.time_s[0]) - (len(a) - 1) * COARSE_STEP_S
+    start_s = float(direction.time_s[0] - angle.time_s[0]) - (len(a) - 1) * COARSE_STEP_S
     peaks: list[Peak] = []
-    dof = angle.values.shape[1]
+    dof = a.shape[1]
     for joints, signs in product(permutations(range(dof)), product((1, -1), repeat=dof)):
         shared = sum(
-            sign * covariance[j, k] for k, (j, sign) in enumerate(zip(joints, signs, strict=True))
+            sign * covariance[:, j, k]
+            for k, (j, sign) in enumerate(zip(joints, signs, strict=True))
         )
         score = np.where(enough, shared, -1.0)
-        at, _ = maxima(score, height=0.0, distance=round(SEPARATION_S / COARSE_STEP_S) + 1)
-        for k in at[np.argsort(-score[at], kind="stable")][:2].tolist():
-            peaks.append(Peak(start_s + k * COARSE_STEP_S, float(score[k]), joints, signs))
-            if not peaks[-1].as_mapped:
-                break
+        at, _ = find_peaks(score, height=0.0, distance=round(SEPARATION_S / COARSE_STEP_S) + 1)
+        best = at[np.argsort(-score[at], kind="stable")]
+        as_mapped = Peak(0.0, 0.0, joints, signs).as_mapped
+        peaks += [
+            Peak(start_s + k * COARSE_STEP_S, float(score[k]), joints, signs)
+            for k in best[: 2 if as_mapped else 1].tolist()
+        ]
     return peaks
 
 
@@ -366,29 +417,27 @@ def _on_grid(signal: ClockSignal) -> Array:
 
 
 def _covariances(a: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Covariance of each pair of columns at every lag, relative to all of both; enough overlap."""
+    """Covariance of each pair of columns at every lag, relative to all of both; enough overlap.
 
-    def over(x: Array, y: Array) -> Array:
-        return np.asarray(correlate(y, x, mode="full", method="fft"))
+    Shape (lags, columns of a, columns of b), and (lags,).
+    """
 
-    one_a, one_b = np.ones(len(a)), np.ones(len(b))
-    count = np.maximum(np.round(over(one_a, one_b)), 1.0)
-    sum_a, sum_b = [over(x, one_b) for x in a.T], [over(one_a, y) for y in b.T]
-    square_a, square_b = over((a**2).sum(axis=1), one_b), over(one_a, (b**2).sum(axis=1))
-    variance_a = square_a - np.square(sum_a).sum(axis=0) / count
-    variance_b = square_b - np.square(sum_b).sum(axis=0) / count
+    def summed(x: Array, y: Array) -> Array:
+        """Sum of x(t) y(t + lag) over the overlap at every lag, along axis 0."""
+        return np.asarray(fftconvolve(y, x[::-1], axes=0))
+
+    one_a, one_b = np.ones((len(a), 1)), np.ones((len(b), 1))
+    count = np.maximum(np.round(summed(one_a, one_b)), 1.0)
+    sum_a, sum_b = summed(a, one_b), summed(one_a, b)
+    square_a = summed(np.sum(a**2, axis=1, keepdims=True), one_b)
+    square_b = summed(one_a, np.sum(b**2, axis=1, keepdims=True))
+    variance_a = square_a - np.sum(sum_a**2, axis=1, keepdims=True) / count
+    variance_b = square_b - np.sum(sum_b**2, axis=1, keepdims=True) / count
     size = np.sqrt(np.maximum(variance_a * variance_b, 1e-30))
-    covariance = np.array(
-        [
-            [
-                (over(x, y) - sum_x * sum_y / count) / size
-                for y, sum_y in zip(b.T, sum_b, strict=True)
-            ]
-            for x, sum_x in zip(a.T, sum_a, strict=True)
-        ]
-    )
-    held = np.maximum(square_a / max(np.sum(a**2), 1e-30), square_b / max(np.sum(b**2), 1e-30))
-    return covariance, (held >= LEAST_OVERLAP) & (count > 2)
+    shared = summed(a[:, :, None], b[:, None, :])
+    covariance = shared - sum_a[:, :, None] * sum_b[:, None, :] / count[:, :, None]
+    fraction = np.maximum(square_a / max(np.sum(a**2), 1e-30), square_b / max(np.sum(b**2), 1e-30))
+    return covariance / size[:, :, None], ((fraction >= 0.5) & (count > 2))[:, 0]
 
 
 # --- fit of the offset near the best peak --------------------------------------------------------
@@ -411,139 +460,144 @@ RANGE_S: Final = 0.03
 """Half width of the search around the coarse offset."""
 MODEL_ERROR_S: Final = 0.25
 """Correlation time of model errors: the period of the fastest motion, 4 Hz."""
-BLOCK_S: Final = 1.0
-"""Time over which residuals count as dependent."""
 LEAST_SAMPLES: Final = 100
-"""Fewest samples of half of the motion for an offset of its own, or with a measured bend."""
+"""Fewest samples of half of the motion for its offset, or with a measured bend."""
 DRIFT_FLOOR_S: Final = 1e-4
 """Standard deviation of the difference of two offsets, beyond that of their fits: encoder steps."""
 
 
-def fit_offset(
-    angle: ClockSignal,
-    seen: ClockSignal,
-    bend: Array | None,
-    ratio: BendRatio,
-    start_s: float,
-) -> OffsetFit:
-    """Fit the offset near `start_s`.
-
-    `seen` is the direction of the first row on the motion capture's clock. `bend` (n, dof) is the
-    turn from the first row to the second at the same samples; None if it was not measured, or if
-    the direction is that of the base. `ratio` is the nominal link's, zero for the base.
-    """
-    near = _Comparison(angle, seen, bend, start_s)
+def fit_offset(angle: ClockSignal, direction: Direction, start_s: float) -> Synchronisation:
+    """Fit the offset near `start_s`, without the lag of the bend."""
+    near = _Comparison.near(angle, direction, start_s)
     raw_s = offset_s = near.best(0.0)
     kappa, lag_deviation = np.zeros(angle.values.shape[1]), 0.0
-    if bend is not None:
+    if direction.bend is not None:
         for _ in range(2):
-            whole, deviation = near.bend_ratio(offset_s, ratio)
-            kappa = whole * ratio.late / ratio.whole
+            whole, deviation = near.bend_ratio(offset_s, direction.whole_ratio)
+            kappa = whole * direction.late_ratio / direction.whole_ratio
             offset_s = near.best(kappa)
         lag_deviation = float(np.max(deviation / np.maximum(whole, deviation)))
-    residual, rate, kept, correlation = near.at(offset_s, kappa)
+    fit = near.at(offset_s, kappa)
     lag_s = raw_s - offset_s
+    is_uncorrected = direction.bend is None and direction.whole_ratio > 0
     deviations_s = [
-        _standard_error_s(near.seen_s[kept], residual, rate),
+        fit.standard_error_s(),
         lag_deviation * lag_s,
         LAG_DEVIATION * lag_s,
-        UNCORRECTED_DEVIATION_S if bend is None and ratio.whole > 0 else 0.0,
+        UNCORRECTED_DEVIATION_S if is_uncorrected else 0.0,
         FLOOR_S,
     ]
-    return OffsetFit(
+    return Synchronisation(
         offset_s,
+        fit.correlation,
         float(1.96 * np.linalg.norm(deviations_s)),
         lag_s,
-        correlation,
-        residual,
-        near.seen_s[kept],
-        _drift(near, offset_s, kappa),
+        drifts=_drift(near, fit, kappa),
+        residual=fit.residual,
+        time_s=fit.time_s,
     )
 
 
-def _drift(near: _Comparison, offset_s: float, kappa: Array | float) -> ClockDrift | None:
+def _drift(near: _Comparison, fit: _Fit, kappa: Array) -> tuple[ClockDrift, ...]:
     """Drift between two halves of the motion with equal information on the offset."""
-    _, rate, kept, _ = near.at(offset_s, kappa)
-    weight, time_s = np.sum(rate**2, axis=1), near.seen_s[kept]
-    if len(time_s) < 2 * LEAST_SAMPLES or not weight.sum() > 0:
-        return None
+    weight, time_s = np.sum(fit.rate**2, axis=1), fit.time_s
+    if len(time_s) < 2 * LEAST_SAMPLES:
+        return ()
     information = np.cumsum(weight)
     split = int(np.searchsorted(information, information[-1] / 2))
     offsets, deviations, middles = [], [], []
     for half in (slice(None, split), slice(split, None)):
         if len(time_s[half]) < LEAST_SAMPLES:
-            return None
+            return ()
         part = near.within(time_s[half][0], time_s[half][-1])
         offsets.append(part.best(kappa))
-        residual, rate, kept, _ = part.at(offsets[-1], kappa)
-        deviations.append(_standard_error_s(part.seen_s[kept], residual, rate))
+        deviations.append(part.at(offsets[-1], kappa).standard_error_s())
         middles.append(float(np.average(time_s[half], weights=weight[half])))
     deviation_s = float(np.linalg.norm([*deviations, DRIFT_FLOOR_S]))
-    return ClockDrift(offsets[1] - offsets[0], deviation_s, middles[1] - middles[0])
+    return (ClockDrift(offsets[1] - offsets[0], deviation_s, middles[1] - middles[0]),)
 
 
+class _Fit(NamedTuple):
+    """Comparison of direction and angle at one offset, at n samples in which both are known."""
+
+    time_s: Array  # On the motion capture's clock, (n,)
+    residual: Array  # (n, dof)
+    rate: Array  # Change of the direction per time by the angle, (n, dof)
+    correlation: float
+
+    def standard_error_s(self) -> float:
+        """Standard error of the offset; residuals within one second count as dependent."""
+        block = (self.time_s - self.time_s[0]).astype(int)
+        moment = np.bincount(block, np.sum(self.residual * self.rate, axis=1))
+        return float(np.sqrt(np.sum(moment**2)) / max(np.sum(self.rate**2), 1e-30))
+
+
+@dataclass
 class _Comparison:
-    """Comparison of servo and link at offsets near a first one."""
+    """Samples of the link's direction to compare with the angle at offsets near a first one."""
 
-    def __init__(
-        self, angle: ClockSignal, seen: ClockSignal, bend: Array | None, start_s: float
-    ) -> None:
-        self.start_s, self._angle_s = start_s, angle.time_s
-        self._spline = CubicSpline(angle.time_s, angle.values)
-        self._gap_s = 3 * np.median(np.diff(angle.time_s))
-        shifted = seen.time_s - start_s
+    angle: CubicSpline
+    start_s: float
+    time_s: Array  # On the motion capture's clock
+    root: Array
+    bend: Array
+
+    @classmethod
+    def near(cls, angle: ClockSignal, direction: Direction, start_s: float) -> _Comparison:
+        """Comparison of the samples that no gap of the servo's log hides."""
+        time_s, values = direction.root
+        shifted, steps = time_s - start_s, np.diff(angle.time_s)
         inside = (shifted >= angle.time_s[0] + RANGE_S) & (shifted <= angle.time_s[-1] - RANGE_S)
         after = np.clip(np.searchsorted(angle.time_s, shifted), 1, len(angle.time_s) - 1)
-        inside &= angle.time_s[after] - angle.time_s[after - 1] <= self._gap_s
-        self.seen_s, self._seen = seen.time_s[inside], seen.values[inside]
-        self._bend = np.zeros_like(self._seen) if bend is None else bend[inside]
+        inside &= steps[after - 1] <= 3 * np.median(steps)
+        bend = np.zeros_like(values) if direction.bend is None else direction.bend
+        spline = CubicSpline(angle.time_s, angle.values)
+        return cls(spline, start_s, time_s[inside], values[inside], bend[inside])
 
     def within(self, first_s: float, last_s: float) -> _Comparison:
-        """Comparison restricted to the samples between two times."""
-        part, inside = copy(self), (self.seen_s >= first_s) & (self.seen_s <= last_s)
-        part.seen_s, part._seen, part._bend = (
-            v[inside] for v in (self.seen_s, self._seen, self._bend)
-        )
-        return part
+        rows = (self.time_s >= first_s) & (self.time_s <= last_s)
+        return replace(self, time_s=self.time_s[rows], root=self.root[rows], bend=self.bend[rows])
 
     def best(self, kappa: Array | float) -> float:
-        """Offset with the least sum of squares, for given ratios."""
-        found = minimize_scalar(
-            lambda offset_s: float(np.sum(self.at(offset_s, kappa)[0] ** 2)),
+        """Offset with the least sum of squares at these ratios."""
+        least = minimize_scalar(
+            lambda offset_s: float(np.sum(self.at(offset_s, kappa).residual ** 2)),
             bounds=(self.start_s - RANGE_S, self.start_s + RANGE_S),
             method="bounded",
             options={"xatol": 1e-6},
         )
-        return float(found.x)
+        return float(least.x)
 
-    def at(self, offset_s: float, kappa: Array | float) -> tuple[Array, Array, Array, float]:
-        """Residual, rate of the angle, kept samples and correlation at an offset."""
-        q = self._spline(self.seen_s - offset_s)
-        y = self._seen - kappa * self._bend
-        kept = np.all(np.isfinite(y), axis=1)
-        q, y = q[kept] - q[kept].mean(axis=0), y[kept] - y[kept].mean(axis=0)
+    def at(self, offset_s: float, kappa: Array | float) -> _Fit:
+        y = self.root - kappa * self.bend
+        known = np.all(np.isfinite(y), axis=1)
+        time_s = self.time_s[known]
+        q, y = self.angle(time_s - offset_s), y[known]
+        q, y = q - q.mean(axis=0), y - y.mean(axis=0)
         power, shared = np.sum(q * q, axis=0), np.sum(q * y, axis=0)
         gain = shared / np.maximum(power, 1e-30)
         size = np.sqrt(power.sum() * np.sum(y * y))
-        rate = gain * self._spline(self.seen_s[kept] - offset_s, 1)
-        return y - gain * q, rate, kept, float(shared.sum() / size) if size > 0 else 0.0
+        correlation = float(shared.sum() / size) if size > 0 else 0.0
+        rate = gain * self.angle(time_s - offset_s, 1)
+        return _Fit(time_s, y - gain * q, rate, correlation)
 
-    def bend_ratio(self, offset_s: float, ratio: BendRatio) -> tuple[Array, Array]:
-        """Ratio κ of each joint and its standard deviation, (dof,) each.
+    def bend_ratio(self, offset_s: float, nominal: float) -> tuple[Array, Array]:
+        """Ratio of all bend and its standard deviation, of each joint, (dof,) each.
 
         It is fitted to the bend in phase with the motion; a term in the rate absorbs what is out of
         phase: an error of the offset, and the lag itself. The noise of the markers, which would
-        lower κ (errors in variables), is estimated from second differences.
+        lower the ratio (errors in variables), is estimated from second differences.
         """
-        q = self._spline(self.seen_s - offset_s)
-        kept = np.all(np.isfinite(self._seen + self._bend), axis=1)
-        below, bend, q = (self._seen - q)[kept], self._bend[kept], q[kept]
-        rates = self._spline(self.seen_s[kept] - offset_s, 1)
-        noise_bend = _second_difference(bend, bend)
-        noise_shared = _second_difference(below, bend)
+        known = np.all(np.isfinite(self.root + self.bend), axis=1)
+        at_s, bend = self.time_s[known] - offset_s, self.bend[known]
+        q, rates = self.angle(at_s), self.angle(at_s, 1)
+        below = self.root[known] - q
+        noise_bend = _noise_covariance(bend, bend)
+        noise_shared = _noise_covariance(below, bend)
         # The model error, a tenth of the bend, is correlated over a quarter of a second.
-        alike = max(MODEL_ERROR_S / float(np.median(np.diff(self.seen_s))), 1.0)
+        alike = max(MODEL_ERROR_S / float(np.median(np.diff(self.time_s))), 1.0)
         variance = alike * np.maximum(np.var(below, axis=0) * 1e-2, 1e-8)
+        prior = RATIO_DEVIATION**-2
         ratios, deviations = [], []
         for j in range(q.shape[1]):
             x, s, r, y = (v[:, j] - v[:, j].mean() for v in (q, bend, rates, below))
@@ -551,157 +605,16 @@ class _Comparison:
             matrix, right = design.T @ design, design.T @ y
             matrix[1, 1] -= len(x) * noise_bend[j]
             right[1] -= len(x) * noise_shared[j]
-            matrix = matrix / variance[j] + np.diag([GAIN_DEVIATION**-2, RATIO_DEVIATION**-2, 1e-9])
-            right = right / variance[j] + np.array([0.0, ratio.whole * RATIO_DEVIATION**-2, 0.0])
+            matrix = matrix / variance[j] + np.diag([GAIN_DEVIATION**-2, prior, 1e-9])
+            right = right / variance[j] + np.array([0.0, nominal * prior, 0.0])
             ratios.append(np.linalg.solve(matrix, right)[1])
             # The noise may exceed a bend that is hardly there; then only the prior is known.
-            own = np.linalg.inv(matrix)[1, 1]
-            deviations.append(np.sqrt(own) if 0.0 < own < RATIO_DEVIATION**2 else RATIO_DEVIATION)
-        low, high = ratio.whole - 3 * RATIO_DEVIATION, ratio.whole + 3 * RATIO_DEVIATION
+            square = np.linalg.inv(matrix)[1, 1]
+            deviations.append(np.sqrt(square) if 0.0 < square < 1 / prior else RATIO_DEVIATION)
+        low, high = nominal - 3 * RATIO_DEVIATION, nominal + 3 * RATIO_DEVIATION
         return np.clip(ratios, max(low, 0.0), high), np.array(deviations)
 
 
-def _second_difference(a: Array, b: Array) -> Array:
+def _noise_covariance(a: Array, b: Array) -> Array:
     """Covariance of the white noise of two signals, per column."""
     return np.asarray(np.mean(np.diff(a, 2, axis=0) * np.diff(b, 2, axis=0), axis=0) / 6.0)
-
-
-def _standard_error_s(time_s: Array, residual: Array, rate: Array) -> float:
-    """Standard error of the offset, allowing for correlated residuals within a block."""
-    block = ((time_s - time_s[0]) / BLOCK_S).astype(int)
-    moment = np.bincount(block, np.sum(residual * rate, axis=1))
-    information = np.sum(rate**2)
-    return float(np.sqrt(np.sum(moment**2)) / max(information, 1e-30))
-
-
-# --- by a synchronisation signal -----------------------------------------------------------------
-
-FINE_S: Final = 0.001
-"""Half width of the signal's offset above which the motion refines it: the clock's target."""
-LEAST_SWING_V: Final = 0.5
-"""Smallest difference between the levels of the signal [assumed: logic is at 1.8 V or more]."""
-JITTER_S: Final = 2e-4
-"""Error of a time stamp [assumed]."""
-DRIFT: Final = 3e-5
-"""Relative difference of two clocks' rates: a crystal's tolerance of 30 ppm [assumed]."""
-LEAST_PAIRS: Final = 4
-"""Fewest pairs of edges for a fit of the drift [assumed]."""
-LEAST_SHARED: Final = 0.5
-"""Smallest fraction of edges with a partner, in the file with fewer edges."""
-
-
-class EdgeOffset(NamedTuple):
-    """Interval of offsets at which the edges of two files match."""
-
-    low_s: float  # Lower and upper end of the interval; add the offset to the servo's times
-    high_s: float
-    shared: int  # Number of matching pairs of edges
-    # Change of the offset from the first pair to the last; None for fewer than `LEAST_PAIRS`
-    drift: ClockDrift | None = None
-
-    @property
-    def offset_s(self) -> float:
-        """Middle of the interval in s."""
-        return 0.5 * (self.low_s + self.high_s)
-
-    @property
-    def error_s(self) -> float:
-        """Half of the interval's width in s."""
-        return 0.5 * (self.high_s - self.low_s)
-
-
-def rising_edges_s(time_s: Array, level_v: Array) -> Array:
-    """Times of the samples before and after each rise through mid-range, shape (edges, 2)."""
-    seen = np.isfinite(level_v)
-    time_s, level_v = time_s[seen], level_v[seen]
-    if len(level_v) < 2 or np.ptp(level_v) < LEAST_SWING_V:
-        return np.zeros((0, 2))
-    middle = 0.5 * (level_v.min() + level_v.max())
-    at = np.flatnonzero((level_v[:-1] < middle) & (level_v[1:] >= middle))
-    return np.column_stack([time_s[at], time_s[at + 1]])
-
-
-def edge_offsets(servo_s: Array, mocap_s: Array) -> list[EdgeOffset]:
-    """Offsets at which the edges (edges, 2) of two files match, the one with the most pairs first.
-
-    Either file may lack edges at its ends. There are several offsets if the signal is periodic, and
-    none if nothing matches.
-    """
-    least = max(LEAST_SHARED * min(len(servo_s), len(mocap_s)), 1)
-    found = []
-    for shift in range(1 - len(servo_s), len(mocap_s)):
-        servo = servo_s[max(-shift, 0) :]
-        mocap = mocap_s[max(shift, 0) :]
-        shared = min(len(servo), len(mocap))
-        if shared < least:
-            continue
-        servo, mocap = servo[:shared], mocap[:shared]
-        slack_s = JITTER_S + DRIFT * float(servo[-1, 1] - servo[0, 0])
-        low_s = float(np.max(mocap[:, 0] - servo[:, 1])) - slack_s
-        high_s = float(np.min(mocap[:, 1] - servo[:, 0])) + slack_s
-        if low_s <= high_s:
-            found.append(EdgeOffset(low_s, high_s, shared, _drift_of_edges(servo, mocap)))
-    return sorted(found, key=lambda fit: -fit.shared)
-
-
-def _drift_of_edges(servo_s: Array, mocap_s: Array) -> ClockDrift | None:
-    """Change of the offset over pairs of edges, by a line through the middles of their intervals.
-
-    An edge is uniformly distributed between its two samples: its variance is a twelfth of the
-    square of their distance.
-    """
-    if len(servo_s) < LEAST_PAIRS:
-        return None
-    time_s = mocap_s.mean(axis=1)
-    offset_s = time_s - servo_s.mean(axis=1)
-    centred_s = time_s - time_s.mean()
-    slope = float(centred_s @ offset_s / (centred_s @ centred_s))
-    widths_s = [np.median(edges[:, 1] - edges[:, 0]) for edges in (servo_s, mocap_s)]
-    deviation_s = np.hypot(np.linalg.norm(widths_s) / np.sqrt(12.0), JITTER_S)
-    over_s = float(time_s[-1] - time_s[0])
-    slope_deviation = float(deviation_s / np.linalg.norm(centred_s))
-    return ClockDrift(slope * over_s, slope_deviation * over_s, over_s)
-
-
-def _by_edges(servo: list[Series], mocap: list[Series]) -> list[EdgeOffset]:
-    owners = [s for side in (servo, mocap) for s in side if SYNC in s.columns]
-    if not all(any(SYNC in s.columns for s in side) for side in (servo, mocap)):
-        return []
-    edges = [rising_edges_s(s.time_s, s.columns[SYNC]) for s in (owners[0], owners[-1])]
-    found = edge_offsets(*edges)
-    if not found:
-        raise InputError(
-            owners[0].path,
-            f"its {SYNC} has {len(edges[0])} rising edges, that of {owners[-1].path} "
-            f"{len(edges[1])}, and they do not fit together",
-            "map the same signal in both files, correct the unit and rate of their times, or leave "
-            f"{SYNC} out",
-        )
-    return found
-
-
-def _edges_with_motion(
-    edges: list[EdgeOffset], servo: list[Series], mocap: list[Series], meta: TrialMeta
-) -> Synchronisation:
-    """Offset from a periodic or coarsely sampled signal, refined by the motion."""
-    try:
-        motion = _by_motion(servo, mocap, meta)
-    except InputError as error:
-        if len(edges) == 1:
-            return _of_edges(edges[0])
-        raise InputError(
-            servo[0].path,
-            f"its {SYNC} repeats itself and fits at {edges[0].offset_s:.3f} s and at "
-            f"{edges[1].offset_s:.3f} s, and the motion does not decide: {error.what}",
-            "send pulses at uneven times, or give --offset SECONDS",
-        ) from None  # fmt: skip
-    nearest = min(edges, key=lambda edge: abs(edge.offset_s - motion.offset_s))
-    inside_s = float(np.clip(motion.offset_s, nearest.low_s, nearest.high_s))
-    if abs(inside_s - motion.offset_s) > motion.error_s:  # the signal is trusted, not the motion
-        return _of_edges(nearest)
-    error_s = min(nearest.error_s, motion.error_s)
-    return replace(motion, offset_s=inside_s, error_s=error_s, by="sync", edges_drift=nearest.drift)
-
-
-def _of_edges(edge: EdgeOffset) -> Synchronisation:
-    return Synchronisation(edge.offset_s, np.nan, edge.error_s, by="sync", edges_drift=edge.drift)

@@ -87,8 +87,8 @@ def trials_frame(trials: Iterable[Trial]) -> pd.DataFrame:
     for trial in trials:
         facts = {"name": trial.name} | {c: getattr(trial.meta, c) for c in CONDITIONS[1:]}
         count = len(trial)
-        told = {c: [v] * count for c, v in facts.items() if c not in trial.columns}
-        frames.append(as_data_frame(told | trial.columns))
+        added = {c: [v] * count for c, v in facts.items() if c not in trial.columns}
+        frames.append(as_data_frame(added | trial.columns))
     if not frames:
         raise InputError("trials", "are none", "give one at least")
     whole: pd.DataFrame = _pandas().concat(frames, ignore_index=True)
@@ -120,15 +120,14 @@ def trial_from_frame(
         If name or conditions are missing, or if samples or conditions are invalid.
     """
     attributes = dict(frame.attrs)
-    name = name or str(attributes.get("name", ""))
+    stored_name = str(attributes.pop("name", ""))
+    name = name or stored_name
     if not name:
         raise InputError("trial_from_frame", "has no name for the trial", "give one")
-    attributes.pop("name", None)
     if meta is None:
         if not attributes:
-            raise InputError(
-                name, "has no conditions in the frame's attrs", "give a TrialMeta as meta"
-            )
+            what = "has no conditions in the frame's attrs"
+            raise InputError(name, what, "give a TrialMeta as meta")
         meta = check_meta(attributes, Path(name), signals)
     columns = {}
     for column in frame.columns:

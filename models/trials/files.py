@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -122,10 +123,9 @@ def _holds_conditions(path: Path) -> bool:
 def conditions_beside(samples: Path) -> Path:
     """Path of a trial's TOML file, existing or not; its suffix may be in capitals."""
     usual = samples.with_suffix(".toml")
-    if usual.exists():
-        return usual
-    others = sorted(p for p in samples.parent.glob("*") if p.suffix.lower() == ".toml")
-    return next((p for p in others if p.stem == samples.stem), usual)
+    beside = samples.parent.glob("*") if not usual.exists() else ()
+    named = (p for p in beside if p.stem == samples.stem and p.suffix.lower() == ".toml")
+    return min(named, default=usual)
 
 
 def read_trial_directories(
@@ -137,15 +137,10 @@ def read_trial_directories(
     """
     if len({d.resolve() for d in directories}) < len(directories):
         raise InputError(directories[-1], "is given twice", "name each directory once")
-    sets = [read_trials(d, signals and dict(signals)) for d in directories]
-    if len(sets) == 1:
-        return sets[0]
-    names = [t.name for own in sets for t in own]
-    every = [
-        replace(t, name=f"{d.name}_{t.name}") if names.count(t.name) > 1 else t
-        for d, own in zip(directories, sets, strict=True) for t in own
-    ]  # fmt: skip
-    return TrialSet(tuple(sorted(every, key=lambda t: t.name)))
+    trials = [(d, trial) for d in directories for trial in read_trials(d, signals)]
+    counts = Counter(trial.name for _, trial in trials)
+    named = [replace(t, name=f"{d.name}_{t.name}") if counts[t.name] > 1 else t for d, t in trials]
+    return TrialSet(tuple(sorted(named, key=lambda t: t.name)))
 
 
 def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
@@ -202,11 +197,11 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
 def check_trial_of_frame(trial: Trial, signals: PlantSignals | None = None) -> None:
     """Refuse a trial that could not be written as a valid file; its names are the plant's."""
     where = Path(trial.name)
-    own = {s.quantity or name: s for name, s in (signals or {}).items()}
-    meta = check_meta(trial.meta.document(), where, own)
+    quantities = {s.quantity or name: s for name, s in (signals or {}).items()}
+    meta = check_meta(trial.meta.document(), where, quantities)
     check_columns(where, list(trial.columns))
-    _check_names(where, list(trial.columns), meta, own)
-    _check_samples(trial, own)
+    _check_names(where, list(trial.columns), meta, quantities)
+    _check_samples(trial, quantities)
 
 
 def _with_plant_names(trial: Trial, signals: PlantSignals | None) -> Trial:
@@ -244,23 +239,17 @@ def _check_names(
 ) -> None:
     """Refuse a missing column, or one that has no unit and is not of a robot's log."""
     required = _required(meta, signals)
-    for name in required:
-        if name not in header:
-            raise InputError(where, f"column {name} is missing", _column_remedy(name, header))
+    for name in (n for n in required if n not in header):
+        stem = name.rsplit("_", 1)[0]
+        alike = next((h for h in header if stem in (h, h.rsplit("_", 1)[0])), None)
+        remedy = "add it, or use 'dropstitch import' to map your columns"
+        if alike is not None:
+            remedy = f"convert column {alike!r} to the SI unit and call it {name}"
+        raise InputError(where, f"column {name} is missing", remedy)
     known = {*required, *(signal.name for signal in tick_signals(meta.dof))}
-    for name in header:
-        if name not in known and unit_of(name) is None:
-            raise InputError(
-                where, f"column {name!r} has no unit suffix", "name it like temperature_1_degc"
-            )
-
-
-def _column_remedy(name: str, header: Sequence[str]) -> str:
-    stem = name.rsplit("_", 1)[0]
-    alike = [h for h in header if h.rsplit("_", 1)[0] == stem or h == stem]
-    if alike:
-        return f"convert column {alike[0]!r} to the SI unit and call it {name}"
-    return "add it, or use 'dropstitch import' to map your columns"
+    for name in (n for n in header if n not in known and unit_of(n) is None):
+        remedy = "name it like temperature_1_degc"
+        raise InputError(where, f"column {name!r} has no unit suffix", remedy)
 
 
 def _check_samples(trial: Trial, signals: PlantSignals | None) -> None:
@@ -271,26 +260,23 @@ def _check_samples(trial: Trial, signals: PlantSignals | None) -> None:
     no_tip = all(np.isnan(trial.columns.get(name, np.nan)).all() for name in tip_names())
     for name in _required(trial.meta, signals):
         column = trial.columns[name]
+        may_be_empty = _MARKER.fullmatch(name) or (no_tip and name in tip_names())
         empty = np.flatnonzero(~np.isfinite(column))
-        if len(empty) and not (_MARKER.fullmatch(name) or (no_tip and name in tip_names())):
-            raise InputError(
-                where, f"row {empty[0] + 2}, column {name!r}: {column[empty[0]]} is not a finite "
-                "number", "correct the cell (only a marker may be empty, where it was occluded)",
-            )  # fmt: skip
+        if len(empty) and not may_be_empty:
+            what = f"row {empty[0] + 2}, column {name!r}: {column[empty[0]]} is not a finite number"
+            remedy = "correct the cell (only a marker may be empty, where it was occluded)"
+            raise InputError(where, what, remedy)
         limit, unit = _COLUMN_RANGE.get(name.rpartition("_")[2], (np.inf, ""))
         beyond = np.flatnonzero(np.abs(column) > limit)
         if len(beyond):
-            raise InputError(
-                where, f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not "
-                "plausible", f"convert it if it is in {unit}",
-            )  # fmt: skip
+            what = f"row {beyond[0] + 2}, column {name}: {column[beyond[0]]:g} is not plausible"
+            raise InputError(where, what, f"convert it if it is in {unit}")
     steps, mean = np.diff(trial.time_s), trial.step_s
     worst = int(np.argmax(np.abs(steps - mean)))
     if not mean > 0 or abs(steps[worst] - mean) > STEP_TOLERANCE * mean:
-        raise InputError(
-            where, f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s",
-            "resample to a uniform step with 'dropstitch import --as table'",
-        )  # fmt: skip
+        what = f"row {worst + 3}, column time_s: step {steps[worst]:.6g} s, mean {mean:.6g} s"
+        remedy = "resample to a uniform step with 'dropstitch import --as table'"
+        raise InputError(where, what, remedy)
     if not signals:
         check_step_range(where, "column time_s", mean)
     if not 0 <= trial.meta.rest_samples < len(trial):
@@ -322,8 +308,8 @@ _META_RANGE: Final[dict[str, tuple[float, float]]] = {
     "period_s": (0, 1e4), "amplitude_rad": (0, 3.2), "phase_2_rad": (-6.3, 6.3),
     "base_offset_m": (0, 10), "link_length_m": (1e-3, 100), "link_width_m": (1e-3, 100),
 }  # fmt: skip
-_PERIOD_S: Final = (1e-3, 1e4)
-"""Range for the link: a goal lasts at least one step. The period of another plant may be zero."""
+_LINK_RANGE: Final = _META_RANGE | {"period_s": (1e-3, 1e4)}
+"""A goal of the link lasts at least one step. The period of another plant may be zero."""
 
 
 def check_meta(
@@ -338,35 +324,28 @@ def check_meta(
             raise InputError(where, f"{key} is missing", "see docs/trials.md for its form")
     for name, signal in (signals or {}).items():
         if signal.role == "condition" and name not in conditions:
-            raise InputError(
-                where, f"[conditions] lacks {name}, which the plant's file declares", "add it"
-            )
+            what = f"[conditions] lacks {name}, which the plant's file declares"
+            raise InputError(where, what, "add it")
     meta = convert(document, TrialMeta, where, "", "see docs/trials.md for its form")
     for key, value in meta.conditions.items():
         if not math.isfinite(value):
             raise InputError(where, f"[conditions] {key} is {value}", "give a finite number")
-    for key in (k for k in _META_RANGE if k in needed or k not in LINK_CONDITIONS):
-        low, high = _PERIOD_S if key == "period_s" and not signals else _META_RANGE[key]
+    for key, (low, high) in (_META_RANGE if signals else _LINK_RANGE).items():
         value = getattr(meta, key)
-        if not low <= value <= high:
-            raise InputError(
-                where, f"{key} is {value}, outside {low:g} to {high:g}", "give it in the unit named"
-            )
+        if not low <= value <= high and (key in needed or key not in LINK_CONDITIONS):
+            what = f"{key} is {value}, outside {low:g} to {high:g}"
+            raise InputError(where, what, "give it in the unit named")
     if not signals:
-        _check_motion_name(where, meta.motion)
         meta.layout.check(where, meta.link_length_m)
         if not math.hypot(*meta.gravity) < 100.0:
             raise InputError(where, f"gravity_m_s2 is {meta.gravity}", "give it in m/s²")
+        # The name groups the trials, so it may not differ from a reference motion by case only.
+        plain = meta.motion.strip().lower()
+        if not plain:
+            raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
+        if plain in KINDS and meta.motion != plain:
+            raise InputError(where, f"motion is {meta.motion!r}", f'write motion = "{plain}"')
     return meta
-
-
-def _check_motion_name(where: Path, name: str) -> None:
-    """Refuse a name that differs from a reference motion by case only: it groups the trials."""
-    if not name.strip():
-        raise InputError(where, "motion is empty", "name the reference motion, like sinusoid")
-    meant = name.strip().lower()
-    if meant in KINDS and name != meant:
-        raise InputError(where, f"motion is {name!r}", f'write motion = "{meant}"')
 
 
 # --- writing ---------------------------------------------------------------------------------

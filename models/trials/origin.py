@@ -32,18 +32,6 @@ _SOURCES: Final[dict[str, tuple[OriginKind, str]]] = {
 """Kind and words of each source that the project writes."""
 
 
-class _Entry(msgspec.Struct, frozen=True):
-    """Part of a trial's record that is read here."""
-
-    rig: str
-
-
-class _Record(msgspec.Struct, frozen=True):
-    """Part of a directory's record that is read here."""
-
-    trials: dict[str, _Entry]
-
-
 class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Trials of one origin, and their number."""
 
@@ -62,13 +50,11 @@ class TrialOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
         if self.source not in _SOURCES:
             named = f" but “{self.source}”" if self.source else ""
             return f"trials that state no origin{named}"
-        if self.source == "rig" and self.rig:
-            return f"trials of the rig “{self.rig}”"
         words = _SOURCES[self.source][1]
-        if self.source == "sil" and self.rig:
-            behind = "the twin" if self.rig == "twin" else f"the rig “{self.rig}”"
-            words += f", {behind} behind them"
-        return words
+        if not self.rig or self.source not in ("rig", "sil"):
+            return words
+        rig = "the twin" if self.rig == "twin" else f"the rig “{self.rig}”"
+        return f"trials of {rig}" if self.source == "rig" else f"{words}, {rig} behind them"
 
     @property
     def counted(self) -> str:
@@ -82,18 +68,14 @@ def origins_of(trials: Iterable[Trial]) -> tuple[TrialOrigin, ...]:
 
 
 def recorded_rig(trial: Trial) -> str:
-    """Name of the rig that a trial ran on, from the record beside its file.
-
-    It is empty if the record is missing or damaged.
-    """
+    """Name of the rig that a trial ran on, from the record beside its file; empty without one."""
     if trial.meta.source != "rig" or trial.path == Path():
         return ""
     try:
         document = read_json(trial.path.parent / RECORD, "simulate the trials again")
-        entry = msgspec.convert(document, _Record).trials.get(trial.name)
-    except (InputError, msgspec.ValidationError):
+        return Path(document["trials"][trial.name]["rig"]).name
+    except (InputError, LookupError, TypeError):  # missing or damaged
         return ""
-    return Path(entry.rig).name if entry else ""
 
 
 def merged_origins(origins: Iterable[TrialOrigin]) -> tuple[TrialOrigin, ...]:
@@ -122,8 +104,7 @@ KIND_WORDS: Final[dict[OriginKind, str]] = {
 """Label of a notice and, in lower case, of a badge."""
 
 _ADDED: Final[dict[OriginKind, str]] = {
-    "simulated": " No robot was measured.",
-    "measured": "",
+    "simulated": " No robot was measured.", "measured": "",
     "mixed": " Every table and badge says which it is of.",
     "unknown": " Do not take them for measurements.",
 }  # fmt: skip
@@ -132,6 +113,6 @@ _ADDED: Final[dict[OriginKind, str]] = {
 def origin_notice(origins: Sequence[TrialOrigin]) -> Notice:
     """Notice about the origins of everything that a page shows."""
     kind = kind_of_origins(origins)
-    listed = [origin.words for origin in merged_origins(origins)]
-    joined = " and ".join(filter(None, (", ".join(listed[:-1]), listed[-1])))
+    *others, last = [origin.words for origin in merged_origins(origins)]
+    joined = f"{', '.join(others)} and {last}" if others else last
     return Notice(kind, KIND_WORDS[kind], f"This page shows {joined}.{_ADDED[kind]}")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal, overload
+from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -34,7 +34,7 @@ class SignalRole(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_d
     # SI unit of the plant's quantity in the spelling of FMI, "1" if dimensionless. The map of an
     # import converts a recording that is in another unit.
     unit: str
-    # `goal`: sent to the drive and held until the next. `measured`: compared with the plant's
+    # `goal`: sent to the drive, constant until the next. `measured`: compared with the plant's
     # output of that name. `supply`: measured, and an input of the plant. `condition`: constant in a
     # trial, set under `[conditions]` of its TOML file, and replaces the plant's parameter of that
     # name. All but conditions are columns.
@@ -206,30 +206,17 @@ def is_one_amplitude(first_rad: float, second_rad: float) -> bool:
     return math.isclose(first_rad, second_rad, rel_tol=ONE_AMPLITUDE_FRACTION)
 
 
-@dataclass(frozen=True)
-class TrialSet(Sequence[Trial]):
+class TrialSet(tuple[Trial, ...]):
     """Trials of one directory, ordered by name."""
 
-    trials: tuple[Trial, ...]
-
-    def __len__(self) -> int:
-        return len(self.trials)
-
-    @overload
-    def __getitem__(self, index: int) -> Trial: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[Trial, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> Trial | tuple[Trial, ...]:
-        return self.trials[index]
-
-    def __iter__(self) -> Iterator[Trial]:
-        return iter(self.trials)
+    @property
+    def trials(self) -> tuple[Trial, ...]:
+        """The trials as a plain tuple."""
+        return tuple(self)
 
     def where(self, keep: Callable[[Trial], bool]) -> TrialSet:
         """Return the trials for which `keep` is true."""
-        return TrialSet(tuple(t for t in self.trials if keep(t)))
+        return TrialSet(filter(keep, self))
 
     def split(self) -> tuple[TrialSet, TrialSet]:
         """Split the trials into a set to fit and a set to test on.
@@ -243,37 +230,37 @@ class TrialSet(Sequence[Trial]):
         -------
         fitted, held_out : TrialSet
         """
-        largest: dict[tuple[int, str], float] = {}
-        lowest: dict[tuple[int, str, float, float], int] = {}
+
+        def motion(meta: TrialMeta) -> tuple[int, str]:
+            return meta.dof, meta.motion
+
+        def kind(meta: TrialMeta) -> tuple[int, str, float, float]:
+            return *motion(meta), round(meta.payload_kg, 3), round(meta.phase_2_rad, 2)
+
+        largest: dict[Any, float] = {}
         for t in self:
-            motion = (t.meta.dof, t.meta.motion)
-            largest[motion] = max(largest.get(motion, 0.0), t.meta.amplitude_rad)
-
-        def is_largest(t: Trial) -> bool:
-            return is_one_amplitude(t.meta.amplitude_rad, largest[t.meta.dof, t.meta.motion])
-
-        def kind(t: Trial) -> tuple[int, str, float, float]:
-            meta = t.meta
-            return meta.dof, meta.motion, round(meta.payload_kg, 3), round(meta.phase_2_rad, 2)
-
-        for t in filter(is_largest, self):
-            lowest[kind(t)] = min(lowest.get(kind(t), t.meta.trial), t.meta.trial)
-
-        def fitted(t: Trial) -> bool:
-            return is_largest(t) and t.meta.trial == lowest[kind(t)]
-
-        return self.where(fitted), self.where(lambda t: not fitted(t))
+            key = motion(t.meta)
+            largest[key] = max(largest.get(key, 0.0), t.meta.amplitude_rad)
+        whole = self.where(
+            lambda t: is_one_amplitude(t.meta.amplitude_rad, largest[motion(t.meta)])
+        )
+        lowest: dict[Any, int] = {}
+        for t in whole:
+            lowest[kind(t.meta)] = min(lowest.get(kind(t.meta), t.meta.trial), t.meta.trial)
+        fitted = whole.where(lambda t: t.meta.trial == lowest[kind(t.meta)])
+        chosen = {id(t) for t in fitted}
+        return fitted, self.where(lambda t: id(t) not in chosen)
 
     def sha256(self) -> str:
         """Return the hash of all trials and their names, for provenance."""
         digest = hashlib.sha256()
-        for t in self.trials:
+        for t in self:
             digest.update(t.name.encode() + t.sha256().encode())
         return digest.hexdigest()
 
     def content_sha256(self) -> str:
         """Return the hash of all trials without their names, which depend on their directories."""
-        return hashlib.sha256("".join(sorted(t.sha256() for t in self.trials)).encode()).hexdigest()
+        return hashlib.sha256("".join(sorted(t.sha256() for t in self)).encode()).hexdigest()
 
 
 REST_FRACTION: Final = 1e-3
@@ -312,18 +299,16 @@ def motion_start(trial: Trial) -> int:
     row is fitted to the goals. Otherwise it is `rest_samples` of the conditions.
     """
     meta, stated = trial.meta, trial.meta.rest_samples
-    kind = next((k for k in KINDS if k == meta.motion), None)
-    if kind is None or "goal_1_rad" not in trial.columns:
+    if meta.motion not in KINDS or "goal_1_rad" not in trial.columns:
         return stated
-    goals = trial.goal_rad
     try:
         motion = Motion(
-            kind, amplitude_rad=meta.amplitude_rad, period_s=meta.period_s, dof=meta.dof,
+            meta.motion, amplitude_rad=meta.amplitude_rad, period_s=meta.period_s, dof=meta.dof,
             phase_2_rad=meta.phase_2_rad,
         )  # fmt: skip
     except InputError:
         return stated
-    first = rows_at_rest(goals)
+    goals, first = trial.goal_rad, rows_at_rest(trial.goal_rad)
     starts = range(max(first - SMOOTHEST_START_ROWS, 0), min(first + 1, len(trial) - 1) + 1)
     wanted = motion.goal_rad(trial.step_s * np.arange(-starts[-1], len(trial) - starts[0]))
     end = min(len(trial), int(starts[0] + motion.duration_s / trial.step_s))

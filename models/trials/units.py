@@ -51,22 +51,14 @@ def factor_to_si(where: Path, column: str, unit: str, declared: str | None = Non
 
 
 _SYMBOLS: Final[dict[str, dict[str, int]]] = {
-    "1": {},
-    "kg": {"kg": 1},
-    "m": {"m": 1},
-    "s": {"s": 1},
-    "A": {"A": 1},
-    "K": {"K": 1},
-    "rad": {"rad": 1},
-    "Hz": {"s": -1},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "Pa": {"kg": 1, "m": -1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "W": {"kg": 1, "m": 2, "s": -3},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "K": {"K": 1},
+    "rad": {"rad": 1}, "Hz": {"s": -1}, "N": {"kg": 1, "m": 1, "s": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2}, "J": {"kg": 1, "m": 2, "s": -2},
+    "W": {"kg": 1, "m": 2, "s": -3}, "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
     "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-}
-_TOKEN = re.compile(r"[A-Za-z]+|1|-?\d+|[./()]")
+}  # fmt: skip
+_FACTOR = re.compile(r"([./]?)(\(*)([A-Za-z]+|1)(-?\d+)?(\)*)")
+"""Operator, opened brackets, symbol, power, closed brackets."""
 
 
 def base_exponents(unit: str) -> dict[str, int]:
@@ -74,40 +66,20 @@ def base_exponents(unit: str) -> dict[str, int]:
 
     A unit is a product and quotient of symbols; an integer after a symbol is its power.
     """
-    tokens = _TOKEN.findall(unit)
-    if "".join(tokens) != unit or not tokens:
+    powers: Counter[str] = Counter()
+    signs, end = [1], 0  # Sign of each open bracket, and of the factor
+    while factor := _FACTOR.match(unit, end):
+        operator, opened, symbol, power, closed = factor.groups()
+        signs += [-signs[-1] if operator == "/" else signs[-1]] * (len(opened) + 1)
+        if bool(operator) != (end > 0) or symbol not in _SYMBOLS or len(closed) > len(signs) - 2:
+            break
+        for base, exponent in _SYMBOLS[symbol].items():
+            powers[base] += signs[-1] * exponent * int(power or 1)
+        del signs[len(signs) - 1 - len(closed) :]
+        end = factor.end()
+    if end < len(unit) or not unit or len(signs) > 1:
         raise ValueError(f"{unit!r} is not a unit")
-    powers, rest = _product(tokens, unit)
-    if rest:
-        raise ValueError(f"{unit!r} is not a unit: {rest[0]!r} is out of place")
     return {symbol: power for symbol, power in powers.items() if power}
-
-
-def _product(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
-    powers, tokens = _factor(tokens, unit)
-    while tokens and tokens[0] in "./":
-        sign = 1 if tokens[0] == "." else -1
-        factor, tokens = _factor(tokens[1:], unit)
-        for symbol, power in factor.items():
-            powers[symbol] += sign * power
-    return powers, tokens
-
-
-def _factor(tokens: list[str], unit: str) -> tuple[Counter[str], list[str]]:
-    if not tokens:
-        raise ValueError(f"{unit!r} is not a unit: it ends early")
-    first, tokens = tokens[0], tokens[1:]
-    if first == "(":
-        powers, tokens = _product(tokens, unit)
-        if not tokens or tokens[0] != ")":
-            raise ValueError(f"{unit!r} is not a unit: a bracket stays open")
-        return powers, tokens[1:]
-    if first not in _SYMBOLS:
-        raise ValueError(f"{unit!r} is not a unit: {first!r} is unknown")
-    exponent = 1
-    if tokens and re.fullmatch(r"-?\d+", tokens[0]):
-        exponent, tokens = int(tokens[0]), tokens[1:]
-    return Counter({s: exponent * p for s, p in _SYMBOLS[first].items()}), tokens
 
 
 def check_signal_units(where: Path, signals: Mapping[str, SignalRole]) -> None:
@@ -116,20 +88,12 @@ def check_signal_units(where: Path, signals: Mapping[str, SignalRole]) -> None:
     The suffix of the plant's name of a signal states its unit. A condition has the unit of the
     parameter that it replaces (`models.plant.plant.read_plant`). A condition, or a name without a
     suffix, must have an SI unit here.
-
-    Examples
-    --------
-    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("m", "measured")})
-    >>> check_signal_units(Path("car.toml"), {"encoder": SignalRole("mm", "measured")})
-    Traceback (most recent call last):
-    firmware_py.errors.InputError: car.toml: signal encoder is given in 'mm', which is no SI unit; \
-give 'm' here, the map of the import converts the recording.
     """
     for name, signal in signals.items():
-        own = signal.quantity or name
-        expected = None if signal.role == "condition" else unit_of(own)
+        quantity = signal.quantity or name
+        expected = None if signal.role == "condition" else unit_of(quantity)
         if expected is not None and signal.unit != expected:
-            named = f"its quantity {own} in" if signal.quantity else "its name says"
+            named = f"its quantity {quantity} in" if signal.quantity else "its name says"
             raise other_unit(where, name, signal, f"{named} {expected!r}", expected)
         if expected is None and not _is_si(signal.unit):
             known = TO_SI.get(signal.unit, ("an SI unit like 'm', 'rad/s' or 'N.m'", 1.0))[0]

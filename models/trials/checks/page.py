@@ -129,9 +129,9 @@ def _panels(verdict: ImportVerdict) -> Sequence[Panel]:
             ]
             title = f"Direction of the first row and angle of joint {j + 1}"
             panels.append(Panel(title, title, chart(curves, "time in s", ANGLE.label("angle"))))
-    if clock is not None and clock.fit is not None:
-        fit = clock.fit
-        left = [Curve(fit.time_s, ANGLE_ERROR.shown(column), MEASURED) for column in fit.residual.T]
+    if clock is not None and clock.residual is not None and clock.time_s is not None:
+        residuals = ANGLE_ERROR.shown(clock.residual).T
+        left = [Curve(clock.time_s, column, MEASURED) for column in residuals]
         title = "Left between the clocks, without bend"
         panels.append(Panel(title, title, chart(left, "time in s", ANGLE_ERROR.label("angle"))))
     return panels

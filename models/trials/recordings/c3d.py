@@ -9,19 +9,15 @@ import numpy as np
 
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import open_bounded
-from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.mapping import RecordingMap, no_markers
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.units import factor_to_si
 
 _METRES: Final = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 
 
 def read_c3d(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read markers and mapped analog channels of a C3D file.
-
-    Markers in the world frame come first, analog channels, if any, second. z points up unless the
-    map's `[frame]` says otherwise.
-    """
+    """Read markers, and second, if there are any, the analog channels that the map names."""
     import ezc3d  # only needed for C3D
 
     open_bounded(path, "name an existing C3D file").close()
@@ -54,15 +50,11 @@ def _points(path: Path, file: Any, mapping: RecordingMap) -> Series:
         if marker:
             markers_m[marker] = np.where(residuals[k] < 0, np.nan, points_m[:, k]).T
     if not markers_m:
-        raise InputError(
-            path,
-            "holds none of the mapped markers; it has " + (", ".join(labels[:20]) or "none"),
-            "map them under [markers] in MAP.toml",
-        )
+        raise no_markers(path, labels)
     header = file["header"]["points"]
     rate_hz = _rate_hz(path, header["frame_rate"])
     time_s = (header["first_frame"] + np.arange(points_m.shape[2])) / rate_hz
-    return Series(time_s, marker_columns(to_world(markers_m, mapping.frame, "z")), path)
+    return Series(time_s, marker_columns(markers_m), path)
 
 
 def _analogs(path: Path, file: Any, mapping: RecordingMap) -> list[Series]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
@@ -91,10 +91,8 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     # Sources of the trial's columns in the recording, and in the file of `--servo`
     columns: dict[str, ColumnSource] = {}
     servo_columns: dict[str, ColumnSource] = {}
-    # Table of the two above that names the columns of the file being read, and what stands
-    # under [columns] while the servo's file is read
+    # Table of the two above that names the columns of the file being read
     table: Literal["[columns]", "[servo_columns]"] = "[columns]"
-    recording_columns: dict[str, ColumnSource] = {}
     # Name in the file by marker of the trial; empty if the names are the same
     markers: dict[str, str] = {}
     # Role by topic of a ROS 2 bag; its names of joint 1 and joint 2, empty for the message's order
@@ -138,12 +136,11 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         for key, entry in self.trial.items():
             if isinstance(entry, ScalarSource):
                 raw = value_of(key, entry.source)
-                is_name = key == "motion" and isinstance(raw, int | float)
-                trial[key] = f"{raw:g}" if is_name else raw
+                trial[key] = f"{raw:g}" if key == "motion" and not isinstance(raw, str) else raw
         for key, source in self.conditions.items():
             if isinstance(source, ColumnSource):
                 raw = value_of(key, source.source)
-                if not isinstance(raw, int | float):
+                if isinstance(raw, str):
                     raise InputError(where, f"{source.source} is {raw!r}, no number", "correct it")
                 declared = self.signals[key].unit if key in self.signals else None
                 unit = source.unit or declared or "1"
@@ -155,12 +152,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         """Map for reading the file of `--servo`; one that has no `[servo_columns]` is the same."""
         if not self.servo_columns:
             return self
-        return msgspec.structs.replace(
-            self,
-            columns=self.servo_columns,
-            table="[servo_columns]",
-            recording_columns=self.columns,
-        )
+        return msgspec.structs.replace(self, columns=self.servo_columns, table="[servo_columns]")
 
     @property
     def dof(self) -> int:
@@ -171,7 +163,7 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         return 1 if dof == 1 else 2
 
     def is_goal(self, column: str) -> bool:
-        """Whether a column is held from one sample to the next."""
+        """Whether a column is constant from one sample to the next."""
         if column in self.signals:
             return self.signals[column].role == "goal"
         return column.startswith("goal")
@@ -193,6 +185,13 @@ class RecordingMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 return marker
         bare = name.rsplit(":", 1)[-1].strip().lower()
         return bare if not self.markers and bare in self.known_markers else None
+
+
+def no_markers(path: Path, names: Iterable[str]) -> InputError:
+    """Error of a file of which the map names no marker."""
+    listed = ", ".join(list(dict.fromkeys(filter(None, names)))[:20]) or "no names"
+    what = f"holds none of the mapped markers; it has {listed}"
+    return InputError(path, what, 'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"')
 
 
 def read_mapping(path: Path | None) -> RecordingMap:
@@ -224,21 +223,20 @@ def read_mapping(path: Path | None) -> RecordingMap:
 def _refuse_doubled(mapping: RecordingMap, path: Path) -> None:
     """Refuse two names for one source; only a goal may share the column of another signal."""
     joints = {f"joint {j}": name for j, name in enumerate(mapping.joints, start=1)}
-    tables = [("[markers]", mapping.markers), ("'joints'", joints)]
+    tables = {"[markers]": mapping.markers, "'joints'": joints}
     both = {"[columns]": mapping.columns, "[servo_columns]": mapping.servo_columns}
     for key, columns in ({} if mapping.plant else both).items():
-        signals = {name: column.source for name, column in columns.items() if name != "time_s"}
-        tables.append((key, signals))
-    for key, table in tables:
+        tables[key] = {n: column.source for n, column in columns.items() if n != "time_s"}
+    for key, table in tables.items():
         first: dict[str, str] = {}
         for name, source in table.items():
-            pair = {name.partition("_")[0], first.get(source, name).partition("_")[0]}
-            if source in first and pair not in ({"goal"}, {"goal", "angle"}):
+            other = first.setdefault(source, name)
+            pair = {name.partition("_")[0], other.partition("_")[0]}
+            if other != name and pair not in ({"goal"}, {"goal", "angle"}):
                 raise InputError(
-                    path, f"{key} takes {first[source]} and {name} both from {source!r}",
+                    path, f"{key} takes {other} and {name} both from {source!r}",
                     "name the source of each",
                 )  # fmt: skip
-            first.setdefault(source, name)
 
 
 def _signals(path: Path) -> dict[str, SignalRole]:
@@ -263,10 +261,6 @@ _KINDS: Final[dict[str, Any]] = {
     if field.type in (int, float, str) and field.name != "recording_sha256"
 } | {"offset_s": float}
 """Types of the conditions in a file's name or a table, and of the offset of the servo's clock."""
-_NAME: Final = "{name}"
-"""Placeholder in the name of a servo file for the name of the take."""
-_OWN: Final = ("file", "servo", "offset_s")
-"""Columns of a table of takes that are not conditions."""
 _MOST_TABLE_BYTES: Final = 1_000_000
 """Largest size of a table of takes; tables are written by hand [assumed]."""
 
@@ -277,7 +271,7 @@ class Take(NamedTuple):
     file: Path
     mapping: RecordingMap
     servo: Path | None
-    offset_s: float | None = None  # Offset of the servo's clock, where a table gives it
+    offset_s: float | None = None  # Offset of the servo's clock, where a table states it
 
 
 def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[Take]:
@@ -289,19 +283,23 @@ def find_takes(files: Sequence[Path], kind: str, mapping: RecordingMap) -> list[
     table_path = Path(mapping.path).parent / rules.table
     table = _table(table_path) if rules.table else {}
     takes = []
-    for file in _files(files, kind, mapping, table):
+    for file in _files(files, kind, rules, table):
         row = table.get(file.name) or table.get(file.stem) or {}
         if rules.table and not row:
             raise InputError(table_path, f"has no row for {file.name}", "add it")
         conditions = _by_name(file, mapping) if rules.pattern else {}
-        conditions |= {k: _value(table_path, k, v) for k, v in row.items() if k not in _OWN and v}
-        own = msgspec.structs.replace(mapping, trial=mapping.trial | conditions)
-        servo = row.get("servo") or rules.servo.replace(_NAME, file.stem)
-        given = row.get("offset_s")
-        offset_s = _value(table_path, "offset_s", given) if given else None
-        takes.append(Take(file, own, file.parent / servo if servo else None, offset_s))
+        texts = {k: v for k, v in row.items() if k not in ("file", "servo") and v}
+        conditions |= {name: _value(table_path, name, text) for name, text in texts.items()}
+        offset_s = conditions.pop("offset_s", None)
+        servo = row.get("servo") or _servo_of(file, rules)
+        take_map = msgspec.structs.replace(mapping, trial=mapping.trial | conditions)
+        takes.append(Take(file, take_map, file.parent / servo if servo else None, offset_s))
     _refuse_one_name([take.file for take in takes])
     return takes
+
+
+def _servo_of(file: Path, rules: TakeRules) -> str:
+    return rules.servo.replace("{name}", file.stem)
 
 
 def _refuse_one_name(files: Sequence[Path]) -> None:
@@ -316,13 +314,12 @@ def _refuse_one_name(files: Sequence[Path]) -> None:
             raise InputError(file, what, "rename one of them, or import it alone with --name")
 
 
-def _files(
-    files: Sequence[Path], kind: str, mapping: RecordingMap, table: dict[str, Any]
-) -> list[Path]:
-    found: list[Path] = []
+def _files(files: Sequence[Path], kind: str, rules: TakeRules, table: dict[str, Any]) -> list[Path]:
+    """Recordings among files and folders, without servo logs and the table of takes."""
+    recordings: list[Path] = []
     for path in files:
         if not path.is_dir() or kind == "rosbag":
-            found.append(path)
+            recordings.append(path)
             continue
         try:
             inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES[kind])
@@ -330,41 +327,33 @@ def _files(
             raise InputError(path, f"cannot be read ({error.strerror})", "name the files") from None
         if table:
             inside = [p for p in inside if p.name in table or p.stem in table]
-        servo = {mapping.takes.servo.replace(_NAME, p.stem) for p in inside}
-        inside = [p for p in inside if p.name not in servo and p.name != mapping.takes.table]
+        others = {rules.table, *(_servo_of(p, rules) for p in inside)}
+        inside = [p for p in inside if p.name not in others]
         if not inside:
             raise InputError(path, f"holds no take of the format {kind}", "name the files")
-        found += inside
-    return found
+        recordings += inside
+    return recordings
 
 
 def _by_name(file: Path, mapping: RecordingMap) -> dict[str, Any]:
     """Conditions in the name of a file, by the map's pattern.
 
-    Each condition takes the shortest part of the name that fits, at least one character. The first
-    match of the text after a condition is correct whenever a match exists, so there is no
-    backtracking.
+    Each condition takes the shortest part of the name that fits, at least one character. The groups
+    are atomic: the first match of the text after a condition is correct whenever one exists.
     """
     pattern = mapping.takes.pattern
     first, *parts = re.split(r"\{(\w+)\}", pattern)
-    names, behind = parts[::2], parts[1::2]
+    names, texts = parts[::2], [re.escape(text) for text in parts[1::2]]
     if len(set(names)) < len(names):
-        raise InputError(
-            mapping.path, f"[takes]: {pattern!r} names a condition twice", "correct it"
-        )
-    rest, found = file.stem.removeprefix(first), {}
-    fits = file.stem.startswith(first) and (bool(names) or not rest)
-    for k, (name, text) in enumerate(zip(names, behind, strict=True), start=1):
-        end = rest.find(text, 1) if k < len(names) else len(rest) - len(text)
-        fits = fits and end >= 1 and rest.startswith(text, end)
-        found[name], rest = rest[:end], rest[end + len(text) :]
-    if not fits:
-        raise InputError(
-            file,
-            f"does not fit the pattern {pattern!r} of {mapping.path}",
-            "rename it or correct [takes]",
-        )
-    return {name: _value(mapping.path, name, text) for name, text in found.items()}
+        what = f"[takes]: {pattern!r} names a condition twice"
+        raise InputError(mapping.path, what, "correct it")
+    groups = [f"(?>(.+?){text})" for text in texts[:-1]] + [f"(.+){text}" for text in texts[-1:]]
+    fit = re.fullmatch(re.escape(first) + "".join(groups), file.stem, re.DOTALL)
+    if fit is None:
+        what = f"does not fit the pattern {pattern!r} of {mapping.path}"
+        raise InputError(file, what, "rename it or correct [takes]")
+    values = zip(names, fit.groups(), strict=True)
+    return {name: _value(mapping.path, name, text) for name, text in values}
 
 
 def _value(where: Path | str, name: str, text: str) -> Any:
@@ -374,17 +363,15 @@ def _value(where: Path | str, name: str, text: str) -> Any:
         value = _KINDS[name](text)
     except ValueError:
         value = math.nan
-    if value != value or value in (math.inf, -math.inf):
-        raise InputError(
-            where, f"[takes]: {name} is {text!r}, no number", "correct pattern or table"
-        )
+    if isinstance(value, float) and not math.isfinite(value):
+        what = f"[takes]: {name} is {text!r}, no number"
+        raise InputError(where, what, "correct pattern or table")
     return value
 
 
 def _table(path: Path) -> dict[str, dict[str, str]]:
     """Rows of a table of takes, by file name."""
-    remedy = "correct 'table' in the map"
-    lines = iter(read_text(path, remedy, _MOST_TABLE_BYTES).splitlines())
+    lines = iter(read_text(path, "correct 'table' in the map", _MOST_TABLE_BYTES).splitlines())
     header = read_header(path, next(lines, ""))
     rows = [dict(zip(header, row, strict=True)) for _, row in read_rows(path, lines, header)]
     if "file" not in header or not rows:

@@ -17,8 +17,8 @@ from typing import Final
 from firmware_py.errors import InputError
 from firmware_py.files.input_files import read_lines
 from models.shared.numeric_text import MOST_COLUMNS, read_numbers
-from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.mapping import RecordingMap, no_markers
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import Array
 
 _METRES: Final = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3, "inches": 0.0254}
@@ -29,29 +29,20 @@ _MOST_HEADER_LINES: Final = 100
 
 
 def read_motive_csv(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read the markers of a Motive export, in the world frame.
-
-    y points up unless the map's `[frame]` says otherwise.
-    """
+    """Read the markers of a Motive export."""
     lines = read_lines(path, "name an existing export of Motive")
     metres, labels, above = _header(path, lines)
     positions = _position_columns(path, labels, mapping)
     if not positions:
-        found = sorted({name for name in labels["Name"] if name})
-        raise InputError(
-            path,
-            "holds none of the mapped markers; it has " + (", ".join(found[:20]) or "no names"),
-            'map them under [markers] in MAP.toml, like m01 = "Link:Marker1"',
-        )
+        raise no_markers(path, labels["Name"])
     cells = zip(labels["Name"][2:], labels["Frame"][2:], strict=True)
     names = [*labels["Frame"][:2], *(" ".join(filter(None, cell)) for cell in cells)]
     time = labels["Frame"].index("Time (Seconds)")
     used = [time, *(k for axes in positions.values() for k in axes)]
     samples = read_numbers(path, lines, names, used, above=above)
     columns: dict[str, Array] = {}
-    for i, name in enumerate(positions):  # one by one: one copy of a long capture, not four
-        in_file_m = metres * samples[:, 1 + 3 * i : 4 + 3 * i]
-        columns |= marker_columns(to_world({name: in_file_m}, mapping.frame, default_up="y"))
+    for i, name in enumerate(positions):
+        columns |= marker_columns({name: metres * samples[:, 1 + 3 * i : 4 + 3 * i]})
     return [Series(samples[:, 0].copy(), columns, path)]
 
 
@@ -59,6 +50,7 @@ def _header(path: Path, lines: Iterator[str]) -> tuple[float, dict[str, list[str
     """Unit of length in m, label rows by label ("" for Rotation / Position), number of lines."""
     rows = csv.reader(lines)
     labels: dict[str, list[str]] = {}
+    again = "export it from Motive again"
     try:
         metres = _length_unit(path, next(rows, []))
         for row in rows:
@@ -67,48 +59,38 @@ def _header(path: Path, lines: Iterator[str]) -> tuple[float, dict[str, list[str
                 raise InputError(path, what, "export fewer assets")
             if row and row[0] == "Frame":
                 labels["Frame"] = row
-                break
-            if len(row) > 2 and row[0] == "":
+            elif len(row) > 2 and row[0] == "":
                 labels[row[1]] = row
-            if rows.line_num > _MOST_HEADER_LINES:
+            if "Frame" in labels or rows.line_num > _MOST_HEADER_LINES:
                 break
     except csv.Error as error:
-        raise InputError(
-            path, f"is not CSV text ({error})", "export it from Motive again"
-        ) from None
+        raise InputError(path, f"is not CSV text ({error})", again) from None
     if "Frame" not in labels:
-        raise InputError(path, "has no row that begins with Frame", "export it from Motive again")
+        raise InputError(path, "has no row that begins with Frame", again)
     frame = labels["Frame"]
-    missing = {"Type", "Name", ""} - labels.keys()
+    missing = sorted({"Type", "Name", ""} - labels.keys())
     if missing or "Time (Seconds)" not in frame:
-        lacks = " and ".join(map(repr, sorted(missing) or ["Time (Seconds)"]))
-        raise InputError(
-            path, f"line {rows.line_num}: the header lacks its {lacks} row",
-            "export it from Motive again",
-        )  # fmt: skip
-    width = len(frame)
-    return metres, {k: (v + [""] * width)[:width] for k, v in labels.items()}, rows.line_num
+        lacks = " and ".join(map(repr, missing or ["Time (Seconds)"]))
+        what = f"line {rows.line_num}: the header lacks its {lacks} row"
+        raise InputError(path, what, again)
+    cut = {k: (v + [""] * len(frame))[: len(frame)] for k, v in labels.items()}
+    return metres, cut, rows.line_num
 
 
 def _length_unit(path: Path, first: list[str]) -> float:
     """Unit of length in m, from the header's first line."""
     header = dict(zip(first[::2], first[1::2], strict=False))
+    unit, space = header.get("Length Units", ""), header.get("Coordinate Space", "Global")
     if first and first[0].startswith("Format Version;"):
-        raise InputError(
-            path, "is separated by semicolons, with decimal commas",
-            "export it with commas and decimal points",
-        )  # fmt: skip
+        what = "is separated by semicolons, with decimal commas"
+        raise InputError(path, what, "export it with commas and decimal points")
     if "Format Version" not in header:
-        raise InputError(
-            path, "is no Motive export with header", "export CSV with 'Header Information' on"
-        )
-    unit = header.get("Length Units", "")
+        remedy = "export CSV with 'Header Information' on"
+        raise InputError(path, "is no Motive export with header", remedy)
     if unit.lower() not in _METRES:
         raise InputError(path, f"Length Units is {unit!r}", "export in Meters or Millimeters")
-    if header.get("Coordinate Space", "Global") != "Global":
-        raise InputError(
-            path, f"Coordinate Space is {header['Coordinate Space']}", "export it as Global"
-        )
+    if space != "Global":
+        raise InputError(path, f"Coordinate Space is {space}", "export it as Global")
     return _METRES[unit.lower()]
 
 
@@ -116,24 +98,21 @@ def _position_columns(
     path: Path, labels: dict[str, list[str]], mapping: RecordingMap
 ) -> dict[str, list[int]]:
     """Columns of X, Y and Z by the trial's name of the marker."""
-    best: dict[str, tuple[int, dict[str, list[int]]]] = {}
-    for k, (kind, name, measure, axis) in enumerate(
-        zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
-    ):
+    ranks: dict[str, dict[int, dict[str, list[int]]]] = {}  # By marker, rank and axis
+    cells = zip(labels["Type"], labels["Name"], labels[""], labels["Frame"], strict=True)
+    for k, (kind, name, measure, axis) in enumerate(cells):
         marker = mapping.marker_of(name)
-        rank = _RANK.get(kind.lower(), 2)
-        if marker is None or measure != "Position" or axis not in ("X", "Y", "Z"):
-            continue
-        if marker not in best or rank < best[marker][0]:
-            best[marker] = (rank, {})
-        if rank == best[marker][0]:
-            best[marker][1].setdefault(axis, []).append(k)
-    for name, (_, axes) in best.items():
+        if marker is not None and measure == "Position" and axis in ("X", "Y", "Z"):
+            axes = ranks.setdefault(marker, {}).setdefault(_RANK.get(kind.lower(), 2), {})
+            axes.setdefault(axis, []).append(k)
+    positions = {}
+    for marker, by_rank in ranks.items():
+        axes = by_rank[min(by_rank)]
         for axis in "XYZ":
-            count = len(axes.get(axis, []))
-            if count != 1:
+            if len(axes.get(axis, [])) != 1:
                 raise InputError(
-                    path, f"holds {count} columns for {axis} of {name}",
+                    path, f"holds {len(axes.get(axis, []))} columns for {axis} of {marker}",
                     "map one marker to it, and export it with all its positions",
                 )  # fmt: skip
-    return {name: [axes[axis][0] for axis in "XYZ"] for name, (_, axes) in best.items()}
+        positions[marker] = [axes[axis][0] for axis in "XYZ"]
+    return positions

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import io
 import itertools
-from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -19,36 +18,30 @@ from typing import Any, Final
 import numpy as np
 
 from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_BYTES, open_bounded, read_bytes
+from firmware_py.files.input_files import MOST_BYTES, open_bounded
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, marker_columns, to_world
+from models.trials.recordings.series import Series, marker_columns
 from models.trials.units import factor_to_si
 
 MOST_FILES: Final = 100
 """Most files of a bag."""
 MOST_METADATA_BYTES: Final = 100_000
 """Largest size of metadata.yaml: 200 topics, for which its parser needs a second."""
-MOST_NESTED: Final = 1000
-"""Most brackets and nested lists in metadata.yaml, for which its parser needs quadratic time."""
-_NESTING: Final = (b"[", b"{", b"- - ", b"? ?")
 Samples = list[tuple[float, dict[str, Any]]]
 
 
 def read_ros2_bag(path: Path, mapping: RecordingMap) -> list[Series]:
-    """Read joint states, goals and markers of a bag, one series per topic.
-
-    z points up unless the map's `[frame]` says otherwise.
-    """
+    """Read joint states, goals and markers of a bag, one series per topic."""
     if not mapping.topics:
         raise InputError(
             mapping.path, "names no topics", 'add [topics] like "/joint_states" = "joints"'
         )
-    samples: dict[str, Samples] = defaultdict(list)
+    samples: dict[str, Samples] = {}
     _check_files(path)
     for topic, recorded_ns, message in _messages(path, list(mapping.topics)):
         try:
             values = _values(path, message, topic, mapping)
-            samples[topic].append((_stamp_s(message, recorded_ns), values))
+            samples.setdefault(topic, []).append((_stamp_s(message, recorded_ns), values))
         except (AttributeError, IndexError, TypeError, ValueError) as error:
             what = f"a message of {topic} has another form ({error})"
             raise InputError(path, what, "correct [topics] in MAP.toml") from None
@@ -65,14 +58,11 @@ def _check_files(path: Path) -> None:
     files = list(itertools.islice(path.iterdir(), MOST_FILES + 1))
     if len(files) > MOST_FILES:
         raise InputError(path, f"holds more than {MOST_FILES} files", "name one bag")
-    left, remedy = MOST_BYTES, "name the directory of a bag"
+    remaining, remedy = MOST_BYTES, "name the directory of a bag"
     for file in files:
-        if file.suffix == ".yaml":
-            facts = read_bytes(file, remedy, MOST_METADATA_BYTES)
-            if sum(map(facts.count, _NESTING)) > MOST_NESTED:
-                raise InputError(file, "is too deeply nested", remedy)
-        with open_bounded(file, remedy, max(left, 0)) as stream:
-            left -= stream.seek(0, io.SEEK_END)
+        most = MOST_METADATA_BYTES if file.suffix == ".yaml" else MOST_BYTES
+        with open_bounded(file, remedy, min(max(remaining, 0), most)) as stream:
+            remaining -= stream.seek(0, io.SEEK_END)
 
 
 def _messages(path: Path, topics: list[str]) -> Iterator[tuple[str, int, Any]]:
@@ -139,19 +129,16 @@ def _joints(
     values: dict[str, Any] = {}
     for j, name in enumerate(order[: mapping.dof], start=1):
         if name not in message.name:
-            raise InputError(
-                path,
-                f"topic {topic} has no joint {name!r}, only " + ", ".join(message.name),
-                "correct 'joints' in MAP.toml",
-            )
+            what = f"topic {topic} has no joint {name!r}, only " + ", ".join(message.name)
+            raise InputError(path, what, "correct 'joints' in MAP.toml")
         k = list(message.name).index(name)
         if role == "goals":
             values[f"goal_{j}_rad"] = message.position[k]
             continue
+        factor = factor_to_si(Path(mapping.path), f"current_{j}_a", mapping.effort_unit)
         values[f"angle_{j}_rad"] = message.position[k]
-        current = f"current_{j}_a"
-        factor = factor_to_si(Path(mapping.path), current, mapping.effort_unit)
-        values[current] = message.effort[k] * factor if k < len(message.effort) else np.nan
+        effort = message.effort[k] if k < len(message.effort) else np.nan
+        values[f"current_{j}_a"] = factor * effort
     return values
 
 
@@ -163,9 +150,7 @@ def _series(path: Path, topic: str, rows: Samples, mapping: RecordingMap) -> Ser
     rows.sort(key=lambda row: row[0])
     time_s = np.array([time for time, _ in rows])
     names = sorted({name for _, values in rows for name in values})
-    if mapping.topics[topic] in ("joints", "goals"):
-        columns = {n: np.array([v.get(n, np.nan) for _, v in rows], float) for n in names}
-        return Series(time_s, columns, path)
-    unseen = (np.nan,) * 3
-    markers_m = {n: np.array([v.get(n, unseen) for _, v in rows], float) for n in names}
-    return Series(time_s, marker_columns(to_world(markers_m, mapping.frame, "z")), path)
+    is_joints = mapping.topics[topic] in ("joints", "goals")
+    empty = np.nan if is_joints else (np.nan,) * 3
+    columns = {n: np.array([v.get(n, empty) for _, v in rows], float) for n in names}
+    return Series(time_s, columns if is_joints else marker_columns(columns), path)

@@ -1,13 +1,13 @@
 """Series: channels sampled together, under the column names of a trial, in SI units.
 
-Positions of markers come from the frame of the motion capture; `to_world` turns them into the
-world frame of docs/trials.md.
+Readers give the positions of markers in the frame of the motion capture; `in_world` turns them into
+the world frame of docs/trials.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,9 +16,6 @@ import numpy as np
 from firmware_py.errors import InputError
 from models.trials.recordings.mapping import MocapFrame
 from models.trials.trial import Array, TrialMeta
-
-_OPPOSITE_M: Final = 1e-3
-"""Largest distance from the axis at which the midpoint of two markers is the row's centre."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +53,9 @@ class Series:
         for name, values in self.columns.items():
             infinite = np.flatnonzero(np.isinf(values))
             if len(infinite):
-                raise InputError(
-                    self.path,
-                    f"sample {infinite[0] + 1}: {name} is {values[infinite[0]]}, "
-                    "not a finite number",
-                    "correct it or leave it out",
-                )
+                k = infinite[0]
+                what = f"sample {k + 1}: {name} is {values[k]}, not a finite number"
+                raise InputError(self.path, what, "correct it or leave it out")
 
     def has(self, marker: str) -> bool:
         """Whether all coordinates of a marker or the tip are among the columns."""
@@ -89,13 +83,13 @@ def row_centre_m(corners_m: Array, places_m: Sequence[tuple[float, float]]) -> A
     """
     places = np.asarray(places_m)
     apart = np.abs(places[:, None] + places[None]).max(axis=2)
-    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < _OPPOSITE_M) if i <= j]
+    pairs = [(int(i), int(j)) for i, j in np.argwhere(apart < 1e-3) if i <= j]
     if not pairs:
         return np.asarray(corners_m.mean(axis=0))
     diagonals_m = np.array([corners_m[i] + corners_m[j] for i, j in pairs]) / 2
-    seen = np.isfinite(diagonals_m)
-    total_m = np.where(seen, diagonals_m, 0.0).sum(axis=0)
-    count = seen.sum(axis=0)
+    visible = np.isfinite(diagonals_m)
+    total_m = np.where(visible, diagonals_m, 0.0).sum(axis=0)
+    count = visible.sum(axis=0)
     return np.asarray(np.where(count > 0, total_m / np.maximum(count, 1), np.nan))
 
 
@@ -109,11 +103,21 @@ _OVER: Final = np.diag([1.0, -1.0, -1.0])
 """Half a turn about x, for a link that points down an axis."""
 
 
-def to_world(positions_m: dict[str, Array], frame: MocapFrame, default_up: str) -> dict[str, Array]:
-    """Positions (n, 3) in the world frame; `default_up` is used if the map does not state `up`."""
+def in_world(series: Series, markers: Sequence[str], frame: MocapFrame, default_up: str) -> Series:
+    """Series whose markers are turned from the frame of the file into the world frame."""
+    columns = dict(series.columns)
+    for name in filter(series.has, markers):  # one by one: one copy of a long capture, not four
+        columns |= marker_columns({name: to_world(series.position_m(name), frame, default_up)})
+    return replace(series, columns=columns)
+
+
+def to_world(position_m: Array, frame: MocapFrame, default_up: str) -> Array:
+    """Positions (…, 3) in the world frame; `default_up` is used if the map does not state `up`."""
     rotation = world_rotation(frame, default_up)
     origin_m = _about_z(frame.yaw_deg) @ np.array(frame.origin_m)
-    return {name: position @ rotation.T - origin_m for name, position in positions_m.items()}
+    if np.array_equal(rotation, np.eye(3)) and not origin_m.any():
+        return position_m  # a marker of which one coordinate is missing keeps the others
+    return np.asarray(position_m @ rotation.T - origin_m)
 
 
 def world_rotation(frame: MocapFrame, default_up: str) -> Array:

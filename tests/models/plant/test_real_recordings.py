@@ -7,7 +7,8 @@ import pytest
 
 from dropstitch.__main__ import main
 from models.plant.plant import NOMINAL
-from models.trials.recordings.table import read_columns
+from models.trials.recordings.mapping import ColumnSource, RecordingMap
+from models.trials.recordings.table import read_table
 from tests.real_data import real_recordings
 
 EXAMPLES = NOMINAL.parent / "examples"
@@ -41,8 +42,10 @@ def test_the_flexible_links_records_are_read_column_by_column():
     """Eight records of 4 s at 500 Hz; their description gives 0.459° RMS of deflection."""
     files = sorted(real_recordings("quanser").glob("lqg_step_*.mat"))
     assert len(files) == 8
-    records = [read_columns(file) for file in files]
+    names = {"time_s": "time", "angle_2_rad": "theta12"}
+    mapping = RecordingMap(columns={n: ColumnSource(source=s) for n, s in names.items()})
+    records = [read_table(file, mapping)[0] for file in files]
     for record in records:
-        assert np.allclose(np.diff(record["time"]), 0.002) and len(record["time"]) == 2000
-    deflection_rad = np.concatenate([record["theta12"] for record in records])
+        assert np.allclose(np.diff(record.time_s), 0.002) and len(record.time_s) == 2000
+    deflection_rad = np.concatenate([record.columns["angle_2_rad"] for record in records])
     assert np.degrees(np.sqrt(np.mean(deflection_rad**2))) == pytest.approx(0.459, abs=0.001)

@@ -12,9 +12,9 @@ from models.trials.trial import Trial, TrialMeta
 
 @pytest.fixture
 def trial(toy_trials):
-    found = toy_trials(1, amplitudes_deg=(30,), trials=(1,), payloads_kg=(1.0,))[0]
-    found.columns["m03_x_m"][5:8] = np.nan
-    return found
+    toy = toy_trials(1, amplitudes_deg=(30,), trials=(1,), payloads_kg=(1.0,))[0]
+    toy.columns["m03_x_m"][5:8] = np.nan
+    return toy
 
 
 def test_a_trial_comes_back_from_its_frame(trial):
@@ -38,45 +38,34 @@ def test_trials_stand_below_each_other(toy_trials):
         trials_frame([])
 
 
-def broken(frame, how):
-    if how == "degrees":
-        frame["angle_1_rad"] = np.degrees(frame["angle_1_rad"])
-    elif how == "a gap":
-        frame.loc[3, "current_1_a"] = np.nan
-    elif how == "a missing column":
-        del frame["goal_1_rad"]
-    elif how == "no unit":
-        frame["temperature"] = 20.0
-    elif how == "text":
-        frame["angle_1_rad"] = "x"
-    elif how == "an uneven clock":
-        frame.loc[7, "time_s"] += 0.005
-    elif how == "two rows":
-        frame = frame[:2]
-    elif how == "no conditions":
-        frame.attrs = {"name": "x"}
-    elif how == "no name":
-        frame.attrs = {}
-    return frame
+FAULTS = {
+    "convert it if it is in degrees": lambda f: f.assign(angle_1_rad=np.degrees(f["angle_1_rad"])),
+    "row 5, column 'current_1_a'": lambda f: f.assign(
+        current_1_a=f["current_1_a"].where(f.index != 3)
+    ),
+    "goal_1_rad is missing": lambda f: f.drop(columns="goal_1_rad"),
+    "no unit suffix": lambda f: f.assign(temperature=20.0),
+    "holds no numbers": lambda f: f.assign(angle_1_rad="x"),
+    "resample": lambda f: f.assign(time_s=f["time_s"] + 0.005 * (f.index == 7)),
+    "at least three": lambda f: f[:2],
+}
+
+
+@pytest.mark.parametrize("message", FAULTS)
+def test_a_frame_that_is_no_trial_is_refused(trial, message):
+    frame = trial_frame(trial)
+    with pytest.raises(InputError, match=message):
+        trial_from_frame(FAULTS[message](frame), trial.name, trial.meta)
 
 
 @pytest.mark.parametrize(
-    ("how", "message"),
-    [
-        ("degrees", "convert it if it is in degrees"),
-        ("a gap", "row 5, column 'current_1_a'"),
-        ("a missing column", "goal_1_rad is missing"),
-        ("no unit", "no unit suffix"),
-        ("text", "holds no numbers"),
-        ("an uneven clock", "resample"),
-        ("two rows", "at least three"),
-        ("no conditions", "give a TrialMeta"),
-        ("no name", "has no name"),
-    ],
+    ("attrs", "message"), [({"name": "x"}, "give a TrialMeta"), ({}, "has no name")]
 )
-def test_what_is_no_trial_is_refused(trial, how, message):
+def test_a_frame_without_name_or_conditions_is_refused(trial, attrs, message):
+    frame = trial_frame(trial)
+    frame.attrs = attrs
     with pytest.raises(InputError, match=message):
-        trial_from_frame(broken(trial_frame(trial), how))
+        trial_from_frame(frame)
 
 
 def test_a_trial_of_another_plant_needs_its_signals():

@@ -63,18 +63,20 @@ def test_a_recording_is_imported_again_with_another_map_and_from_another_place(t
     (tmp_path / "moved").mkdir()
     file = file.rename(tmp_path / "moved" / "take.csv")
     assert importing(file, trial=2)[0] == 0
-    trial = read_trial(tmp_path / "out" / "take.csv")
-    assert trial.meta.trial == 2
-    assert trial.meta.recording_sha256 == recording_hash(file)
+    meta = read_trial(tmp_path / "out" / "take.csv").meta
+    assert (meta.trial, meta.recording_sha256) == (2, recording_hash(file))
 
 
-def test_a_trial_of_another_recording_stays(tmp_path, importing):
+@pytest.mark.parametrize("capitals", [False, True])
+def test_a_trial_of_another_recording_stays(capitals, tmp_path, importing):
     assert importing(record(tmp_path / "take.csv"))[0] == 0
+    for path in (tmp_path / "out").glob("take.*" if capitals else "none"):
+        path.rename(path.with_suffix(path.suffix.upper()))
     before = contents(tmp_path / "out")
     other = record(tmp_path / "other" / "take.csv", amplitude_rad=0.4)
     code, err = importing(other)
     assert code == 2
-    assert f"{tmp_path / 'out' / 'take.csv'}: is a trial of another recording" in err
+    assert f"take.{'CSV' if capitals else 'csv'}: is a trial of another recording" in err
     assert contents(tmp_path / "out") == before
     assert importing(other, options=["--name", "second"])[0] == 0
 
@@ -90,54 +92,31 @@ def test_of_several_takes_the_others_are_imported(tmp_path, importing):
     assert "b.csv" in after and {name: after[name] for name in before} == before
 
 
-def test_a_trial_that_was_not_imported_is_not_replaced(tmp_path, importing):
+@pytest.mark.parametrize("name", ["take.csv", "take.toml"])
+def test_a_file_that_is_no_imported_trial_stays(tmp_path, importing, name):
     file = record(tmp_path / "take.csv")
     assert importing(file)[0] == 0
-    conditions = tmp_path / "out" / "take.toml"
-    conditions.write_text(conditions.read_text().split("recording_sha256")[0])
+    for path in (tmp_path / "out").iterdir():
+        if path.name == name:
+            path.write_text(path.read_text().split("recording_sha256")[0])
+        else:
+            path.unlink()
     before = contents(tmp_path / "out")
     code, err = importing(file)
-    assert code == 2 and "take.csv: would be replaced, and is no imported trial" in err
-    assert contents(tmp_path / "out") == before
-
-
-def test_a_trial_whose_suffixes_are_in_capitals_is_one(tmp_path, importing):
-    assert importing(record(tmp_path / "take.csv"))[0] == 0
-    for path in (tmp_path / "out").glob("take.*"):
-        path.rename(path.with_suffix(path.suffix.upper()))
-    before = contents(tmp_path / "out")
-    code, err = importing(record(tmp_path / "other" / "take.csv", amplitude_rad=0.4))
-    assert code == 2 and "take.CSV: is a trial of another recording" in err
-    assert contents(tmp_path / "out") == before
-
-
-@pytest.mark.parametrize("name", ["take.csv", "take.toml"])
-def test_a_file_that_is_no_trial_stays(tmp_path, importing, name):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / name).write_text("a = 1\n")
-    code, err = importing(record(tmp_path / "take.csv"))
     assert code == 2 and f"{name}: would be replaced, and is no imported trial" in err
-    assert contents(tmp_path / "out") == {name: b"a = 1\n"}
+    assert contents(tmp_path / "out") == before
 
 
-@pytest.mark.parametrize("linked", [False, True])
-def test_a_recording_is_not_replaced_by_its_own_trial(tmp_path, importing, linked):
-    file = record(tmp_path / "raw" / ("run.csv" if linked else "take.csv"))
-    if linked:
-        (file.parent / "take.csv").symlink_to(file)
-    before = contents(tmp_path / "raw")
-    code, err = importing(file, out="raw", options=["--name", "take"])
-    assert code == 2 and "would replace" in err and "take.csv, which is read" in err
-    assert contents(tmp_path / "raw") == before
-
-
-def test_a_map_is_not_replaced_by_the_conditions_of_a_trial(tmp_path, importing):
-    mapping = tmp_path / "raw" / "take.toml"
-    mapping.parent.mkdir()
+def test_a_file_that_is_read_stays(tmp_path, importing):
+    file = record(tmp_path / "raw" / "run.csv")
+    (file.parent / "take.csv").symlink_to(file)
+    mapping = file.parent / "other.toml"
     mapping.write_text(MAP.format(trial=1))
-    code, err = importing(record(tmp_path / "take.csv"), mapping=mapping, out="raw")
-    assert code == 2 and "take.toml" in err
-    assert contents(tmp_path / "raw") == {"take.toml": MAP.format(trial=1).encode()}
+    before = contents(tmp_path / "raw")
+    for name, read in (("take", "take.csv"), ("run", "run.csv"), ("other", "other.toml")):
+        code, err = importing(file, mapping=mapping, out="raw", options=["--name", name])
+        assert code == 2 and "would replace" in err and f"{read}, which is read" in err
+        assert contents(tmp_path / "raw") == before
 
 
 def test_two_takes_of_one_name_are_refused_before_any_work(tmp_path, importing):

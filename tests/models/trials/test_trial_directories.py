@@ -24,8 +24,8 @@ def swing(make_trial):
 def test_names_that_two_directories_hold_are_told_apart(swing, tmp_path):
     for place, factor in (("first", 1.0), ("second", 1.01)):
         write_trial(swing(factor), tmp_path / place)
-    found = read_usable_trials([tmp_path / "first", tmp_path / "second"], {})
-    first, second = (t.name for t in found)
+    trials = read_usable_trials([tmp_path / "first", tmp_path / "second"], {})
+    first, second = (t.name for t in trials)
     assert first.startswith("first_") and second == first.replace("first", "second")
 
 

@@ -28,7 +28,7 @@ def about_y(degrees):
 def judged(in_file_m, frame=None, names=MARKERS):
     """Pose and findings of markers as a file has them."""
     frame = frame or MocapFrame()
-    places_m = to_world(dict(zip(names, in_file_m, strict=True)), frame, "z")
+    places_m = {n: to_world(m, frame, "z") for n, m in zip(names, in_file_m, strict=True)}
     pose = rest_pose(places_m, META)
     return pose, judge_pose(pose, RecordingMap(frame=frame), "z")
 

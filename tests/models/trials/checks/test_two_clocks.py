@@ -8,7 +8,7 @@ from models.trials.checks.clocks import judge_clock
 from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.clock import ClockDrift, Synchronisation, synchronise
-from models.trials.pipeline import Source, inspect_import
+from models.trials.pipeline import Inspection, Source
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series, marker_columns
 from models.trials.trial import TrialMeta
@@ -88,7 +88,7 @@ def test_clocks_that_drift_apart_are_told(rate_error, count, rigid_markers, tmp_
 @pytest.mark.parametrize(("change_s", "count"), [(0.0015, 0), (0.0025, 1), (-0.0025, 1)])
 def test_a_drift_over_the_edges_of_a_signal_is_told(change_s, count):
     drift = ClockDrift(change_s, 2e-4, 7.8)
-    clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", edges_drift=drift)
+    clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", drifts=(drift,))
     assert ["drift apart by 2.5" in f.text for f in judge_clock(clock)] == [True] * count
 
 
@@ -113,7 +113,7 @@ def inspected(path, rigid_markers, servo_epoch_s, offset_s=None):
     }  # fmt: skip
     verdict = ImportVerdict("take")
     source = Source(path / "mocap.csv", "table", path / "servo.csv", offset_s)
-    inspect_import(source, RecordingMap(trial=trial), verdict)
+    Inspection(source, RecordingMap(trial=trial), verdict).trial()
     return verdict
 
 

@@ -1,4 +1,4 @@
-"""One known run of a rigid link, seen by a servo and by motion capture on their own clocks."""
+"""One known run of a rigid link, recorded by a servo and by motion capture on two clocks."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-REST_S, MOVING_S = 0.5, 4.0
+from models.trials.files import read_trial
+
 SERVO_AHEAD_S = 1.2345  # what the servo's clock shows less than the mocap's at the same moment
 CONDITIONS = {
     "payload_kg": 1.0, "pressure_pa": 41.3e3, "trial": 1, "motion": "sinusoid", "period_s": 2.0,
@@ -14,58 +15,56 @@ CONDITIONS = {
 }  # fmt: skip
 
 
-def angle_rad(time_s, dof):
+def angle_rad(time_s):
     """Angles at true times: rest, two swings of 2 s that begin and end smoothly, rest."""
-    t = np.clip(time_s - REST_S, 0, MOVING_S)[:, None]
+    t = np.clip(time_s - 0.5, 0, 4.0)
     first = -0.5 * np.sin(np.pi * t) * np.sin(0.25 * np.pi * t) ** 2
-    swing = np.hstack([first, 0.3 * np.sin(np.pi * t) ** 2 * np.sin(0.5 * np.pi * t)])
-    return swing[:, :dof]
+    return np.column_stack([first, 0.3 * np.sin(np.pi * t) ** 2 * np.sin(0.5 * np.pi * t)])
 
 
-@pytest.fixture(params=[1, 2], ids=["1dof", "2dof"])
-def session(request, rigid_markers):
+@pytest.fixture
+def session(rigid_markers):
     """True signals on two clocks: mocap at 240 Hz, servo at 100 Hz with uneven steps."""
-    dof = request.param
-    rng = np.random.default_rng(7)
     mocap_s = np.arange(0, 5.3, 1 / 240)
-    servo_s = np.arange(0.2, 5.2, 0.01) + 0.002 * rng.random(500)
+    servo_s = np.arange(0.2, 5.2, 0.01) + 0.002 * np.random.default_rng(7).random(500)
     return SimpleNamespace(
-        dof=dof,
         mocap_s=mocap_s,
-        markers_m=rigid_markers(np.pad(angle_rad(mocap_s, dof), ((0, 0), (0, 2 - dof)))),
+        markers_m=rigid_markers(angle_rad(mocap_s)),
         servo_true_s=servo_s,
+        first_s=servo_s[0],
         servo_s=servo_s - SERVO_AHEAD_S,
-        angle_rad=angle_rad(servo_s, dof),
-        current_a=3 * angle_rad(servo_s, dof),
+        angle_rad=angle_rad(servo_s),
+        current_a=3 * angle_rad(servo_s),
         offset_s=SERVO_AHEAD_S,
     )
 
 
 @pytest.fixture
 def check(rigid_markers):
-    """Compare an imported trial with the truth, wherever its time starts."""
+    """Compare an imported trial with the truth; returns the trial."""
 
-    def compare(trial, first_true_s, dof, atol_m):
-        true_s = first_true_s + trial.time_s
-        truth = angle_rad(true_s, dof)
+    def compare(path, first_true_s, atol_m=3e-4):  # at 1.6 m/s, 0.2 ms
+        trial = read_trial(path)
+        truth = angle_rad(first_true_s + trial.time_s)
         assert trial.angle_rad == pytest.approx(truth, abs=2e-4)  # linear between 10 ms samples
         assert trial.current_a == pytest.approx(3 * truth, abs=6e-4)
-        markers_m = rigid_markers(np.pad(truth, ((0, 0), (0, 2 - dof))))
-        seen = np.isfinite(trial.markers_m)
-        assert seen.mean() > 0.9
-        assert trial.markers_m[seen] == pytest.approx(markers_m[seen], abs=atol_m)
+        markers_m = rigid_markers(truth)
+        visible = np.isfinite(trial.markers_m)
+        assert visible.mean() > 0.9
+        assert trial.markers_m[visible] == pytest.approx(markers_m[visible], abs=atol_m)
         assert trial.tip_m == pytest.approx(markers_m[:, 12:].mean(axis=1), abs=atol_m)
+        return trial
 
     return compare
 
 
 @pytest.fixture
 def write_map(tmp_path):
-    """Write MAP.toml; the trial's conditions are filled in."""
+    """Write MAP.toml; the conditions of a trial with two joints are filled in."""
 
-    def write(dof, **tables):
+    def write(**tables):
         path = tmp_path / "map.toml"
-        trial = {"dof": dof} | CONDITIONS | tables.pop("trial", {})
+        trial = {"dof": 2} | CONDITIONS | tables.pop("trial", {})
         trial = {k: v for k, v in trial.items() if v is not None}
         path.write_text(tomli_w.dumps({"trial": trial} | tables))
         return path
@@ -79,7 +78,7 @@ def servo_csv(session, tmp_path):
     path = tmp_path / "servo.csv"
     header, columns = ["ms"], {"time_s": {"from": "ms", "unit": "ms"}}
     values = [session.servo_s * 1e3]
-    for j in range(1, session.dof + 1):
+    for j in (1, 2):
         header += [f"pos{j}", f"cur{j}", f"status{j}"]
         values += [np.degrees(session.angle_rad[:, j - 1]), session.current_a[:, j - 1] * 1e3]
         values.append(np.full(500, np.nan))  # becomes a column of words that nobody mapped

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.shared.kinematics import base_rotation
 from models.trials.files import read_trial, write_trial
 from models.trials.recordings.mapping import read_mapping
+from tests.models.trials.recordings.written_takes import WrittenTake, rigid_trial
 
 GUIDE = Path("docs/trials.md").read_text(encoding="utf-8")
 CONDITIONS, *MAPS = re.findall(r"```toml\n(.*?)```", GUIDE, re.DOTALL)
@@ -23,30 +23,14 @@ def test_every_map_of_the_guide_is_one(text, tmp_path):
     assert mapping.columns or mapping.servo_columns or mapping.topics
 
 
-def test_motive_and_a_servos_csv_become_a_trial_by_the_map_as_printed(rigid_markers, run, tmp_path):
-    """The servo's clock is ahead of the capture's, whose frame lies elsewhere and has y up."""
-    time_s = np.arange(0, 10, 1 / 120)
-    swing = -0.5236 * np.sin(2 * np.pi / 4.352 * np.clip(time_s - 1.0, 0, 2 * 4.352))
-    angle = np.column_stack([swing, 0 * swing])
-    base_m = [(x, y, 0.06) for y in (0.075, -0.075) for x in (0.075, -0.075)]
-    corners_m = np.einsum("nij,kj->nki", base_rotation(angle), np.array(base_m))
-    world_m = np.concatenate([rigid_markers(angle), corners_m], axis=1)
-    y_up_m = np.stack([world_m[..., 0], world_m[..., 2], -world_m[..., 1]], axis=-1)
-    names = [f"Link:m{k:02d}" for k in range(1, 17)] + [f"Base:b{k:02d}" for k in range(1, 5)]
-    labels = [name for name in names for _ in "XYZ"]
-    head = [
-        "Format Version,1.23,Length Units,Meters,Coordinate Space,Global", "",
-        ",Type," + ",".join(["Marker"] * 60), ",Name," + ",".join(labels),
-        ",," + ",".join(["Position"] * 60), "Frame,Time (Seconds)," + ",".join("XYZ" * 20),
-    ]  # fmt: skip
-    rows = zip(time_s, (y_up_m + np.array([1.2, 0.4, -0.3])).reshape(len(time_s), 60), strict=True)
-    lines = [f"{k},{t:.6f}," + ",".join(f"{v:.6f}" for v in m) for k, (t, m) in enumerate(rows)]
-    (tmp_path / "take.csv").write_text("\n".join([*head, *lines]) + "\n")
-    ticks = np.arange(0, 10, 0.017)
-    goal = np.degrees(np.interp(ticks, time_s, swing))
-    servo = np.column_stack([1e3 * (ticks + 3.2), goal, goal, 1500 * np.cos(ticks)])
-    header = "stamp,goal,position,current"
-    np.savetxt(tmp_path / "servo.csv", servo, "%.4f", ",", header=header, comments="")
+def test_the_map_of_motive_and_a_servo_imports_a_take_as_printed(rigid_markers, run, tmp_path):
+    """The clock of the servo is ahead of the capture's, whose frame lies elsewhere with y up."""
+    time_s = 0.017 * np.arange(600)
+    swing = -0.5236 * np.sin(2 * np.pi / 4.352 * np.clip(time_s - 1.02, 0, 2 * 4.352))
+    take = WrittenTake(offset_s=-3.2, base="plate")
+    take.write(rigid_trial(swing[:, None]), tmp_path, 1)
+    servo = (tmp_path / "servo.csv").read_text().replace("goal1;pos1;cur1", "goal;position;current")
+    (tmp_path / "servo.csv").write_text(servo)
     (tmp_path / "map.toml").write_text(MAPS[0], encoding="utf-8")
     code, out, err = run(
         tmp_path / "take.csv", "--as", "motive", "--servo", tmp_path / "servo.csv",

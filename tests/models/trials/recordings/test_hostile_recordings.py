@@ -1,4 +1,4 @@
-"""Recordings that once took gigabytes, hung, crashed or ended in a traceback: one sentence each."""
+"""Damaged and hostile recordings end in one sentence, within limits of memory and time."""
 
 import io
 import json
@@ -8,9 +8,7 @@ import struct
 import zlib
 
 import lz4.frame
-import numpy as np
 import pytest
-import scipy.io
 from mcap.writer import CompressionType, Writer
 
 from dropstitch.__main__ import main
@@ -18,8 +16,6 @@ from firmware_py.errors import InputError
 from firmware_py.files import guarded_call
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
-from models.trials.recordings import table
-from models.trials.recordings.table import matlab_variables
 from tests.fuzz import valid_files
 
 COLUMNS, MAP = valid_files.table()
@@ -38,10 +34,10 @@ def sentence(tmp_path, capsys):
         (tmp_path / "map.toml").write_bytes(map_)
         argv = [str(file), "--as", kind, "--map", str(tmp_path / "map.toml"), *more]
         assert main(["import", *argv, "--out", str(tmp_path / "out")]) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("dropstitch: ") and said.count("\n") == 1, said
-        assert not list((tmp_path / "out").glob(".*")), "nothing is left behind"
-        return said
+        printed = capsys.readouterr().err
+        assert printed.startswith("dropstitch: ") and printed.count("\n") == 1, printed
+        assert not list((tmp_path / "out").glob(".*")), "no temporary files remain"
+        return printed
 
     return sentence
 
@@ -62,13 +58,10 @@ def log_with(metadata, messages):
     ("key", "value", "what"),
     [
         ("dof", "1000000000", "is not a log of dropstitch"),
-        ("dof", "one", "is not a log of dropstitch"),
-        ("config", "[1]", "its metadata are damaged: config"),
         ("config", '{"motion": {"design": 3}}', "its metadata are damaged: config"),
         ("config", '{"a":' * 5000, "its metadata are damaged: config"),
         ("payload_kg", "heavy", "its metadata are damaged: payload_kg"),
         ("period_s", "0", "its metadata are damaged: period_s"),
-        ("motion", "7", "its metadata are damaged: motion"),
     ],
 )
 def test_metadata_of_a_log_are_checked(sentence, key, value, what):
@@ -116,19 +109,6 @@ def test_one_late_time_stamp_does_not_make_a_trial_of_years(sentence):
     assert "has no samples for" in sentence("a.csv", "\n".join(lines).encode())
 
 
-def test_an_underscore_is_no_part_of_a_number(sentence):
-    lines = CSV.split("\n")
-    lines[2] = "0.0_1" + lines[2][lines[2].index(",") :]
-    assert "'0.0_1' is not a number" in sentence("a.csv", "\n".join(lines).encode())
-
-
-def test_a_table_that_ends_within_a_number_is_refused(sentence):
-    rows = CSV.rstrip("\n").split("\n")
-    last = ["0.123456"] * (len(rows) - 2) + ["0.12"]
-    rows = [f"{row},{cell}" for row, cell in zip(rows, ["angle_2_rad", *last], strict=True)]
-    assert "ends within '0.12'" in sentence("a.csv", "\n".join(rows).encode())
-
-
 def test_two_columns_of_one_name_are_refused(sentence):
     lines = [f"{line},{line.split(',')[1]}" for line in CSV.split("\n")]
     assert "column 'pos' stands twice" in sentence("a.csv", "\n".join(lines).encode())
@@ -137,37 +117,9 @@ def test_two_columns_of_one_name_are_refused(sentence):
     assert "'pos' stands twice" in sentence("a.json", doubled.encode())
 
 
-def test_two_markers_of_one_name_are_refused(sentence):
-    twice = valid_files.motive().replace(b"m02,m02,m02", b"m01,m01,m01")
-    assert "holds 2 columns for X of m01" in sentence("a.csv", twice, "motive")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "what"),
-    [
-        (b",Y,", b",,", "columns for Y of m01"),
-        (b",,Position", b",,Rotation", "columns for X of m01"),
-        (b",Name,", b",Names,", "lacks its 'Name' row"),
-    ],
-)
-def test_lost_labels_of_motive_are_refused(sentence, old, new, what):
-    text = valid_files.motive().replace(old, new, 1)
-    assert what in sentence("a.csv", text, "motive")
-
-
 def test_a_motive_file_of_newlines_takes_no_memory(sentence):
     head = valid_files.motive().split(b"\n")[0]
     assert "no row that begins with Frame" in sentence("a.csv", head + b"\n" * 1_000_000, "motive")
-
-
-@pytest.mark.parametrize("kind", ["c3d", "motive", "table", "recording", "map"])
-def test_a_directory_in_place_of_a_file_is_refused(sentence, tmp_path, kind):
-    (tmp_path / "folder").mkdir()
-    if kind == "map":
-        argv = ("--map", str(tmp_path / "folder"))
-        assert "is no file but a directory" in sentence("a.csv", CSV.encode(), more=argv)
-    else:
-        sentence("folder", kind=kind)  # a directory of takes, which holds none
 
 
 def test_a_damaged_header_of_a_c3d_takes_no_memory(sentence):
@@ -178,18 +130,7 @@ def test_a_damaged_header_of_a_c3d_takes_no_memory(sentence):
     sentence("a.c3d", bytes(data), "c3d")
 
 
-def test_a_matlab_file_that_unpacks_to_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(table, "MOST_UNPACKED_BYTES", 1_000_000)
-    path = tmp_path / "a.mat"
-    scipy.io.savemat(path, {"a": np.zeros(200_000)}, do_compression=True)
-    assert path.stat().st_size < 5000
-    with pytest.raises(InputError, match="unpacks to more than 1 MB"):
-        matlab_variables(path)
-
-
-@pytest.mark.parametrize(
-    ("at", "value"), [(8, 0x7FFFFFFF), (16, 0xFFFF), (24, 17), (40, 2**31 - 1), (56, 2**32 - 1)]
-)
+@pytest.mark.parametrize(("at", "value"), [(8, 0x7FFFFFFF), (24, 17), (56, 2**32 - 1)])
 def test_a_damaged_matlab_file_is_refused_or_ends_its_child(sentence, at, value):
     data = valid_files.matlab_of(COLUMNS, "5c")
     size = int.from_bytes(data[132:136], "little")
@@ -217,7 +158,6 @@ def bag(tmp_path):
     "damage",
     [
         lambda bag: (bag / "metadata.yaml").write_text("a: [b: {c"),
-        lambda bag: (bag / "metadata.yaml").write_text("[" * 20_000),
         lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff\xfe\x00"),
         lambda bag: (bag / "metadata.yaml").write_text("a: 1\n" * 100_000),
         lambda bag: (bag / "bag.db3").write_bytes(b"SQLite format 3\0" + bytes(5000)),
@@ -225,7 +165,7 @@ def bag(tmp_path):
         lambda bag: os.truncate(bag / "bag.db3", 5000),
         lambda bag: [(bag / f"{k}.db3").touch() for k in range(101)],
     ],
-    ids=["YAML", "deep", "no UTF-8", "long", "empty base", "no base", "cut", "files"],
+    ids=["YAML", "no UTF-8", "long", "empty base", "no base", "cut", "files"],
 )
 def test_a_damaged_bag_is_refused(sentence, bag, damage):
     damage(bag)
@@ -258,13 +198,8 @@ def test_deep_and_huge_json_is_refused(sentence, content):
     sentence("a.json", content)
 
 
-def test_a_map_without_from_is_refused(sentence):
-    map_ = MAP.replace(b'from = "stamp"', b"")
-    assert "missing required field `from`" in sentence("a.csv", CSV.encode(), map_=map_)
-
-
-@pytest.mark.parametrize("name", ["../x", "/tmp/x", "..", ".x", "a\nb", "x" * 300, "a/b"])
+@pytest.mark.parametrize("name", ["../x", "/tmp/x", ".x", "a\nb", "x" * 300])
 def test_a_name_does_not_leave_the_directory(sentence, tmp_path, name):
     (tmp_path / "out").mkdir()
-    said = sentence("a.csv", CSV.encode(), more=("--name", name))
-    assert "is no name of a trial" in said and not list((tmp_path / "out").iterdir())
+    assert "is no name of a trial" in sentence("a.csv", CSV.encode(), more=("--name", name))
+    assert not list((tmp_path / "out").iterdir())

@@ -3,8 +3,6 @@ import pytest
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from models.trials.files import read_trial
-
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
 EPOCH_S = 1_700_000_000
@@ -50,17 +48,14 @@ def marker_array(time_s, row):
 
 def write_bag(path, session, form):
     """A bag in which nothing is recorded at the moment it was stamped."""
-    names = ["wrist", "base", "tilt"] if session.dof == 2 else ["base", "wrist"]
-    order = [names.index(n) for n in ("base", "tilt")[: session.dof]]
-    messages = []
+    names, messages = ["wrist", "base", "tilt"], []
     for t, angle, current in zip(
         session.servo_true_s, session.angle_rad, session.current_a, strict=True
     ):
-        full, amps = np.full(len(names), 9.0), np.full(len(names), 9.0)
-        full[order], amps[order] = angle, 1e3 * current
+        full, amps = np.append(9.0, angle), np.append(9.0, 1e3 * current)
         messages.append((t, "/joint_states", joint_state(t, full, amps, names)))
         messages.append((t, "/goals", joint_state(t, full, [], names)))
-    for t, row in zip(session.mocap_s, session.markers_m, strict=True):
+    for t, row in zip(session.mocap_s, session.markers_m, strict=False):
         if form == "MarkerArray":
             messages.append((t, "/markers", marker_array(t, row)))
         else:
@@ -82,33 +77,28 @@ def write_bag(path, session, form):
 @pytest.mark.parametrize("form", ["MarkerArray", "PoseArray"])
 def test_a_bag_becomes_the_true_trial(session, write_map, run, check, tmp_path, form):
     bag = write_bag(tmp_path / "bag", session, form)
-    settings = {"topics": TOPICS, "joints": ["base", "tilt"][: session.dof], "effort_unit": "mA"}
+    tables = {"topics": TOPICS | {"/tip": "tip"}}
     if form == "MarkerArray":
-        settings["markers"] = {f"m{i:02d}": f"m{i}" for i in range(1, 17)}
-    else:
-        settings["topics"] = TOPICS | {"/tip": "tip"}
-    map_ = write_map(session.dof, **settings)
+        tables = {"topics": TOPICS, "markers": {f"m{i:02d}": f"m{i}" for i in range(1, 17)}}
+    map_ = write_map(joints=["base", "tilt"], effort_unit="mA", **tables)
     code, _, err = run(bag, "--as", "rosbag", "--map", map_)
     assert code == 0, err
-    trial = read_trial(tmp_path / "trials" / "bag.csv")
-    check(trial, session.servo_true_s[0], session.dof, 3e-4)
+    check(tmp_path / "trials" / "bag.csv", session.first_s)
 
 
-def test_wrong_bags_and_topics_get_one_sentence(session, write_map, refused, tmp_path):
-    bag = write_bag(tmp_path / "bag", session, "PoseArray")
-
-    def sentence(topics, **settings):
-        map_ = write_map(session.dof, topics=topics, **settings)
-        return refused(bag, "--as", "rosbag", "--map", map_)
-
-    assert "names no topics" in sentence({})
-    assert "topic /js is missing; it has /goals, /joint_states" in sentence({"/js": "joints"})
-    assert "cannot be read as 'tip'" in sentence({"/joint_states": "tip"})
-    assert "has no joint 'elbow'" in sentence({"/joint_states": "joints"}, joints=["elbow"])
-    units = {"joints": ["base", "tilt"][: session.dof], "effort_unit": "mA"}
-    assert "nothing holds goal_1_rad" in sentence({"/joint_states": "joints"}, **units)
+def test_wrong_bags_and_topics_are_refused_by_their_fault(session, write_map, refused, tmp_path):
+    session.mocap_s = session.mocap_s[:20]
+    write_bag(tmp_path / "bag", session, "PoseArray")
     (tmp_path / "empty").mkdir()
-    map_ = write_map(session.dof, topics=TOPICS)
-    assert "is no readable ROS 2 bag" in refused(
-        tmp_path / "empty", "--as", "rosbag", "--map", map_
-    )
+    joints = {"/joint_states": "joints"}
+    units = {"joints": ["base", "tilt"], "effort_unit": "mA"}
+    for bag, words, tables in (
+        ("bag", "names no topics", {}),
+        ("bag", "topic /js is missing; it has /goals, /joint", {"topics": {"/js": "joints"}}),
+        ("bag", "cannot be read as 'tip'", {"topics": {"/joint_states": "tip"}}),
+        ("bag", "has no joint 'elbow'", {"topics": joints, "joints": ["elbow"]}),
+        ("bag", "nothing holds goal_1_rad", {"topics": joints} | units),
+        ("empty", "is no readable ROS 2 bag", {"topics": TOPICS}),
+    ):
+        map_ = write_map(**tables)
+        assert words in refused(tmp_path / bag, "--as", "rosbag", "--map", map_)

@@ -1,73 +1,225 @@
-"""Forty wrong imports are refused with their cause, and right ones pass with the right clock."""
+"""Wrong imports are refused or warned of with their cause; right ones pass with the right clock."""
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.signals import trial_signals
-from models.shared.kinematics import base_rotation
-from models.trials.recordings.series import nominal_markers_m
-from models.trials.trial import Trial, TrialMeta
-from tests.models.trials.recordings.written_takes import right_cases, wrong_cases
-
-REST = 60
-QUICK = (0, 2, 5, 15, 22, 26, 29, 34, 37)
-"""A sign, another of two joints, swapped names, origin, upward axis, yaw, a marker that is absent,
-a gap, decimal commas."""
-
-
-def rigid_trial(angle_rad):
-    dof = angle_rad.shape[1]
-    meta = TrialMeta(
-        dof=dof, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="test", source="rig",
-        period_s=2.0, amplitude_rad=0.5, base_offset_m=0.06, link_length_m=0.95,
-        link_width_m=0.15, rest_samples=REST,
-    )  # fmt: skip
-    markers_m = np.einsum("nij,kj->nki", base_rotation(angle_rad), nominal_markers_m(meta))
-    joints = np.stack([angle_rad, angle_rad, -2 * angle_rad], axis=2).reshape(len(angle_rad), -1)
-    time_s = 0.017 * np.arange(len(angle_rad))
-    tip_m = markers_m[:, 12:].mean(axis=1)
-    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
-    names = [s.name for s in trial_signals(dof)]
-    return Trial("rigid", meta, dict(zip(names, samples.T, strict=True)))
+from firmware_py.errors import InputError
+from firmware_py.motion import Motion
+from models.rig.parameters import read_parameters
+from models.rig.protocol import TrialCase, run_case
+from models.trials.checks.verdict import ImportVerdict
+from models.trials.pipeline import Inspection, Source
+from models.trials.recordings.mapping import read_mapping
+from tests.models.trials.recordings.written_takes import ORIGIN_M, REST, WrittenTake, rigid_trial
 
 
 @pytest.fixture(scope="module")
 def trials():
-    """A rigid link on one joint, and on two that move out of phase."""
-    time_s = 0.017 * np.arange(REST + 360)
-    t = np.clip(time_s - 0.017 * (REST - 1), 0, 5.0)
+    """A rigid link on one joint and on two that move out of phase, and the same on the rig."""
+    t = np.clip(0.017 * np.arange(1 - REST, 361), 0, 5.0)
     smooth = np.clip(t, 0, 1) ** 2 * np.clip(5.0 - t, 0, 1) ** 2
     both = np.column_stack([0.5 * np.sin(2.6 * t) * smooth, 0.4 * np.sin(3.3 * t + 0.8) * smooth])
-    return [rigid_trial(both[:, :1]), rigid_trial(both)]
+    motions = {"rig 1": Motion(), "rig 2": Motion(dof=2, phase_2_rad=math.pi / 2)}
+    return {"rigid 1": rigid_trial(both[:, :1]), "rigid 2": rigid_trial(both)} | {
+        name: run_case(read_parameters(), TrialCase(motion, 1.0, 1, 0))
+        for name, motion in motions.items()
+    }
 
 
-def imported(case, directory, capsys, seed):
-    """Exit code of the import, what it printed and what it said."""
-    arguments = case.take.write(case.trial, directory, seed)
-    code = main(["import", *arguments, "--out", str(directory / "trials"), "--json"])
-    return code, *capsys.readouterr()
+def inspected(trial, directory, **fields):
+    """Findings of an import as (level, cause, text), and the sentence with which it ends."""
+    WrittenTake(offset_s=0.7, **fields).write(trial, directory, 1)
+    verdict, refusal = ImportVerdict("take"), ""
+    source = Source(directory / "take.csv", "motive", directory / "servo.csv")
+    try:
+        Inspection(source, read_mapping(directory / "map.toml"), verdict).trial()
+    except InputError as error:
+        refusal = str(error)
+    findings = [(f.level, f.cause, f.text.replace("\xa0", " ")) for f in verdict.findings]
+    return findings, refusal.replace("\xa0", " ")
 
 
-@pytest.mark.parametrize("k", QUICK)
-def test_a_wrong_import_is_refused_with_its_cause(k, trials, tmp_path, capsys):
-    case = wrong_cases(*trials, seed=3)[k]
-    code, _, said = imported(case, tmp_path, capsys, k)
-    assert code == 2 and case.cause in said, (case.name, said)
+def named(*pairs):
+    """Markers whose labels are exchanged in pairs."""
+    return {"names": dict(pairs) | {b: a for a, b in pairs}}
 
 
-def test_every_other_one_is_refused_or_warned_of_with_its_cause(trials, tmp_path, capsys):
-    for k, case in enumerate(wrong_cases(*trials, seed=3)):
-        if k not in QUICK:
-            _, _, said = imported(case, tmp_path / str(k), capsys, k)
-            assert case.cause in said, (case.name, said)
+def origin(*shift_m):
+    return {"wrong": {"origin_m": (ORIGIN_M + np.array(shift_m)).tolist()}}
 
 
-def test_right_imports_pass_and_their_clock_is_right(trials, tmp_path, capsys):
-    for k, case in enumerate(right_cases(trials, 3, 4)):
-        code, document, said = imported(case, tmp_path / str(k), capsys, k)
-        assert code == 0, said
-        offset_s = json.loads(document)["offset_s"]
-        assert offset_s == pytest.approx(case.take.offset_s - case.take.epoch_s, abs=1e-3)
+def conditions(**stated):
+    """Change of a map: other conditions."""
+    return {"changes": lambda document: document["trial"].update(stated)}
+
+
+def columns(**sources):
+    """Change of a map: other sources of the servo's columns; without a unit for None."""
+
+    def change(document):
+        for name, source in sources.items():
+            entry = document["servo_columns"][name]
+            entry.pop("unit") if source is None else entry.update(source)
+
+    return {"changes": change}
+
+
+def signals(**functions):
+    """Change of a trial before its log is written: a function of each changed column."""
+
+    def change(trial):
+        changed = {n: f(trial.columns[n]) for n, f in functions.items()}
+        return replace(trial, columns=trial.columns | changed)
+
+    return {"signals": change}
+
+
+def of_both(function):
+    return signals(goal_1_rad=function, angle_1_rad=function)
+
+
+def one_joint(document):
+    document["trial"]["dof"] = 1
+    for name in ("goal_2_rad", "angle_2_rad", "current_2_a"):
+        document["servo_columns"].pop(name)
+
+
+COUNTS = {"scale": 4096 / 360 * math.degrees(1)}
+TURNS = {"scale": math.degrees(1) / 360}
+TWICE = {"scale": math.radians(1)}
+ROWS = [(f"m{k:02d}", f"m{k + 12:02d}") for k in range(1, 5)]
+MIRRORED = [(f"m{k:02d}", f"m{k + 1:02d}") for k in range(1, 17, 2)]
+
+# fmt: off
+REFUSED = {
+    # Signs, joints and names
+    "sign of joint 1": ("rigid 1", {"signs": (-1.0, 1.0)}, "joint 1 counts the other way"),
+    "signs of both": ("rigid 2", {"signs": (-1.0, -1.0)}, "joint 1 and joint 2 count the other"),
+    "sign of joint 2": ("rigid 2", {"signs": (1.0, -1.0)}, "joint 2 counts the other way"),
+    "joints swapped": ("rig 2", {"swap_joints": True}, "joints 1 and 2 are swapped"),
+    "one of two joints": ("rig 2", {"changes": one_joint}, "moves in two directions"),
+    "markers of a row": ("rigid 1", named(("m05", "m06")), "m05 and m06 are swapped"),
+    "markers of two rows": ("rigid 1", named(("m02", "m14")), "m02 and m14 are swapped"),
+    "rows": ("rigid 1", named(*ROWS), "rows are named in the order"),
+    "mirrored corners": ("rigid 1", named(*MIRRORED), "corners are named in the order"),
+    "absent marker": ("rigid 1", {"absent": ("m16",)}, "m16 is mapped to"),
+    # Frame
+    "origin below": ("rigid 1", origin(0, 0, -0.42), "m too low"),
+    "origin aside": ("rigid 1", origin(0.02, -0.03, 0), "m aside"),
+    "y-up as z-up": ("rigid 1", {"wrong": {"up": "z"}}, "is y-up"),
+    "z-up as y-up": ("rigid 1", {"files_up": "z", "wrong": {"up": "y"}}, "is z-up"),
+    "yaw of 90 deg": ("rigid 1", {"wrong": {"yaw_deg": 90.0}}, "turned by 90.0 deg"),
+    "left-handed": ("rig 1", {"wrong": {"mirror": "x"}}, "left-handed"),
+    "base on a stand": ("rig 1", {"base": "stand", "align": "base"}, "fixed stand"),
+    "base_offset_m": (
+        "rig 2", {"base": "plate", "align": "base"} | conditions(base_offset_m=0.10),
+        "0.060 m below the base plate",
+    ),
+    # Lengths and units
+    "markers in mm": ("rig 1", {"scale": 1e3}, "in mm"),
+    "markers in inches": ("rig 1", {"scale": 39.37, "align": "rest"}, "in inches"),
+    "scale of 1.1": ("rigid 1", {"scale": 1.1, "align": "rest"}, "times those of the link"),
+    "length 5 cm off": ("rig 1", conditions(link_length_m=1.0), "rows of markers"),
+    "angle in deg": ("rig 1", columns(angle_1_rad=None), "in deg"),
+    "angles in counts": ("rig 1", columns(goal_1_rad=COUNTS, angle_1_rad=COUNTS), "counts"),
+    "angles in turns": ("rig 1", columns(goal_1_rad=TURNS, angle_1_rad=TURNS), "in turns"),
+    "converted twice": ("rig 1", columns(goal_1_rad=TWICE, angle_1_rad=TWICE), "twice"),
+    "current in mA": ("rig 1", columns(current_1_a=None), "mA"),
+    "time in ms": ("rig 1", columns(time_s=None), "another unit"),
+    "decimal commas": ("rigid 2", {"commas": True}, "decimal commas"),
+    # Signals
+    "constant angle": ("rig 1", signals(angle_1_rad=np.zeros_like), "does not change"),
+    "centre of 180 deg": ("rig 1", of_both(lambda v: v + np.pi), "reads 180.0"),
+    "zero 10 deg off": ("rig 1", of_both(lambda v: v + 0.17) | {"align": "rest"}, "elsewhere"),
+    "smaller motion": ("rig 1", of_both(lambda v: 0.7 * v), "1.4"),
+    "rest too long": ("rig 1", conditions(rest_samples=150), "within the 150 rest rows"),
+    # Clocks
+    "gap in the servo's log": ("rigid 1", {"gap_s": (4.0, 0.2)}, "has no samples for"),
+    "long gap": ("rigid 1", {"gap_s": (4.0, 2.0)}, "has no samples for"),
+    "60 Hz for 120": ("rig 1", {"rate_hz": 60.0}, "by 0.5"),
+    "125 Hz for 120": ("rig 1", {"rate_hz": 125.0}, "1.04"),
+}
+WARNED = {
+    "origin 15 mm above": ("rigid 1", origin(0, 0, 0.015), "m too high"),
+    "yaw of 3 deg": ("rigid 1", {"wrong": {"yaw_deg": 3.0}}, "turned by 3.0 deg"),
+    "one row at rest": ("rigid 1", {"first_s": 0.017 * (REST - 1)}, "rest before the motion"),
+    "width": ("rig 1", {"align": "rest"} | conditions(link_width_m=0.2), "corners"),
+    "goals from the angle": ("rig 1", columns(goal_1_rad={"from": "pos1"}), "both taken from"),
+    "goal and angle exchanged": (
+        "rig 1", columns(goal_1_rad={"from": "pos1"}, angle_1_rad={"from": "goal1"}),
+        "before goal_1_rad",
+    ),
+    "current without sign": ("rig 1", signals(current_1_a=np.abs), "never negative"),
+    "unsigned current": (
+        "rig 1", signals(current_1_a=lambda v: np.where(v < 0, v + 65.536, v)), "never negative",
+    ),
+    "sign of the current": ("rig 1", signals(current_1_a=np.negative), "sign is turned"),
+    "currents swapped": (
+        "rig 2", columns(current_1_a={"from": "cur2"}, current_2_a={"from": "cur1"}),
+        "currents 1 and 2 are swapped",
+    ),
+    "another period": ("rig 1", conditions(period_s=2.0), "period of 2 s"),
+    "frame rate 1 % off": ("rig 1", {"rate_hz": 119.0}, "drift apart"),
+    "50 g as kg": ("rig 1", conditions(payload_kg=50.0), "folds"),
+    "base_offset_m": (
+        "rig 1", {"align": "rest"} | conditions(base_offset_m=0.03), "plate 0.060 m above",
+    ),
+}
+# fmt: on
+"""Trial, fields of the written take, and words of the sentence or the finding."""
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_an_import_that_cannot_be_right_is_refused_with_its_cause(name, trials, tmp_path):
+    trial, fields, words = REFUSED[name]
+    findings, refusal = inspected(trials[trial], tmp_path, **fields)
+    assert words in refusal, (findings, refusal)
+    reasons = [text for level, _, text in findings if level == "refused"]
+    assert not reasons or words in reasons[0]
+
+
+@pytest.mark.parametrize("name", WARNED)
+def test_a_doubtful_import_is_warned_of_with_its_cause(name, trials, tmp_path):
+    trial, fields, words = WARNED[name]
+    findings, refusal = inspected(trials[trial], tmp_path, **fields)
+    assert not refusal
+    assert any(level == "warning" and words in text for level, _, text in findings), findings
+
+
+@pytest.mark.parametrize("trial", ["rig 1", "rig 2"])
+@pytest.mark.parametrize("align", ["none", "base", "rest"])
+def test_base_markers_on_their_plate_are_right(trial, align, trials, tmp_path):
+    findings, refusal = inspected(trials[trial], tmp_path, base="plate", align=align)
+    assert not refusal and {cause for _, cause, _ in findings} <= {"lean"}, findings
+
+
+@pytest.mark.parametrize("first_s", [1.1, 1.4, 2.4])
+def test_a_recording_without_its_rest_is_not_blamed_on_frame_rate_or_zero(
+    first_s, trials, tmp_path
+):
+    findings, refusal = inspected(trials["rig 1"], tmp_path, first_s=first_s)
+    assert refusal and not {"rate", "zero"} & {cause for _, cause, _ in findings}
+
+
+RIGHT = (
+    {"offset_s": -1.3, "millimetres": True, "yaw_deg": -37.0, "lost": 0.01},
+    {"offset_s": 0.8, "epoch_s": 1.7e9, "files_up": "z", "occluded": 0.02, "first_s": 0.3},
+    {"offset_s": 1.9, "epoch_s": 1.7e9, "align": "rest", "first_s": 0.3},
+)
+
+
+@pytest.mark.parametrize("fields", RIGHT)
+@pytest.mark.parametrize("trial", ["rigid 1", "rigid 2"])
+def test_right_imports_pass_and_their_clock_is_right(trial, fields, trials, tmp_path, capsys):
+    take = WrittenTake(**fields)
+    arguments = take.write(trials[trial], tmp_path, 4)
+    code = main(["import", *arguments, "--out", str(tmp_path / "trials"), "--json"])
+    printed, err = capsys.readouterr()
+    assert code == 0, err
+    offset_s = json.loads(printed)["offset_s"]
+    assert offset_s == pytest.approx(take.offset_s - take.epoch_s, abs=1e-3)

@@ -1,8 +1,8 @@
 """Takes as a user would record them, written from a trial: a Motive export and a servo log.
 
 The markers, which a trial without noise gives, are brought to the rate of the cameras by a cubic
-spline, get noise, are moved to the capture's own frame and clock, and written with y up. The
-servo's log is a table in degrees and milliamperes on its own clock. Every field that is not its
+spline, get noise, are moved to the frame and clock of the capture, and written with y up. The
+servo's log is a table in degrees and milliamperes on another clock. Every field that is not its
 default changes the take in one way.
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 import tomli_w
@@ -19,9 +19,11 @@ from scipy.interpolate import CubicSpline
 
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_corners_m
-from models.shared.kinematics import base_corners_m
+from firmware_py.signals import trial_signals
+from models.shared.kinematics import base_corners_m, base_rotation
 from models.trials.recordings.mapping import BASE_MARKERS
-from models.trials.trial import LINK_CONDITIONS, Array, Trial
+from models.trials.recordings.series import nominal_markers_m
+from models.trials.trial import LINK_CONDITIONS, Array, Trial, TrialMeta
 
 RATE_HZ: Final = 120.0
 NOISE_M: Final = 1.5e-4
@@ -50,8 +52,7 @@ class WrittenTake:
     swap_joints: bool = False  # Whether the log's joints are mapped crosswise
     # Keys of `[frame]` that the map gives wrongly
     wrong: dict[str, Any] = field(default_factory=dict)
-    first_s: float = 0.0  # Time from which and until which both files are written
-    last_s: float = np.inf
+    first_s: float = 0.0  # Time from which both files are written
     # Start and length of a gap in the servo's log, (0, 0) for none
     gap_s: tuple[float, float] = (0.0, 0.0)
     commas: bool = False  # Whether the log has decimal commas
@@ -94,8 +95,7 @@ class WrittenTake:
 
     def _write_motive(self, trial: Trial, path: Path, rng: np.random.Generator) -> None:
         time_s = trial.time_s
-        last_s = min(self.last_s, time_s[-1])
-        frames_s = np.arange(max(self.first_s, time_s[0]), last_s, 1 / RATE_HZ)
+        frames_s = np.arange(max(self.first_s, time_s[0]), time_s[-1], 1 / RATE_HZ)
         markers_m = trial.markers_m
         if self.base:
             meta, angle_rad = trial.meta, trial.angle_rad * float(self.base == "plate")
@@ -115,8 +115,8 @@ class WrittenTake:
         in_file[rng.random(in_file.shape[:2]) < self.occluded] = np.nan
         names = [f"Link:{name}" for name in STUDY_LINK.layout.names]
         names += [f"Base:{name}" for name in BASE_MARKERS] if self.base else []
-        kept = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
-        labels = [names[k] for k in kept for _ in "XYZ"]
+        present = [k for k, name in enumerate(names) if name.split(":")[1] not in self.absent]
+        labels = [names[k] for k in present for _ in "XYZ"]
         unit = "Millimeters" if self.millimetres else "Meters"
         head = [
             f"Format Version,1.23,Take Name,take,Length Units,{unit},Coordinate Space,Global",
@@ -127,7 +127,7 @@ class WrittenTake:
             ",," + ",".join(["Position"] * len(labels)),
             "Frame,Time (Seconds)," + ",".join("XYZ"[i % 3] for i in range(len(labels))),
         ]
-        cells = in_file[:, kept].reshape(len(frames_s), -1)
+        cells = in_file[:, present].reshape(len(frames_s), -1)
         rows = [
             f"{k},{k / self.rate_hz:.6f}," + ",".join("" if v != v else f"{v:.6f}" for v in row)
             for k, row in enumerate(cells.tolist())
@@ -139,10 +139,10 @@ class WrittenTake:
     ) -> dict[str, dict[str, Any]]:
         trial = self.signals(trial) if self.signals is not None else trial
         time_s = trial.time_s
-        kept = (time_s >= self.first_s) & (time_s <= self.last_s)
+        logged = time_s >= self.first_s
         start_s, length_s = self.gap_s
-        kept &= (time_s <= start_s) | (time_s >= start_s + length_s)
-        kept &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
+        logged &= (time_s <= start_s) | (time_s >= start_s + length_s)
+        logged &= (rng.random(len(time_s)) >= self.lost) | (np.arange(len(time_s)) % 3 > 0)
         stamp_ms = 1e3 * (time_s - self.first_s - self.offset_s + self.epoch_s)
         columns: dict[str, dict[str, Any]] = {"time_s": {"from": "stamp", "unit": "ms"}}
         header, values = ["stamp"], [stamp_ms]
@@ -158,93 +158,28 @@ class WrittenTake:
                 f"angle_{j}_rad": {"from": f"pos{source}", "unit": "deg"},
                 f"current_{j}_a": {"from": f"cur{j}", "unit": "mA"},
             }
-        table: Array = np.column_stack(values)[kept]
+        table: Array = np.column_stack(values)[logged]
         rows = [";".join(f"{v:.4f}" for v in row) for row in table.tolist()]
         text = "\n".join([";".join(header), *rows]) + "\n"
         path.write_text(text.replace(".", ",") if self.commas else text)
         return columns
 
 
-class ImportCase(NamedTuple):
-    """One import; `cause` are words that a refusal must hold, "" for a right import."""
-
-    name: str
-    take: WrittenTake
-    trial: Trial
-    cause: str
+REST = 60
 
 
-def wrong_cases(one: Trial, two: Trial, seed: int) -> list[ImportCase]:
-    """Forty wrong imports, of a trial with one joint and of one with two out of phase."""
-    rng = np.random.default_rng(seed)
-    cases: list[ImportCase] = []
-
-    def add(name: str, cause: str, trial: Trial = one, **fields: Any) -> None:
-        offset_s = float(rng.uniform(-2, 2))
-        cases.append(ImportCase(name, WrittenTake(offset_s=offset_s, **fields), trial, cause))
-
-    add("sign of joint 1", "joint 1 counts the other way", signs=(-1.0, 1.0))
-    add("sign of joint 1 of 2", "joint 1 counts the other way", two, signs=(-1.0, 1.0))
-    add("sign of joint 2", "joint 2 counts the other way", two, signs=(1.0, -1.0))
-    add("signs of both", "joint 1 and joint 2 count the other way", two, signs=(-1.0, -1.0))
-    add("joints swapped", "joints 1 and 2 are swapped", two, swap_joints=True)
-    for pair in (("m05", "m06"), ("m01", "m03"), ("m02", "m14"), ("m09", "m13"), ("m13", "m16")):
-        add(f"{pair[0]}, {pair[1]}", f"{pair[0]} and {pair[1]} are swapped", **_named(pair))
-    add("two pairs", "are swapped", **_named(("m05", "m06"), ("m10", "m15")))
-    for a, b in ((1, 2), (0, 3)):
-        rows = [(f"m{4 * a + k:02d}", f"m{4 * b + k:02d}") for k in range(1, 5)]
-        add(f"rows {a + 1}, {b + 1}", "rows are named in the order", **_named(*rows))
-    mirrored = [(f"m{k:02d}", f"m{k + 1:02d}") for k in range(1, 17, 2)]
-    add("mirrored corners", "corners are named in the order", **_named(*mirrored))
-    for up_m in (-0.42, -0.1, 0.05, 0.015):
-        way = "low" if up_m < 0 else "high"
-        add(f"origin z {up_m:+}", f"m too {way}", wrong=_origin((0.0, 0.0, up_m)))
-    for aside_m in ((0.1, 0.0, 0.0), (0.02, -0.03, 0.0)):
-        add(f"origin {aside_m}", "m aside", wrong=_origin(aside_m))
-    add("y-up read as z-up", "is y-up", wrong={"up": "z"})
-    add("z-up read as y-up", "is z-up", files_up="z", wrong={"up": "y"})
-    add("y-up read as x-up", "is y-up", wrong={"up": "x"})
-    for yaw in (3.0, -8.0, 12.0, 29.0, 90.0):
-        add(f"yaw {yaw:g}", "yaw_deg", wrong={"yaw_deg": yaw})
-    add("absent m05", "m05 is mapped to", absent=("m05",))
-    add("absent m16", "m16 is mapped to", absent=("m16",))
-    add("absent row", "is mapped to", absent=("m09", "m10", "m11", "m12"))
-    for rest in (1, 8):
-        at_s = one.time_s[one.meta.rest_samples - 1] - (rest - 1) * one.step_s
-        add(f"{rest} rows at rest", "rest before the motion", first_s=float(at_s))
-    for length_s in (0.2, 0.5, 1.0, 2.0):
-        add(f"servo gap {length_s:g} s", "has no samples for", gap_s=(4.0, length_s))
-    add("decimal commas", "decimal commas", commas=True)
-    add("decimal commas, 2 joints", "decimal commas", two, commas=True)
-    add("scale 1.1", "times those of the link", align="rest", scale=1.1)
-    return cases
-
-
-def right_cases(trials: list[Trial], count: int, seed: int) -> list[ImportCase]:
-    """Right imports of many kinds, of the trials in turn."""
-    rng = np.random.default_rng([seed, 1])
-    cases = []
-    for k in range(count):
-        trial = trials[k % len(trials)]
-        take = WrittenTake(
-            offset_s=float(rng.uniform(-2, 2)),
-            epoch_s=float(rng.choice([0.0, 0.0, 1.7e9])),
-            yaw_deg=float(rng.choice([0.0, 90.0, -37.0])),
-            files_up=str(rng.choice(["y", "z"])),
-            millimetres=bool(rng.random() < 0.5),
-            align=str(rng.choice(["none", "none", "rest"])),
-            first_s=float(rng.choice([0.0, 0.3])),
-            lost=float(rng.choice([0.0, 0.01])),
-            occluded=float(rng.choice([0.0, 0.02])),
-        )
-        cases.append(ImportCase(f"right {k + 1}, {trial.name}", take, trial, ""))
-    return cases
-
-
-def _named(*pairs: tuple[str, str]) -> dict[str, Any]:
-    names = dict(pairs) | {b: a for a, b in pairs}
-    return {"names": names}
-
-
-def _origin(shift_m: tuple[float, float, float]) -> dict[str, Any]:
-    return {"origin_m": (ORIGIN_M + np.array(shift_m)).tolist()}
+def rigid_trial(angle_rad: Array) -> Trial:
+    """Trial of a link that does not bend."""
+    dof = angle_rad.shape[1]
+    meta = TrialMeta(
+        dof=dof, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="test", source="rig",
+        period_s=2.0, amplitude_rad=0.5, base_offset_m=0.06, link_length_m=0.95,
+        link_width_m=0.15, rest_samples=REST,
+    )  # fmt: skip
+    markers_m = np.einsum("nij,kj->nki", base_rotation(angle_rad), nominal_markers_m(meta))
+    joints = np.stack([angle_rad, angle_rad, -2 * angle_rad], axis=2).reshape(len(angle_rad), -1)
+    time_s = 0.017 * np.arange(len(angle_rad))
+    tip_m = markers_m[:, 12:].mean(axis=1)
+    samples = np.column_stack([time_s, joints, tip_m, markers_m.reshape(len(time_s), -1)])
+    names = [s.name for s in trial_signals(dof)]
+    return Trial("rigid", meta, dict(zip(names, samples.T, strict=True)))
