@@ -155,8 +155,7 @@ def inspect_import(source: Source, mapping: RecordingMap, verdict: ImportVerdict
         servo = _on_mocap_clock(servo, series, source, mapping, verdict, epoch_s - servo_epoch_s)
         series = [*series, *servo]
     elif link:
-        remedy = "give the angles as a second file with --servo"
-        verdict.clock, late = judge_common_clock(series, mapping.meta(0), remedy)
+        verdict.clock, late = judge_common_clock(series, mapping.meta(0))
         verdict.findings += late
     if link:
         verdict.findings += judge_base_offset(series, mapping.meta(0))
@@ -272,8 +271,7 @@ def _without_zeros(
 ) -> list[Series]:
     """Remove samples of markers at the file's zero from series in the world frame."""
     zero_m = to_world({"zero": np.zeros((1, 3))}, mapping.frame, "z")["zero"][0]
-    remedy = "check that these markers were hidden: the samples are left out"
-    series, found = without_zeros(series, mapping.known_markers, zero_m, remedy)
+    series, found = without_zeros(series, mapping.known_markers, zero_m)
     verdict.findings += found
     return series
 

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE
 from models.shared.kinematics import base_rotation, pointing_angles_rad
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
@@ -25,18 +24,6 @@ MOVING_RAD_S: Final = 0.05
 """Speed above which friction has its full value."""
 ALIKE: Final = 0.9
 """Smallest correlation of two signals with the same motion."""
-SWAPPED: Final = 1.5
-"""Ratio of the current's residual variance with its own joint's motion to that with the other's: at
-most 0.4 on the rig, 2.4 and more if the currents are exchanged."""
-FOLLOWS: Final = (0.3, 3.0)
-"""Motion of an angle relative to its goal's."""
-LEAD: Final = 0.95
-"""Correlation with its goal at which the lead of an angle is judged."""
-ANGLE_UNITS: Final = (
-    ("turns, not in rad", 2 * np.pi), ("rad twice converted from deg", np.degrees(1.0)),
-    ("mrad, not in rad", 1e-3),
-)  # fmt: skip
-"""Mistakes in the unit of an angle, and how far the link turns per radian that it says."""
 
 
 def judge_motion(trial: Trial) -> list[ImportFinding]:
@@ -59,48 +46,57 @@ def link_direction(trial: Trial) -> Array | None:
     return None
 
 
+ANGLE_UNITS: Final = (
+    ("turns, not in rad", 2 * np.pi), ("rad twice converted from deg", np.degrees(1.0)),
+    ("mrad, not in rad", 1e-3),
+)  # fmt: skip
+"""Mistakes in the unit of an angle, and how far the link turns per radian that it says."""
+
+
 def _against_link(trial: Trial) -> list[ImportFinding]:
     """Findings on signs, joints, direction and size of the angles against the link's direction."""
-    seen, angle, dof = link_direction(trial), trial.angle_rad, trial.meta.dof
-    if seen is None or not np.isfinite(angle).all():
+    direction, angle, dof = link_direction(trial), trial.angle_rad, trial.meta.dof
+    if direction is None or not np.isfinite(angle).all():
         return []
-    kept = np.isfinite(seen).all(axis=1)
-    seen, angle = seen[kept], angle[kept]
-    pointing = pointing_angles_rad(seen)[:, :dof]
+    seen = np.isfinite(direction).all(axis=1)
+    direction, angle = direction[seen], angle[seen]
+    pointing = pointing_angles_rad(direction)[:, :dof]
     if max(angle.std(axis=0).max(), pointing.std(axis=0).max()) < LEAST_MOTION_RAD:
         return []
-    found = _reading(pointing, angle)
+    found = _signs_and_joints(pointing, angle)
     if found:
         return found
-    moved, due = (v[:, :2] - v[:, :2].mean(axis=0) for v in (seen, base_rotation(angle)[:, :, 2]))
+    nominal = base_rotation(angle)[:, :, 2]
+    moved, due = (v[:, :2] - v[:, :2].mean(axis=0) for v in (direction, nominal))
     if dof == 1:
-        sizes = np.sqrt(np.maximum(np.linalg.eigvalsh(moved.T @ moved), 0.0))
-        found = causes.SECOND_JOINT.beyond(sizes[0] / sizes[1] if sizes[1] > 0 else 0.0)
+        _, (along, across), _ = np.linalg.svd(moved, full_matrices=False)
+        found = causes.SECOND_JOINT.beyond(across / along if along > 0 else 0.0)
     if found or not np.sum(due * due) > 0:  # or the angles stand still
         return found
     along = np.sum(due * moved)
     across = np.sum(due[:, 0] * moved[:, 1] - due[:, 1] * moved[:, 0])
-    found = causes.MOVED_ASIDE.beyond(float(np.arctan2(across, along)))
     gain = float(np.hypot(along, across) / np.sum(due * due))
     units = [name for name, factor in ANGLE_UNITS if abs(gain / factor - 1) < 0.15]
     unit = f": it is in {units[0]}" if units else ""
-    return found or causes.GAIN.beyond(gain - 1, gain=gain, unit=unit)
+    aside = causes.MOVED_ASIDE.beyond(float(np.arctan2(across, along)))
+    return aside or causes.GAIN.beyond(gain - 1, gain=gain, unit=unit)
 
 
-def _reading(pointing: Array, angle: Array) -> list[ImportFinding]:
+def _signs_and_joints(pointing: Array, angle: Array) -> list[ImportFinding]:
     """Findings on signs and order of the joints, comparing each direction with each angle."""
     joints = range(angle.shape[1])
-    fit = [[correlation(pointing[:, i], angle[:, j]) for j in joints] for i in joints]
+    fit = np.array([[correlation(pointing[:, i], angle[:, j]) for j in joints] for i in joints])
     found = [
         finding
         for j in joints
-        if fit[j][j] < -ALIKE
-        for finding in causes.SIGN.raised(joint=j + 1, correlation=fit[j][j])
+        if fit[j, j] < -ALIKE
+        for finding in causes.SIGN.raised(joint=j + 1, correlation=fit[j, j])
     ]
     if found or len(joints) == 1:
         return found
-    own, other = min(fit[0][0], fit[1][1]), min(abs(fit[0][1]), abs(fit[1][0]))
-    return causes.JOINTS_SWAPPED.raised() if other > ALIKE and own < other - 0.1 else []
+    crossed = np.abs(fit[[0, 1], [1, 0]]).min()
+    is_swapped = crossed > ALIKE and fit.diagonal().min() < crossed - 0.1
+    return causes.JOINTS_SWAPPED.raised() if is_swapped else []
 
 
 def correlation(a: Array, b: Array) -> float:
@@ -117,38 +113,39 @@ def runs_against(goal_rad: Array, angle_rad: Array) -> bool:
 
 def _against_goals(trial: Trial) -> list[ImportFinding]:
     found: list[ImportFinding] = []
-    goal, angle, declared = trial.goal_rad, trial.angle_rad, trial.meta.amplitude_rad
+    goal, angle, stated_rad = trial.goal_rad, trial.angle_rad, trial.meta.amplitude_rad
     for j, (q, g) in enumerate(zip(angle.T, goal.T, strict=True), start=1):
         if not np.isfinite(q).all() or min(q.std(), g.std()) < LEAST_MOTION_RAD:
             continue
-        gain, against = float(q.std() / g.std()), runs_against(g, q)
-        if against or not FOLLOWS[0] < gain < FOLLOWS[1]:
-            what = "run against each other" if against else f"differ by a factor of {gain:.3g}"
-            found += causes.GOAL_AGAINST.raised(joint=j, what=what)
-        elif (lead_s := _lead_s(g, q, trial.step_s)) > 0.75 * trial.step_s:
-            found += causes.GOAL_BEHIND.raised(joint=j, lead_s=lead_s)
+        factor = float(q.std() / g.std())
+        if runs_against(g, q):
+            found += causes.GOAL_AGAINST.raised(joint=j)
+        elif not 0.3 < factor < 3.0:
+            found += causes.GOAL_FACTOR.raised(joint=j, factor=factor)
+        elif (lead := _lead(g, q)) > 0:
+            found += causes.GOAL_BEHIND.raised(joint=j, lead_s=lead * trial.step_s)
     # A motion may begin away from zero, and a servo's zero may be elsewhere.
     reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
-    reach = min(reaches, key=lambda own: abs(own - declared))
-    if reach > LEAST_MOTION_RAD:
-        is_degrees = abs(declared / np.degrees(reach) - 1) < 0.15
+    reach_rad = min(reaches, key=lambda reach: abs(reach - stated_rad))
+    if reach_rad > LEAST_MOTION_RAD:
+        is_degrees = abs(stated_rad / np.degrees(reach_rad) - 1) < 0.15
         found += causes.AMPLITUDE.beyond(
-            (reach - declared) / max(reach, declared), reach=ANGLE.significant(reach),
-            stated=ANGLE.significant(declared), unit=": it is in deg" if is_degrees else "",
+            (reach_rad - stated_rad) / max(reach_rad, stated_rad), reach_rad=reach_rad,
+            stated_rad=stated_rad, unit=": it is in deg" if is_degrees else "",
         )  # fmt: skip
     return found
 
 
-def _lead_s(goal: Array, angle: Array, step_s: float) -> float:
-    """Time by which an angle moves before its goal; 0 if it does not resemble the goal."""
-    if correlation(goal, angle) < LEAD:
-        return 0.0
-    shifts = np.arange(-5, 6)
+def _lead(goal: Array, angle: Array) -> int:
+    """Samples by which an angle moves before its goal; 0 if it does not resemble the goal."""
+    if correlation(goal, angle) < 0.95:
+        return 0
     inner = slice(5, -5)
-    left = [
-        np.var(np.roll(angle, shift)[inner] - goal[inner]) for shift in shifts
-    ]  # the angle delayed by the shift
-    return float(shifts[int(np.argmin(left))] * step_s)
+    delayed = [np.var(np.roll(angle, lead)[inner] - goal[inner]) for lead in range(-5, 6)]
+    return int(np.argmin(delayed)) - 5
+
+
+# --- currents ------------------------------------------------------------------------------------
 
 
 def _against_currents(trial: Trial) -> list[ImportFinding]:
@@ -157,14 +154,14 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
     Friction needs a current along the motion, the weight of an upright link one against its lean.
     Both must have the wrong sign before the current's sign counts as wrong.
     """
-    found = causes.CURRENTS_SWAPPED.raised() if _exchanged_currents(trial) else []
+    found = causes.CURRENTS_SWAPPED.raised() if _are_swapped(trial) else []
     for j, (current, q) in enumerate(zip(trial.current_a.T, trial.angle_rad.T, strict=True), 1):
         rate = np.gradient(q, trial.step_s)
         if not np.isfinite(current + q).all() or np.std(rate) < MOVING_RAD_S:
             continue
-        terms, error = current_terms(current, q, trial.step_s)
+        terms, residual = current_terms(current, q, trial.step_s)
         weight, friction = terms[1] * np.sin(q).std(), terms[2]
-        noise = max(0.2 * error.std(), 0.1 * current.std())
+        noise = max(0.2 * residual.std(), 0.1 * current.std())
         x, y, _ = trial.meta.gravity
         both_ways = min(q.max(), -q.min()) > LEAST_MOTION_RAD and not (x or y)
         if both_ways and current.min() >= 0.0 < current.std():
@@ -186,14 +183,18 @@ def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, A
     return terms, current - design @ terms
 
 
-def _exchanged_currents(trial: Trial) -> bool:
-    """Whether each of two currents fits the other joint's motion better."""
+def _are_swapped(trial: Trial) -> bool:
+    """Whether each of two currents fits the other joint's motion better.
+
+    The ratio of the residual variances is at most 0.4 on the rig, 2.4 and more if the currents are
+    exchanged.
+    """
     angle, current = trial.angle_rad, trial.current_a
     moves = np.isfinite(angle + current).all() and angle.std(axis=0).min() > LEAST_MOTION_RAD
     if trial.meta.dof == 1 or not moves:
         return False
-    left = [
-        [current_terms(current[:, i], angle[:, j], trial.step_s)[1].var() for j in (0, 1)]
+    return all(
+        current_terms(current[:, i], angle[:, i], trial.step_s)[1].var()
+        > 1.5 * current_terms(current[:, i], angle[:, 1 - i], trial.step_s)[1].var()
         for i in (0, 1)
-    ]
-    return all(left[i][i] > SWAPPED * left[i][1 - i] for i in (0, 1))
+    )
