@@ -15,14 +15,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows
 from models.trials.checks.pose import nearest_order, order_words, seen_mean
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series, fit_rigid_motion
-from models.trials.trial import Array, Trial
+from models.trials.recordings.series import Series, fit_rigid_motion, nominal_markers_m
+from models.trials.trial import Array, Trial, TrialMeta
 
 Rows = NDArray[np.intp]
 
@@ -116,8 +115,6 @@ def judge_marker_run(trial: Trial) -> list[ImportFinding]:
 
 # --- constant positions --------------------------------------------------------------------------
 
-SAME_M: Final = 1e-9
-"""Largest change of a constant position between rows: rounding of a rotated frame."""
 LEAST_S: Final = 0.1
 """Shortest hold that is reported; a capture at 10 Hz, held to the trial's step, is shorter."""
 MOVED_M: Final = 0.02
@@ -136,7 +133,7 @@ def held_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
     their neighbours, or by the joint angles.
     """
     markers_m, time_s = trial.markers_m, trial.time_s
-    same = np.all(np.abs(np.diff(markers_m, axis=0)) <= SAME_M, axis=2)
+    same = np.all(np.abs(np.diff(markers_m, axis=0)) <= 1e-9, axis=2)  # a rotated frame rounds
     found: dict[tuple[int, int], dict[int, float]] = {}
     for place in range(markers_m.shape[1]):
         edges = np.diff(np.concatenate([[0], same[:, place].astype(int), [0]]))
@@ -171,36 +168,25 @@ IN_SECTION: Final = 0.15
 """Relative change above which a distance within a section is wrong: ten times the rigs' largest."""
 TO_NEXT: Final = 0.25
 """The same between neighbouring sections: a bend of half a radian in a quarter of the link."""
-LEAST_M: Final = 0.01
-"""Change of a distance that is never wrong."""
-JOINED_ROWS: Final = 5
-"""Most correct rows between wrong ones of one stretch."""
 MOST_STRETCHES: Final = 50
 """Number of the longest stretches that are checked one by one; all others are checked as one."""
 ROWS_AT_ONCE: Final = 2000
 """Most rows whose distances are in memory, and most of a stretch that name its markers."""
-SAMPLED_ROWS: Final = 15
-"""Rows of a stretch by which an exchange is checked."""
-RIGHT_AGAIN: Final = 0.9
-"""Fraction of these rows that an exchange must correct."""
-PRESENT: Final = 0.2
-"""Fraction of a stretch in which a marker must be wrong to be named."""
 
 
 class _Distances:
     """Pairs of markers, their distances at rest and the limits of change."""
 
-    def __init__(self, markers_m: Array, layout: MarkerLayout, rest: int) -> None:
-        first, second = np.triu_indices(layout.count, 1)
-        near = second // layout.corners - first // layout.corners <= 1
+    def __init__(self, meta: TrialMeta, markers_m: Array) -> None:
+        first, second = np.triu_indices(meta.layout.count, 1)
+        sections_apart = second // meta.layout.corners - first // meta.layout.corners
+        near = sections_apart <= 1
         self.first, self.second = first[near], second[near]
-        nominal_m = np.array([(x, y, z) for z in layout.rows_m for x, y in layout.corners_m])
-        self.rest_m = self.of(nominal_m[None])[0]
-        at_rest_m = self.of(markers_m[: min(max(rest, 1), ROWS_AT_ONCE)])
-        seen = np.isfinite(at_rest_m).any(axis=0)
-        self.rest_m[seen] = np.nanmedian(at_rest_m[:, seen], axis=0)
-        same = self.first // layout.corners == self.second // layout.corners
-        self.limit_m = np.maximum(np.where(same, IN_SECTION, TO_NEXT) * self.rest_m, LEAST_M)
+        at_rest_m = seen_mean(self.of(markers_m[: min(max(meta.rest_samples, 1), ROWS_AT_ONCE)]))
+        nominal_m = self.of(nominal_markers_m(meta)[None])[0]
+        self.rest_m = np.where(np.isfinite(at_rest_m), at_rest_m, nominal_m)
+        part = np.where(sections_apart[near] == 0, IN_SECTION, TO_NEXT)
+        self.limit_m = np.maximum(part * self.rest_m, 0.01)  # a centimetre is never wrong
 
     def of(self, markers_m: Array) -> Array:
         """Distances, shape (n, pairs); NaN if a marker is occluded."""
@@ -224,12 +210,12 @@ def _misplaced(trial: Trial, markers_m: Array) -> list[ImportFinding]:
     The same markers in several stretches of rows are one finding.
     """
     layout, names = trial.meta.layout, trial.meta.layout.names
-    distances = _Distances(markers_m, layout, trial.meta.rest_samples)
+    distances = _Distances(trial.meta, markers_m)
     right = distances.are_right(markers_m)
     wrong = np.flatnonzero(~right)
     if not len(wrong):
         return []
-    stretches = np.split(wrong, np.flatnonzero(np.diff(wrong) > JOINED_ROWS + 1) + 1)
+    stretches = np.split(wrong, np.flatnonzero(np.diff(wrong) > 6) + 1)
     stretches.sort(key=len, reverse=True)
     if rest := stretches[MOST_STRETCHES:]:
         stretches[MOST_STRETCHES:] = [np.sort(np.concatenate(rest))]
@@ -262,7 +248,10 @@ def _sample(rows: Rows, count: int) -> Rows:
 def _exchange(
     distances: _Distances, markers_m: Array, right: NDArray[np.bool_], rows: Rows
 ) -> Rows | None:
-    """Order of the markers that corrects a stretch, by the nearest right row; None for none."""
+    """Order of the markers, by the nearest right row, that corrects nine rows in ten of a stretch.
+
+    None if there is none.
+    """
     first_m = markers_m[rows[0]]
     seen = np.flatnonzero(np.isfinite(first_m).all(axis=1))
     visible = np.isfinite(markers_m[:, seen]).all(axis=(1, 2))
@@ -273,19 +262,20 @@ def _exchange(
     start, _ = fit_rigid_motion(before_m, first_m[seen])
     order = np.arange(len(first_m))
     order[seen] = seen[nearest_order(first_m[seen], before_m, start)]
-    corrected_m = markers_m[_sample(rows, SAMPLED_ROWS)][:, np.argsort(order)]
-    return order if distances.are_right(corrected_m).mean() >= RIGHT_AGAIN else None
+    corrected_m = markers_m[_sample(rows, 15)][:, np.argsort(order)]
+    return order if distances.are_right(corrected_m).mean() >= 0.9 else None
 
 
 def _worst(distances: _Distances, markers_m: Array, rows: Rows) -> tuple[list[int], float]:
     """Markers without which no distance of a stretch is wrong, and the largest change in m.
 
-    Of markers with as many wrong distances, all are named.
+    Distances count that are wrong in a fifth of the rows. Of markers with as many of them, all are
+    named.
     """
     changes_m = distances.changes_m(markers_m[_sample(rows, ROWS_AT_ONCE)])
     part = (changes_m > distances.limit_m).mean(axis=0)
     wrong = np.zeros((markers_m.shape[1],) * 2, dtype=bool)
-    wrong[distances.first, distances.second] = part >= min(PRESENT, part.max())
+    wrong[distances.first, distances.second] = part >= min(0.2, part.max())
     wrong |= wrong.T
     named = np.zeros(len(wrong), dtype=bool)
     while wrong.any():

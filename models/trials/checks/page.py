@@ -30,17 +30,8 @@ def write_verdict(verdict: ImportVerdict, directory: Path) -> Path:
 
     warned = verdict.word == "warned"
     lead = Paragraph("Imported, with warnings." if warned else f"The import was {verdict.word}.")
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / f"{verdict.name}.html"
     trial = verdict.trial
     notices = [origin_notice(origins_of([trial]))] if trial is not None else []
-    page = render_page(f"Import of {verdict.name}", [*notices, lead], verdict_sections(verdict))
-    path.write_text(page, encoding="utf-8")
-    return path
-
-
-def verdict_sections(verdict: ImportVerdict) -> list[Section]:
-    """Sections of the page of a verdict: findings, measurements, pictures."""
     rows = [(f.level, f.text, f.remedy) for f in verdict.findings]
     findings = Table("", ("Level", "What", "Remedy"), rows)
     measures = Table("", ("Measure", "Value"), _measures(verdict))
@@ -48,14 +39,15 @@ def verdict_sections(verdict: ImportVerdict) -> list[Section]:
         Section("findings", "Findings", [findings if rows else Paragraph("Every check passed.")]),
         Section("measures", "Measures", [measures]),
     ]
-    panels = _panels(verdict)
-    if panels:
-        legend = (
-            LegendEntry(MEASURED, "measured"),
-            LegendEntry(SIMULATED, "nominal, or the servo"),
-        )
+    if panels := _panels(verdict):
+        colours = {MEASURED: "measured", SIMULATED: "nominal, or the servo"}
+        legend = tuple(LegendEntry(colour, words) for colour, words in colours.items())
         sections.append(Section("pictures", "Pictures", [Figure("", "", panels, legend=legend)]))
-    return sections
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / f"{verdict.name}.html"
+    page = render_page(f"Import of {verdict.name}", [*notices, lead], sections)
+    path.write_text(page, encoding="utf-8")
+    return path
 
 
 def _measures(verdict: ImportVerdict) -> list[tuple[str, str]]:
@@ -77,9 +69,8 @@ def _measures(verdict: ImportVerdict) -> list[tuple[str, str]]:
     if clock is not None:
         rows.append(("clock", clock_text(clock)))
     for gap in verdict.gaps:
-        rows.append(
-            (f"longest gap in {gap.file}", f"{DURATION.text(gap.length_s)} at {gap.start_s:.2f} s")
-        )
+        longest = f"{DURATION.text(gap.length_s)} at {gap.start_s:.2f} s"
+        rows.append((f"longest gap in {gap.file}", longest))
     for file, step_s in verdict.steps_s.items():
         rows.append((f"step of {file}", DURATION.text(step_s, 2)))
     if trial is not None:

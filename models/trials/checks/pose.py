@@ -8,7 +8,6 @@ a wrong origin, upward axis and yaw.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import msgspec
@@ -36,87 +35,50 @@ ORIGIN_M, _ = causes.ORIGIN.limits
 _, SMALL_TILT_RAD = causes.TILT.limits
 
 
-@dataclass(frozen=True)
 class RestPose:
-    """Pose of the link at rest, compared with the nominal link."""
+    """Pose of the link at rest, compared with the nominal link.
 
-    meta: TrialMeta
-    names: tuple[str, ...]  # Markers visible at rest, in the order of a trial
-    rest_rad: Array  # Joint angles at rest, (dof,); zeros if unknown
-    measured_m: Array  # Mean places at rest, (k, 3)
-    nominal_m: Array  # Nominal places at the angles of the rest, with a lying link's sag, (k, 3)
-    places: Order  # Index of the nominal place at which each marker is, (k,)
-    sag_m: float  # Sag of the tip of a nominal link under its weight
-    # The best rigid motion: measured_m = rotation nominal_m[places] + crossing_m. The crossing of
-    # the joint axes follows if the whole tilt belongs to the frame, none to the link.
-    rotation: Array
-    crossing_m: Array
+    It is made of the mean places (k, 3) of the markers `names` in the order of a trial, and the
+    joint angles (dof,).
+    """
 
-    @property
-    def placed_m(self) -> Array:  # Nominal places in the order of the measured ones, (k, 3)
-        return np.asarray(self.nominal_m[self.places])
-
-    @property
-    def turn(self) -> Array:  # Rotation of the base at the angles of the rest
-        return np.asarray(base_rotation(self.rest_rad[None])[0])
-
-    @property
-    def order(self) -> str:  # Order of the names that fits, in words; empty if they are in order
-        return order_words(self.names, self.places, self.meta.layout)
-
-    @property
-    def tilt_rad(self) -> float:
-        return _tilt_rad(self.rotation)
-
-    @property
-    def yaw_rad(self) -> float:
+    def __init__(
+        self, names: Sequence[str], measured_m: Array, meta: TrialMeta, rest_rad: Array
+    ) -> None:
+        self.names, self.measured_m, self.meta, self.rest_rad = names, measured_m, meta, rest_rad
+        layout, indices = meta.layout, _indices(names, meta.layout)
+        self.turn: Array = base_rotation(rest_rad[None])[0]
+        straight_m = nominal_markers_m(meta)[indices] @ self.turn.T
+        sag_m = nominal_sag_m(meta, self.turn)[indices]
+        self.sag_m = float(np.linalg.norm(sag_m, axis=1).max())  # Of a nominal link
+        # Index of the nominal place at which each marker is, and what the names are in words
+        self.places = at = _places(names, measured_m, straight_m + sag_m, layout)
+        self.order = order_words(names, at, layout)
+        self.nominal_m = (
+            straight_m + _stiffness_ratio(straight_m[at], sag_m[at], measured_m) * sag_m
+        )
+        placed_m = self.nominal_m[at]
+        # measured = rotation placed + crossing. The joint axes cross there if the whole tilt
+        # belongs to the frame, none to the link.
+        self.rotation, self.crossing_m = fit_rigid_motion(placed_m, measured_m)
+        moved_m = placed_m @ self.rotation.T + self.crossing_m
+        self.misfit_m: Array = np.linalg.norm(moved_m - measured_m, axis=1)
+        self.scale = _size_m(measured_m) / _size_m(placed_m)
+        self.tilt_rad = _tilt_rad(self.rotation)
         r = self.rotation
-        return float(np.arctan2(r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]))
-
-    @property
-    def scale(self) -> float:  # Measured distances, relative to the nominal ones
-        sizes = [np.linalg.norm(p - p.mean(axis=0)) for p in (self.measured_m, self.placed_m)]
-        return float(sizes[0] / sizes[1])
-
-    @property
-    def misfit_m(self) -> Array:
-        """Distance of each marker from its place after the best rigid motion, (k,)."""
-        moved_m = self.placed_m @ self.rotation.T + self.crossing_m
-        return np.asarray(np.linalg.norm(moved_m - self.measured_m, axis=1))
-
-    @property
-    def apart_m(self) -> Array:
-        """Measured places from the nominal ones, which are turned about z only, (k, 3)."""
-        about_z = Rotation.from_rotvec([0.0, 0.0, self.yaw_rad])
-        return np.asarray(self.measured_m - about_z.apply(self.placed_m))
-
-    @property
-    def offset_m(self) -> Array:
-        """Crossing of the joint axes, from the markers, (3,).
-
-        A link that leans by bending would shift the crossing sideways by lean times height. Within
-        5° the lean cannot be separated from a tilt of the frame, so only yaw counts as rotation.
-        """
-        if self.tilt_rad > SMALL_TILT_RAD:
-            return self.crossing_m
-        height_m = self.placed_m[:, 2]
-        lowest_m = self.apart_m[height_m <= height_m.min() + 0.05]
-        return np.array([*lowest_m.mean(axis=0)[:2], self.apart_m[:, 2].mean()])
-
-    @property
-    def tip_aside_m(self) -> float:
-        """Distance of the highest markers from their nominal place, horizontally."""
-        height_m = self.placed_m[:, 2]
-        aside_m = self.apart_m[height_m >= height_m.max() - 0.05].mean(axis=0)
-        return float(np.hypot(aside_m[0], aside_m[1]))
-
-    @property
-    def row_heights_m(self) -> Array:
-        """Mean height of each row, (rows,); NaN if it was occluded."""
-        layout = self.meta.layout
+        self.yaw_rad = float(np.arctan2(r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]))
+        # A link that leans by bending would shift the crossing sideways by lean times height.
+        # Within 5° the lean cannot be separated from a tilt of the frame, so only yaw is a turn.
+        apart_m = measured_m - Rotation.from_rotvec([0.0, 0.0, self.yaw_rad]).apply(placed_m)
+        height_m = placed_m[:, 2]
+        lowest_m = apart_m[height_m <= height_m.min() + 0.05].mean(axis=0)
+        highest_m = apart_m[height_m >= height_m.max() - 0.05].mean(axis=0)
+        upright_m = np.array([lowest_m[0], lowest_m[1], apart_m[:, 2].mean()])
+        self.offset_m = self.crossing_m if self.tilt_rad > SMALL_TILT_RAD else upright_m
+        self.tip_aside_m = float(np.hypot(highest_m[0], highest_m[1]))
         heights_m = np.full((layout.rows, layout.corners), np.nan)
-        heights_m.flat[_indices(self.names, layout)] = self.measured_m[:, 2]
-        return seen_mean(heights_m.T)
+        heights_m.flat[indices] = measured_m[:, 2]
+        self.row_heights_m = seen_mean(heights_m.T)
 
 
 def rest_pose(
@@ -126,20 +88,13 @@ def rest_pose(
 
     `markers_m` is NaN for an occluded marker; `rest_rad` (dof,) are the joint angles.
     """
-    layout = meta.layout
-    names = tuple(n for n in layout.names if n in markers_m and np.isfinite(markers_m[n]).all())
-    if len(names) < 4:
+    seen = {
+        n: markers_m[n] for n in meta.layout.names if np.isfinite(markers_m.get(n, np.nan)).all()
+    }
+    if len(seen) < 4:
         return None
-    measured = np.array([markers_m[n] for n in names])
     rest_rad = np.zeros(meta.dof) if rest_rad is None else np.asarray(rest_rad)
-    turn = base_rotation(rest_rad[None])[0]
-    straight = nominal_markers_m(meta)[_indices(names, layout)] @ turn.T
-    sag = nominal_sag_m(meta, turn)[_indices(names, layout)]
-    places = _places(names, measured, straight + sag, layout)
-    nominal = straight + _stiffness_ratio(straight[places], sag[places], measured) * sag
-    rotation, crossing = fit_rigid_motion(nominal[places], measured)
-    sag_m = float(np.linalg.norm(sag, axis=1).max())
-    return RestPose(meta, names, rest_rad, measured, nominal, places, sag_m, rotation, crossing)
+    return RestPose(tuple(seen), np.array([*seen.values()]), meta, rest_rad)
 
 
 def seen_mean(rows_m: Array) -> Array:
@@ -152,6 +107,10 @@ def seen_mean(rows_m: Array) -> Array:
 
 def _indices(names: Sequence[str], layout: MarkerLayout) -> list[int]:
     return [layout.names.index(name) for name in names]
+
+
+def _size_m(places_m: Array) -> float:
+    return float(np.linalg.norm(places_m - places_m.mean(axis=0)))
 
 
 def _tilt_rad(rotation: Array) -> float:

@@ -216,46 +216,48 @@ def _wraps(series: Series, name: str) -> list[ImportFinding]:
 
 # --- single samples ------------------------------------------------------------------------------
 
+
+def single_samples(values: Array, least: float) -> NDArray[np.intp]:
+    """Samples of a signal, (n,) or (n, k), that jump away and back.
+
+    They are by `least`, and by twenty times the median, from the middle of the adjacent samples,
+    and farther than these are from each other.
+    """
+    values = values.reshape(len(values), -1)
+    if len(values) < 3:
+        return np.empty(0, dtype=np.intp)
+    bent = np.linalg.norm(values[1:-1] - 0.5 * (values[:-2] + values[2:]), axis=1)
+    around = np.linalg.norm(values[2:] - values[:-2], axis=1)
+    usual = float(np.median(bent[np.isfinite(bent)])) if np.isfinite(bent).any() else 0.0
+    return np.flatnonzero((bent > max(least, 20 * usual)) & (bent > around)) + 1
+
+
 SPIKE_RAD: Final = 0.02
-"""Smallest jump there and back of a spike: thirteen steps of a coarse encoder."""
+"""Smallest jump of an angle there and back: thirteen steps of a coarse encoder."""
 SPIKE_RAD_S2: Final = 300.0
 """Acceleration that no joint with the link reaches: five times the goals' limit."""
-SPIKE_NOISE: Final = 20.0
-"""Smallest change of rate in a spike, relative to the median change."""
-SPIKE_A: Final = 0.1
-"""Smallest jump there and back of a spike of the current."""
-SPIKE_PART: Final = 0.25
-"""The same, relative to the range of all other samples: at most 0.02 on the recordings of three
-machines (docs/sources.md), 0.7 where a rig's current is only noise."""
-SPIKE_TIMES: Final = 5.0
-"""Smallest jump of a spike, relative to the 95th percentile of jumps: 2.4 for noise only."""
-SETTLED_S: Final = 0.1
-"""Time around a step of the goal in which a current may jump too."""
-
-
-def _there_and_back(values: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Size of the jump there and back at each inner sample, and whether both ways are alike.
-
-    A sample beside the one that jumps has unlike ways.
-    """
-    there, back = np.diff(values)[:-1], np.diff(values)[1:]
-    size = np.where(there * back < 0, np.minimum(np.abs(there), np.abs(back)), 0.0)
-    return size, np.asarray(size > 0.5 * np.maximum(np.abs(there), np.abs(back)))
 
 
 def _angle_spikes(series: Series, name: str) -> list[ImportFinding]:
     """Finding on samples with an angle that jumps and returns faster than a joint can turn."""
-    angle, time_s = series.columns[name], series.time_s
-    size, alike = _there_and_back(angle)
-    turn = np.abs(np.diff(angle, 2))
-    usual = np.median(turn[np.isfinite(turn)]) if np.isfinite(turn).any() else 0.0
-    step_s = 0.5 * (time_s[2:] - time_s[:-2])
-    limit = np.maximum(SPIKE_RAD_S2 * step_s**2, SPIKE_NOISE * usual)
-    at = np.flatnonzero((size > SPIKE_RAD) & (turn > limit) & alike) + 1
+    angle, step_s = series.columns[name], float(np.median(np.diff(series.time_s)))
+    at = single_samples(angle, max(SPIKE_RAD, 0.5 * SPIKE_RAD_S2 * step_s**2))
     if not len(at):
         return []
-    where = at_rows(at, time_s, "sample")
-    return causes.ANGLE_SPIKE.raised(name=name, jump=size[at - 1].max(), where=where)
+    jump = np.abs(angle[at] - angle[at - 1]).max()
+    where = at_rows(at, series.time_s, "sample")
+    return causes.ANGLE_SPIKE.raised(name=name, jump=jump, where=where)
+
+
+SPIKE_A: Final = 0.1
+"""Smallest jump of a current there and back."""
+SPIKE_PART: Final = 0.25
+"""The same, relative to the range of all other samples: at most 0.02 on the recordings of three
+machines (docs/sources.md), 0.7 where a rig's current is only noise."""
+SPIKE_TIMES: Final = 5.0
+"""The same, relative to the 95th percentile of jumps: 2.4 for noise only."""
+SETTLED_S: Final = 0.1
+"""Time around a step of the goal in which a current may jump too."""
 
 
 def _current_spikes(series: Series, joint: int, others: Sequence[Series]) -> list[ImportFinding]:
@@ -268,18 +270,20 @@ def _current_spikes(series: Series, joint: int, others: Sequence[Series]) -> lis
     current = series.columns[name]
     if not np.isfinite(current).all() or len(current) < 8:
         return []
-    size, alike = _there_and_back(current)
-    beyond = (size > max(SPIKE_TIMES * np.percentile(size, 95), SPIKE_A)) & alike
+    there, back = np.diff(current)[:-1], np.diff(current)[1:]
+    ways = np.sort(np.abs([there, back]), axis=0)
+    size = np.where(there * back < 0, ways[0], 0.0)
+    limit_a = max(SPIKE_TIMES * np.percentile(size, 95), SPIKE_A)
+    beyond = (size > limit_a) & (size > 0.5 * ways[1])  # beside a spike, the ways are unlike
     usual = np.delete(current, np.flatnonzero(beyond) + 1)
     at = np.flatnonzero(beyond & (size > SPIKE_PART * np.ptp(usual))) + 1
     at = at[[not any(_goal_steps(s, joint, time_s[k]) for s in others) for k in at]]
     if not len(at):
         return []
-    jump = current[at[np.argmax(size[at - 1])]]
-    where = at_rows(at, time_s, "sample")
     return causes.CURRENT_SPIKE.raised(
-        name=name, jump=jump, where=where, low=usual.min(), high=usual.max()
-    )
+        name=name, jump=current[at[np.argmax(size[at - 1])]],
+        where=at_rows(at, time_s, "sample"), low=usual.min(), high=usual.max(),
+    )  # fmt: skip
 
 
 def _goal_steps(series: Series, joint: int, at_s: float) -> bool:

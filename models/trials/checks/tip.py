@@ -17,6 +17,7 @@ from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows
 from models.trials.checks.pose import unit_of_length
+from models.trials.checks.signals import single_samples
 from models.trials.recordings.series import row_centre_m
 from models.trials.trial import Array, Trial
 
@@ -26,6 +27,8 @@ WARNED_M, REFUSED_M = causes.TIP_PLACE.limits
 REACH: Final = (0.5, 1.3)
 """Distance of the tip from the joint axes, relative to a straight link's: a link bent to a half
 circle has 0.64; a larger distance means another unit or origin."""
+JUMP_M: Final = 0.02
+"""Smallest distance from the middle of the adjacent samples at which the tip jumps."""
 SAME_PLACE_M: Final = 1e-3
 """Largest distance between points at the same place."""
 
@@ -63,7 +66,9 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
         if len(wrong):
             where = at_rows(wrong, trial.time_s)
             found += causes.TIP_ROWS.raised(off_m=off_m.max(), where=where, row=row)
-    jumps = np.setdiff1d(_jumps(trial, seen, reach_m), rows)
+    tip_m = trial.tip_m[seen]
+    beyond = np.flatnonzero(np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m)
+    jumps = np.setdiff1d(seen[np.union1d(beyond, single_samples(tip_m, JUMP_M))], rows)
     if len(jumps):
         found += causes.TIP_JUMPS.raised(where=at_rows(jumps, trial.time_s), row=row)
     return found
@@ -138,18 +143,3 @@ def _marker_at(trial: Trial, rows: Rows) -> str:
         if len(seen_m) and np.median(seen_m) < SAME_PLACE_M:
             return name
     return ""
-
-
-def _jumps(trial: Trial, seen: Rows, reach_m: float) -> Rows:
-    """Rows in which the tip leaves the reach of the link, or jumps from the adjacent samples.
-
-    It jumps if it is 20 mm, and twenty times as far as usual, from the middle of the two.
-    """
-    tip_m = trial.tip_m[seen]
-    beyond = np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m
-    if len(seen) >= 3:
-        bent_m = np.linalg.norm(tip_m[1:-1] - 0.5 * (tip_m[:-2] + tip_m[2:]), axis=1)
-        around_m = np.linalg.norm(tip_m[2:] - tip_m[:-2], axis=1)
-        limit_m = max(0.02, 20 * float(np.median(bent_m)))
-        beyond[1:-1] |= (bent_m > limit_m) & (bent_m > around_m)
-    return np.asarray(seen[beyond])

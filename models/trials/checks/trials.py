@@ -18,14 +18,18 @@ from models.trials.checks import causes
 from models.trials.checks.base import judge_root_path
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.clocks import judge_common_clock
-from models.trials.checks.goals import judge_goals, judge_standing_goals
 from models.trials.checks.markers import (
     judge_marker_run,
     judge_markers,
     judge_rest,
     without_zeros,
 )
-from models.trials.checks.motion import judge_motion, runs_against
+from models.trials.checks.motion import (
+    judge_goals,
+    judge_motion,
+    judge_standing_goals,
+    runs_against,
+)
 from models.trials.checks.payloads import judge_conditions, judge_payloads, judge_undeclared
 from models.trials.checks.pose import judge_pose, rest_pose, seen_mean
 from models.trials.checks.signals import judge_signals
@@ -85,12 +89,12 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
     """Refuse trials whose errors would silently spoil a fit or a diagnosis."""
     known: dict[bytes, Trial] = {}
     for trial in trials:
+        found: list[ImportFinding] = []
         for j in range(1, trial.meta.dof + 1):
             goal, angle = (trial.columns.get(f"{of}_{j}_rad") for of in ("goal", "angle"))
             if goal is not None and angle is not None and runs_against(goal, angle):
-                what = f"goal and angle of joint {j} run against each other"
-                raise InputError(trial.path, what, f"correct the sign of angle_{j}_rad")
-        found = [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
+                found += causes.GOAL_AGAINST.raised(joint=j)
+        found += [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
         for finding in found:
             if finding.level == "refused":
                 raise InputError(trial.path, finding.text, finding.remedy)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import KINDS, Motion
-from models.trials.checks.goals import judge_goals
+from models.trials.checks.motion import judge_goals
 from models.trials.checks.trials import check_trial
 
 REST, STEP_S = 60, 0.017
