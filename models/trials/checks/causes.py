@@ -31,11 +31,13 @@ class ImportFinding(NamedTuple):
 
 
 class _Sentences(string.Formatter):
-    """Formatter that shows SI values in the usual units, `{angle_rad:deg}`, and lists in words."""
+    """Formatter of SI values in the usual units, `{angle_rad:deg}`, of lists and vectors."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         if format_spec == "listed":
             return " and ".join(filter(None, [", ".join(value[:-1]), value[-1]]))
+        if format_spec == "vector":
+            return ", ".join(f"{round(float(v), 2) + 0.0:g}" for v in value)  # without -0
         for name, unit in (("deg", ANGLE), ("mm", LENGTH), ("ms", DURATION)):
             if format_spec.startswith(name):
                 decimals = format_spec.removeprefix(name)
@@ -352,14 +354,15 @@ CONDITIONS = Cause("conditions", REFUSES,
     "take [conditions] out, which is for plants with [signals]; conditions of the link, such as "
     "payload_kg, stand above it")
 GRAVITY_SIZE = Cause("gravity", REFUSES,
-    "gravity_m_s2 is [{stated}], {size_m_s2:.3g} m/s²: a wrong unit, such as g",
+    "gravity_m_s2 is [{stated:vector}], {size_m_s2:.3g} m/s²: a wrong unit, such as g",
     "leave it out for an upright link, or give the direction with 9.81 m/s²")
 GRAVITY_LOW = Cause("gravity", WARNS,
-    "gravity_m_s2 is [{stated}], {size_m_s2:.3g} m/s²: right only where a balloon carries the rest "
-    "of the weight (effective_weight in link.toml)",
+    "gravity_m_s2 is [{stated:vector}], {size_m_s2:.3g} m/s²: right only where a balloon carries "
+    "the rest of the weight (effective_weight in link.toml)",
     f"otherwise {GRAVITY_SIZE.remedy}")
 GRAVITY_DIRECTION = Cause("gravity", WARNS,
-    "current {joint} holds a weight that pulls along [{shown}], gravity_m_s2 is [{stated}]",
+    "current {joint} holds a weight that pulls along [{shown:vector}], gravity_m_s2 is "
+    "[{stated:vector}]",
     "correct gravity_m_s2 (leave it out for an upright link), or the signs of angle_{joint}_rad "
     "and current_{joint}_a")
 

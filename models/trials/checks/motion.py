@@ -25,6 +25,7 @@ LARGEST_RAD: Final = 6.3
 """Angle above which its unit is not rad."""
 MOVING_RAD_S: Final = 0.05
 """Speed above which friction has its full value."""
+STANDARD_M_S2: Final = 9.81
 ALIKE: Final = 0.9
 """Smallest correlation of two signals with the same motion."""
 
@@ -152,25 +153,42 @@ def _lead(goal: Array, angle: Array) -> int:
 
 
 def _against_currents(trial: Trial) -> list[ImportFinding]:
-    """Findings on the sign of each current.
+    """Findings on order, sign and weight of the currents.
 
-    Friction needs a current along the motion, the weight of an upright link one against its lean.
-    Both must have the wrong sign before the current's sign counts as wrong.
+    A joint holds the torque of gravity g on the link with direction u: its current is in proportion
+    to -g·∂u/∂angle, and friction adds a term along the motion. If both have the wrong sign, it is
+    that of the current; if only the weight differs, it is the stated gravity.
     """
     found = causes.CURRENTS_SWAPPED.raised() if _are_swapped(trial) else []
-    for j, (current, q) in enumerate(zip(trial.current_a.T, trial.angle_rad.T, strict=True), 1):
+    stated = np.array(trial.meta.gravity)
+    reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
+    for j, (current, q) in enumerate(zip(trial.current_a.T, trial.angle_rad.T, strict=True)):
         rate = np.gradient(q, trial.step_s)
         if not np.isfinite(current + q).all() or np.std(rate) < MOVING_RAD_S:
             continue
-        terms, residual = current_terms(current, q, trial.step_s)
-        weight, friction = terms[1] * np.sin(q).std(), terms[2]
-        noise = max(0.2 * residual.std(), 0.1 * current.std())
-        x, y, _ = trial.meta.gravity
-        both_ways = min(q.max(), -q.min()) > LEAST_MOTION_RAD and not (x or y)
+        both_ways = min(q.max(), -q.min()) > LEAST_MOTION_RAD and not stated[:2].any()
         if both_ways and current.min() >= 0.0 < current.std():
-            found += causes.CURRENT_SIZE.raised(joint=j)
-        elif friction < -noise and weight > noise:
-            found += causes.CURRENT_SIGN.raised(joint=j)
+            found += causes.CURRENT_SIZE.raised(joint=j + 1)
+        step_rad = 1e-4 * np.eye(trial.meta.dof)[j]
+        ends = [base_rotation(trial.angle_rad + way * step_rad)[:, :, 2] for way in (1, -1)]
+        lever = (ends[1] - ends[0]) / 2e-4
+        known = np.sqrt((lever**2).mean(axis=0)) > 0.1  # relative to the link's length
+        design = np.column_stack([lever[:, known], np.tanh(rate / MOVING_RAD_S)])
+        terms, *_ = np.linalg.lstsq(design, current, rcond=None)
+        shown, due = np.zeros(3), np.where(known, stated, 0.0)
+        shown[known] = terms[:-1]
+        sizes = float(np.linalg.norm(shown) * np.linalg.norm(due))
+        if np.linalg.norm(due) < 0.5 * np.linalg.norm(stated) or sizes == 0.0:
+            continue
+        along = float(shown @ due) / sizes
+        part = np.linalg.norm(design[:, :-1] @ terms[:-1]) / np.linalg.norm(current)
+        noise = max(0.2 * np.std(current - design @ terms), 0.1 * current.std())
+        is_slow = rate.var() / q.var() * reach_m < 0.5 * STANDARD_M_S2  # weight outweighs inertia
+        if terms[-1] < -noise and along < -0.5 and part > 0.1:
+            found += causes.CURRENT_SIGN.raised(joint=j + 1)
+        elif terms[-1] > noise and along < 0.5 and part > 0.5 and is_slow:
+            direction = shown / np.linalg.norm(shown)
+            found += causes.GRAVITY_DIRECTION.raised(joint=j + 1, shown=direction, stated=stated)
     return found
 
 

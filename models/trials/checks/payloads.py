@@ -16,8 +16,13 @@ from models.shared.kinematics import base_rotation, pointing_angles_rad
 from models.shared.link_scale import LinkScale
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
-from models.trials.checks.motion import LEAST_MOTION_RAD, MOVING_RAD_S, current_terms
-from models.trials.trial import Array, Trial
+from models.trials.checks.motion import (
+    LEAST_MOTION_RAD,
+    MOVING_RAD_S,
+    STANDARD_M_S2,
+    current_terms,
+)
+from models.trials.trial import Trial
 
 # --- payloads of several trials ------------------------------------------------------------------
 
@@ -123,7 +128,6 @@ def _of_one_motion(
 
 # --- their unit, with a plant --------------------------------------------------------------------
 
-STANDARD_M_S2: Final = 9.81
 UNITS: Final = (
     ("in pounds", 0.45359), ("in newtons", 1 / 9.81), ("in ounces", 0.02835), ("in grams", 1e-3),
     ("in kg that were divided by 2.2 as if they were pounds", 2.2046),
@@ -238,7 +242,7 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
     if 0 < meta.pressure_pa < PRESSURE_PA:
         found += causes.PRESSURE_UNIT.raised(pressure_pa=meta.pressure_pa)
     gravity = [] if is_described else _gravity_size(trial)
-    return [*found, *(gravity or _gravity_direction(trial)), *_payload_size(trial)]
+    return [*found, *gravity, *_payload_size(trial)]
 
 
 def judge_undeclared(trial: Trial) -> list[ImportFinding]:
@@ -264,53 +268,9 @@ def _payload_size(trial: Trial) -> list[ImportFinding]:
 
 def _gravity_size(trial: Trial) -> list[ImportFinding]:
     """Finding on a magnitude of gravity that is wrong unless a balloon carries part of the link."""
-    size, stated = math.hypot(*trial.meta.gravity), _listed(trial.meta.gravity)
-    low, high = GRAVITY_M_S2
+    size, (low, high) = math.hypot(*trial.meta.gravity), GRAVITY_M_S2
     if low <= size <= high:
         return []
     is_wrong = size > high or math.isclose(size, 1.0, rel_tol=1e-6)  # such as 1 for 1 g
     cause = causes.GRAVITY_SIZE if is_wrong else causes.GRAVITY_LOW
-    return cause.raised(stated=stated, size_m_s2=size)
-
-
-def _gravity_direction(trial: Trial) -> list[ImportFinding]:
-    """Finding if the currents hold a weight in another direction than the stated gravity.
-
-    A joint holds the torque of gravity g on the link with direction u: its current is in proportion
-    to -g·∂u/∂angle, and friction adds a term with its sign. The friction term must be along the
-    motion; otherwise the current's sign is in doubt, which `judge_motion` reports.
-    """
-    stated = np.array(trial.meta.gravity)
-    reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
-    for j in range(trial.meta.dof):
-        current, angle = trial.current_a[:, j], trial.angle_rad[:, j]
-        rate = np.gradient(angle, trial.step_s)
-        if not np.isfinite(current + rate).all() or rate.std() < MOVING_RAD_S:
-            continue
-        if rate.var() / angle.var() * reach_m > 0.5 * STANDARD_M_S2:
-            continue  # the current follows the inertia
-        step_rad = 1e-4 * np.eye(trial.meta.dof)[j]
-        ends = [base_rotation(trial.angle_rad + way * step_rad)[:, :, 2] for way in (1, -1)]
-        lever = (ends[1] - ends[0]) / 2e-4
-        known = np.sqrt((lever**2).mean(axis=0)) > 0.1  # relative to the link's length
-        design = np.column_stack([lever[:, known], np.tanh(rate / MOVING_RAD_S)])
-        terms, *_ = np.linalg.lstsq(design, current, rcond=None)
-        residual, weight = current - design @ terms, design[:, :-1] @ terms[:-1]
-        is_clear = np.linalg.norm(weight) > CLEAR * np.linalg.norm(current)
-        if terms[-1] < max(0.2 * residual.std(), 0.1 * current.std()) or not is_clear:
-            continue
-        shown, due = np.zeros(3), np.where(known, stated, 0.0)
-        shown[known] = terms[:-1]
-        sizes = float(np.linalg.norm(shown) * np.linalg.norm(due))
-        if np.linalg.norm(due) < CLEAR * np.linalg.norm(stated) or sizes == 0.0:
-            continue
-        if shown @ due < 0.5 * sizes:
-            return causes.GRAVITY_DIRECTION.raised(
-                joint=j + 1, shown=_listed(shown / np.linalg.norm(shown)), stated=_listed(stated)
-            )
-    return []
-
-
-def _listed(vector: Array | tuple[float, ...]) -> str:
-    """Components in words, without a negative zero."""
-    return ", ".join(f"{round(float(v), 2) + 0.0:g}" for v in vector)
+    return cause.raised(stated=trial.meta.gravity, size_m_s2=size)

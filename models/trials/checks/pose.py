@@ -172,7 +172,8 @@ def nearest_order(measured: Array, reference: Array, rotation: Array) -> Order:
     """
     for _ in range(4):
         placed = (reference - reference.mean(axis=0)) @ rotation.T + measured.mean(axis=0)
-        order = linear_sum_assignment(cdist(measured, placed, "sqeuclidean"))[1]
+        cost = np.fmin(cdist(measured, placed, "sqeuclidean"), 1e12)  # of a wild marker: finite
+        order = linear_sum_assignment(cost)[1]
         rotation, _ = fit_rigid_motion(reference[order], measured)
     return np.asarray(order)
 

@@ -41,16 +41,28 @@ def swing(make_trial):
     return make
 
 
+def gravity(trial):
+    """Levels of the findings on gravity."""
+    return [f.level for f in check_trial(trial).findings if f.cause == "gravity"]
+
+
 @pytest.mark.parametrize("stated", MOUNTINGS)
 @pytest.mark.parametrize("true", MOUNTINGS)
 def test_gravity_is_compared_with_the_weight_that_the_current_holds(swing, true, stated):
-    found = judge_conditions(swing(true, MOUNTINGS[stated]))
-    assert [f.cause for f in found] == ([] if true == stated else ["gravity"])
+    assert gravity(swing(true, MOUNTINGS[stated])) == ([] if true == stated else ["warning"])
 
 
 def test_gravity_is_not_judged_by_a_fast_motion(swing):
     """At 1 s inertia outweighs gravity: a hanging link's current has an upright one's sign."""
-    assert judge_conditions(swing("hanging", MOUNTINGS["hanging"], period_s=1.0)) == []
+    assert gravity(swing("hanging", MOUNTINGS["hanging"], period_s=1.0)) == []
+
+
+@pytest.mark.parametrize("mounting", MOUNTINGS)
+def test_a_current_with_the_wrong_sign_is_named_in_every_mounting(swing, mounting):
+    trial = swing(mounting, MOUNTINGS[mounting])
+    trial.columns["current_1_a"][:] *= -1
+    assert gravity(trial) == []
+    assert [f.cause for f in check_trial(trial).findings if f.cause == "current"] == ["current"]
 
 
 @pytest.mark.parametrize(
@@ -59,8 +71,7 @@ def test_gravity_is_not_judged_by_a_fast_motion(swing):
 )
 def test_gravity_is_that_of_the_earth_unless_a_balloon_carries_the_link(swing, down_m_s2, level):
     trial = swing("upright", (0.0, 0.0, -down_m_s2))
-    found = [f for f in check_trial(trial).findings if f.cause == "gravity"]
-    assert [f.level for f in found] == ([level] if level else [])
+    assert gravity(trial) == ([level] if level else [])
     assert judge_conditions(trial, is_described=True) == []
 
 
