@@ -324,7 +324,8 @@ CURRENT_SIZE = Cause("current", WARNS,
 # Goals and conditions.
 
 STILL_GOAL = Cause("goal", REFUSES,
-    "angle_{joint}_rad moves by {moved_rad:deg} while goal_{joint}_rad moves by {goal_rad:deg}",
+    "angle_{joint}_rad moves by {moved_rad:deg} while goal_{joint}_rad stands still within "
+    "{goal_rad:deg}",
     "give the goals that were sent, or set amplitude_rad = 0 where the joint was moved by hand")
 STILL_GOALS = Cause("amplitude", WARNS,
     "the goals stand still, amplitude_rad says {stated_rad:deg}",
