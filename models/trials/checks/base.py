@@ -1,6 +1,6 @@
 """Base plate: markers on a fixed stand, and the height of the plate above the joint axes.
 
-The plate turns about the crossing of the joint axes, `base_offset_m` below it. Its own markers move
+The plate turns about the crossing of the joint axes, `base_offset_m` below it. Its markers move
 on circles of that height. Without them the first marker row tells it: the link bends below that
 row in proportion to the bend measured above it, so the fit separates bend and height by the
 curvature of the row's path.
@@ -36,15 +36,15 @@ def judge_fixed_base(series: Sequence[Series], meta: TrialMeta) -> list[ImportFi
     for s in (s for s in series if all(map(s.has, (*BASE_MARKERS, *names)))):
         root_m = row_centre_m(np.array([s.position_m(n) for n in names]), meta.layout.corners_m)
         base_m = np.stack([s.position_m(n) for n in BASE_MARKERS], axis=1)
-        seen = np.isfinite(root_m).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
-        if seen.sum() < 3:
+        visible = np.isfinite(root_m).all(axis=1) & np.isfinite(base_m).all(axis=(1, 2))
+        if visible.sum() < 3:
             continue
         # From the base's centre the link turns a little more than the joint, by its bend.
-        from_base_m = (root_m - base_m.mean(axis=1))[seen]
+        from_base_m = (root_m - base_m.mean(axis=1))[visible]
         first = from_base_m[0] / np.linalg.norm(from_base_m[0])
         cosines = from_base_m @ first / np.linalg.norm(from_base_m, axis=1)
         turn_rad = float(np.percentile(np.arccos(np.clip(cosines, -1, 1)), 95))
-        moved_m = np.linalg.norm(base_m[seen] - base_m[seen][0], axis=2)
+        moved_m = np.linalg.norm(base_m[visible] - base_m[visible][0], axis=2)
         most_m = float(np.percentile(moved_m, 95, axis=0).max())
         due_m = turn_rad * meta.link_width_m / 2
         if turn_rad > 0.1 and most_m < 0.2 * due_m:
@@ -67,12 +67,12 @@ def judge_base_offset(series: Sequence[Series], meta: TrialMeta) -> list[ImportF
     time_s = mocap.time_s[inside]
     angle_rad = np.column_stack([np.interp(time_s, servo.time_s, servo.columns[n]) for n in angles])
     centre_m = np.mean([mocap.position_m(n)[inside] for n in BASE_MARKERS], axis=0)
-    seen = np.isfinite(np.column_stack([angle_rad, centre_m])).all(axis=1)
-    if seen.sum() < FEWEST_ROWS or angle_rad[seen].std(axis=0).max() < LEAST_MOTION_RAD:
+    visible = np.isfinite(np.column_stack([angle_rad, centre_m])).all(axis=1)
+    if visible.sum() < FEWEST_ROWS or angle_rad[visible].std(axis=0).max() < LEAST_MOTION_RAD:
         return []
-    turn = base_rotation(angle_rad[seen])
+    turn = base_rotation(angle_rad[visible])
     design = np.concatenate([np.broadcast_to(np.eye(3), turn.shape), turn], axis=2).reshape(-1, 6)
-    target = centre_m[seen].reshape(-1)
+    target = centre_m[visible].reshape(-1)
     terms, *_ = np.linalg.lstsq(design, target, rcond=None)
     error_m = _error(design, target - design @ terms, 5)
     return _compared(terms[5], error_m, meta, causes.BASE_OFFSET)
@@ -93,11 +93,11 @@ def judge_root_path(trial: Trial) -> list[ImportFinding]:
         return []
     rows_m = np.moveaxis(trial.marker_rows_m[:, :2], 2, 0)
     first_m, second_m = (row_centre_m(rows_m[:, :, k], meta.layout.corners_m) for k in (0, 1))
-    seen = np.flatnonzero(np.isfinite(np.column_stack([angle, first_m, second_m])).all(axis=1))
-    if len(seen) < FEWEST_ROWS:
+    visible = np.flatnonzero(np.isfinite(np.column_stack([angle, first_m, second_m])).all(axis=1))
+    if len(visible) < FEWEST_ROWS:
         return []
-    seen = seen[:: len(seen) // 400 + 1]
-    angle, first_m, second_m = angle[seen], first_m[seen], second_m[seen]
+    visible = visible[:: len(visible) // 400 + 1]
+    angle, first_m, second_m = angle[visible], first_m[visible], second_m[visible]
     above = pointing_angles_rad(second_m - first_m)[:, : meta.dof] - angle
     base, height_m = base_rotation(angle)[:, :, 2], meta.layout.rows_m[0]
 

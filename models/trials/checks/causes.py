@@ -106,7 +106,7 @@ NOT_MAPPED = Cause("absent", WARNS,
     "the file holds no {names:listed}: there is no Deformation Index without",
     "map them under [markers], or use the plant without DI")
 OCCLUDED = Cause("occluded", (0.2, 0.8),  # fraction of the rows
-    "{name} is unseen in {size:.0%} of the rows",
+    "{name} is occluded in {size:.0%} of the rows",
     "check its name, or record it again with the marker in view")
 ZEROS = Cause("zeros", WARNS,
     "markers are at exactly 0, 0, 0 between {first_s:.2f} s and {last_s:.2f} s ({counts:listed} "
@@ -115,7 +115,7 @@ ZEROS = Cause("zeros", WARNS,
     "markers of its row")
 HELD = Cause("held", WARNS,
     "the position of {names:listed} is constant in {rows}, while {meanwhile} by {moved_m:mm0}",
-    "leave these cells empty where the marker was not seen")
+    "leave these cells empty where the marker was occluded")
 EXCHANGED = Cause("swapped", WARNS,
     "{order} in {rows}", "exchange them in these rows and correct the tip")
 OUT_OF_PLACE = Cause("place", WARNS,
@@ -171,8 +171,8 @@ ZERO = Cause("zero", REFUSES,
     "zero is elsewhere",
     "set offset = {offset_rad:.4f} for angle_{joint}_rad and goal_{joint}_rad in MAP.toml")
 ORIGIN = Cause("origin", (0.008, 0.025),  # m, from the crossing of the joint axes
-    "the origin is {height_m:.3f} m too {way} and {aside_m:.3f} m aside ({seen_m[0]:+.3f}, "
-    "{seen_m[1]:+.3f})",
+    "the origin is {height_m:.3f} m too {way} and {aside_m:.3f} m aside ({off_m[0]:+.3f}, "
+    "{off_m[1]:+.3f})",
     "set origin_m = [{new_m[0]:.3f}, {new_m[1]:.3f}, {new_m[2]:.3f}] under [frame] (correct the "
     "tilt first if there is one), or correct base_offset_m")
 SHAPE = Cause("shape", (0.006, 0.015),  # m, after the best rigid motion
@@ -234,8 +234,8 @@ FRAME_RATE = Cause("rate", REFUSES,
     "by {factor:.4g}: the frame rate of one of the files is wrong",
     "correct the frame rate, as with scale = {factor:.4g} for time_s in MAP.toml, or export the "
     "motion capture again")
-GIVEN_CLOCK = Cause("clock", (0.002, math.inf),  # s, beyond three half widths
-    "the offset given by hand, {given_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
+CLOCK_OPTION = Cause("clock", (0.002, math.inf),  # s, beyond three half widths
+    "the offset given by hand, {option_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
     "{estimate_s:.4f} s ± {error_s:ms2}",
     "leave out --offset (offset_s in a table of takes), or correct it")
 COMMON_CLOCK = Cause("clock", (0.01, 0.05),  # s between markers and angles of one file

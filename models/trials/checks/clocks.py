@@ -17,13 +17,13 @@ from models.trials.trial import TrialMeta
 
 def judge_clock(clock: Synchronisation) -> list[ImportFinding]:
     """Findings if the clock's offset is uncertain, or drifts during the motion."""
-    found = causes.CLOCK_ERROR.beyond(clock.error_s)
+    findings = causes.CLOCK_ERROR.beyond(clock.error_s)
     for drift in clock.drifts:
         change_s = abs(drift.change_s)
         drifting = causes.CLOCK_DRIFT.beyond(change_s, over_s=drift.over_s)
         if drifting and change_s > 3 * drift.deviation_s:
-            return found + drifting
-    return found
+            return findings + drifting
+    return findings
 
 
 def judge_given_offset(
@@ -36,9 +36,9 @@ def judge_given_offset(
     if estimate is None:
         return []
     differs_s = abs(option_s - estimate.offset_s)
-    return causes.GIVEN_CLOCK.beyond(
+    return causes.CLOCK_OPTION.beyond(
         max(differs_s - 3 * estimate.error_s, 0.0), differs_s=differs_s,
-        given_s=option_s + apart_s, estimate_s=estimate.offset_s + apart_s,
+        option_s=option_s + apart_s, estimate_s=estimate.offset_s + apart_s,
         error_s=estimate.error_s, by="sync signal" if estimate.by == "sync" else "motion",
     )  # fmt: skip
 

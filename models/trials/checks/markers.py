@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows
-from models.trials.checks.pose import nearest_order, order_words, seen_mean
+from models.trials.checks.pose import nearest_order, order_words, visible_mean
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series, fit_rigid_motion, nominal_markers_m
 from models.trials.trial import Array, Trial, TrialMeta
@@ -33,17 +33,17 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
     present = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
     if not present:
         return []
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for name, source in mapping.markers.items():
         if f"{name}_x_m" not in columns:
-            found += causes.ABSENT_MARKER.raised(name=name, source=source)
+            findings += causes.ABSENT_MARKER.raised(name=name, source=source)
     missing = [n for n in markers if n not in present and n not in mapping.markers]
     if missing and present != ["tip"]:
-        found += causes.NOT_MAPPED.raised(names=missing)
+        findings += causes.NOT_MAPPED.raised(names=missing)
     for name in present:
         occluded = float(np.mean(~np.isfinite(columns[f"{name}_x_m"])))
-        found += causes.OCCLUDED.beyond(occluded, name=name)
-    return found
+        findings += causes.OCCLUDED.beyond(occluded, name=name)
+    return findings
 
 
 def judge_rest(trial: Trial) -> list[ImportFinding]:
@@ -55,7 +55,7 @@ def judge_rest(trial: Trial) -> list[ImportFinding]:
     if rest < warned:
         return [causes.SHORT_REST.at("refused" if rest < refused else "warning", rest=rest)]
     third = max(rest // 3, 1)
-    moved_m = seen_mean(markers_m[rest - third : rest]) - seen_mean(markers_m[:third])
+    moved_m = visible_mean(markers_m[rest - third : rest]) - visible_mean(markers_m[:third])
     most_m = np.nan_to_num(np.linalg.norm(moved_m, axis=-1)).max()
     return causes.REST_MOVES.beyond(float(most_m), rest=rest)
 
@@ -99,18 +99,18 @@ def judge_marker_run(trial: Trial) -> list[ImportFinding]:
     markers_m, names, time_s = trial.markers_m, trial.meta.layout.names, trial.time_s
     if not np.isfinite(markers_m).any():
         return []
-    found: list[ImportFinding] = []
-    holds = held_markers(trial)
+    findings: list[ImportFinding] = []
+    holds = constant_markers(trial)
     for (first, last), moved_m in sorted(holds.items(), key=lambda hold: hold[0][0] - hold[0][1]):
         places, whole = list(moved_m), len(moved_m) == len(names)
         markers_m[first : last + 1, places] = np.nan
-        found += causes.HELD.raised(
+        findings += causes.HELD.raised(
             names=["all markers"] if whole else [names[k] for k in places],
             rows=at_rows(np.arange(first, last + 1), time_s),
             meanwhile="the link moves" if whole else "the neighbours move",
             moved_m=max(moved_m.values()),
         )  # fmt: skip
-    return found[:MOST_NAMED] + _misplaced(trial, markers_m)
+    return findings[:MOST_NAMED] + _misplaced(trial, markers_m)
 
 
 # --- constant positions --------------------------------------------------------------------------
@@ -126,7 +126,7 @@ MOST_HOLDS: Final = 100
 """Number of the longest holds of a marker that are checked."""
 
 
-def held_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
+def constant_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
     """Holds of markers that contradict the link's motion.
 
     By the first and last row of a hold, the markers with the travel that was due in m: that of
@@ -134,7 +134,7 @@ def held_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
     """
     markers_m, time_s = trial.markers_m, trial.time_s
     same = np.all(np.abs(np.diff(markers_m, axis=0)) <= 1e-9, axis=2)  # a rotated frame rounds
-    found: dict[tuple[int, int], dict[int, float]] = {}
+    due_m: dict[tuple[int, int], dict[int, float]] = {}
     for place in range(markers_m.shape[1]):
         edges = np.diff(np.concatenate([[0], same[:, place].astype(int), [0]]))
         holds = np.column_stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)])
@@ -143,20 +143,20 @@ def held_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
         for first, last in holds[longest].tolist():
             moved_m = _due_travel_m(trial, markers_m, same, place, slice(first, last + 1))
             if moved_m > MOVED_M:
-                found.setdefault((first, last), {})[place] = moved_m
-    return found
+                due_m.setdefault((first, last), {})[place] = moved_m
+    return due_m
 
 
 def _due_travel_m(trial: Trial, markers_m: Array, same: Array, place: int, rows: slice) -> float:
     """Travel of a marker that is expected while it holds; 0 if it may have been at rest."""
-    turn, held_m = base_rotation(trial.angle_rad[rows]), markers_m[rows.start, place]
-    carried_m = turn @ (turn[0].T @ held_m) - held_m
+    turn, start_m = base_rotation(trial.angle_rad[rows]), markers_m[rows.start, place]
+    carried_m = turn @ (turn[0].T @ start_m) - start_m
     rigid_m = float(np.linalg.norm(carried_m, axis=1).max())
     moving = ~same[rows.start : rows.stop - 1].all(axis=0)
     free = np.flatnonzero(moving & np.isfinite(markers_m[rows.start, :, 0]))
     if rigid_m < MOVED_M or not len(free):
         return rigid_m if rigid_m > ALL_MOVED_M else 0.0
-    distance_m = np.linalg.norm(markers_m[rows.start, free] - held_m, axis=1)
+    distance_m = np.linalg.norm(markers_m[rows.start, free] - start_m, axis=1)
     near = free[np.argsort(distance_m, kind="stable")[:3]]
     apart_m = np.linalg.norm(markers_m[rows, near] - markers_m[rows.start, near], axis=2)
     return float(np.median(np.fmax.reduce(apart_m, axis=0)))
@@ -182,7 +182,7 @@ class _Distances:
         sections_apart = second // meta.layout.corners - first // meta.layout.corners
         near = sections_apart <= 1
         self.first, self.second = first[near], second[near]
-        at_rest_m = seen_mean(self.of(markers_m[: min(max(meta.rest_samples, 1), ROWS_AT_ONCE)]))
+        at_rest_m = visible_mean(self.of(markers_m[: min(max(meta.rest_samples, 1), ROWS_AT_ONCE)]))
         nominal_m = self.of(nominal_markers_m(meta)[None])[0]
         self.rest_m = np.where(np.isfinite(at_rest_m), at_rest_m, nominal_m)
         part = np.where(sections_apart[near] == 0, IN_SECTION, TO_NEXT)
@@ -231,13 +231,13 @@ def _misplaced(trial: Trial, markers_m: Array) -> list[ImportFinding]:
         which = tuple(names[k] for k in worst)
         known, known_m = elsewhere.get(which, (rows, 0.0))
         elsewhere[which] = np.union1d(known, rows), max(known_m, off_m)
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for words, rows in sorted(exchanged.items(), key=lambda e: -len(e[1]))[:MOST_NAMED]:
-        found += causes.EXCHANGED.raised(order=words, rows=at_rows(rows, trial.time_s))
+        findings += causes.EXCHANGED.raised(order=words, rows=at_rows(rows, trial.time_s))
     for which, (rows, off_m) in sorted(elsewhere.items(), key=lambda e: -len(e[1][0]))[:MOST_NAMED]:
         where = at_rows(rows, trial.time_s)
-        found += causes.OUT_OF_PLACE.raised(names=which, rows=where, off_m=off_m)
-    return found
+        findings += causes.OUT_OF_PLACE.raised(names=which, rows=where, off_m=off_m)
+    return findings
 
 
 def _sample(rows: Rows, count: int) -> Rows:
@@ -253,15 +253,15 @@ def _exchange(
     None if there is none.
     """
     first_m = markers_m[rows[0]]
-    seen = np.flatnonzero(np.isfinite(first_m).all(axis=1))
-    visible = np.isfinite(markers_m[:, seen]).all(axis=(1, 2))
-    comparable = np.flatnonzero(right & visible)
-    if not len(comparable) or len(seen) < 4:
+    visible = np.flatnonzero(np.isfinite(first_m).all(axis=1))
+    complete = np.isfinite(markers_m[:, visible]).all(axis=(1, 2))
+    comparable = np.flatnonzero(right & complete)
+    if not len(comparable) or len(visible) < 4:
         return None
-    before_m = markers_m[comparable[np.argmin(np.abs(comparable - rows[0]))], seen]
-    start, _ = fit_rigid_motion(before_m, first_m[seen])
+    before_m = markers_m[comparable[np.argmin(np.abs(comparable - rows[0]))], visible]
+    start, _ = fit_rigid_motion(before_m, first_m[visible])
     order = np.arange(len(first_m))
-    order[seen] = seen[nearest_order(first_m[seen], before_m, start)]
+    order[visible] = visible[nearest_order(first_m[visible], before_m, start)]
     corrected_m = markers_m[_sample(rows, 15)][:, np.argsort(order)]
     return order if distances.are_right(corrected_m).mean() >= 0.9 else None
 

@@ -62,21 +62,21 @@ def _against_link(trial: Trial) -> list[ImportFinding]:
     direction, angle, dof = link_direction(trial), trial.angle_rad, trial.meta.dof
     if direction is None or not np.isfinite(angle).all():
         return []
-    seen = np.isfinite(direction).all(axis=1)
-    direction, angle = direction[seen], angle[seen]
+    visible = np.isfinite(direction).all(axis=1)
+    direction, angle = direction[visible], angle[visible]
     pointing = pointing_angles_rad(direction)[:, :dof]
     if max(angle.std(axis=0).max(), pointing.std(axis=0).max()) < LEAST_MOTION_RAD:
         return []
-    found = _signs_and_joints(pointing, angle)
-    if found:
-        return found
+    findings = _signs_and_joints(pointing, angle)
+    if findings:
+        return findings
     nominal = base_rotation(angle)[:, :, 2]
     moved, due = (v[:, :2] - v[:, :2].mean(axis=0) for v in (direction, nominal))
     if dof == 1:
         _, (along, across), _ = np.linalg.svd(moved, full_matrices=False)
-        found = causes.SECOND_JOINT.beyond(across / along if along > 0 else 0.0)
-    if found or not np.sum(due * due) > 0:  # or the angles stand still
-        return found
+        findings = causes.SECOND_JOINT.beyond(across / along if along > 0 else 0.0)
+    if findings or not np.sum(due * due) > 0:  # or the angles stand still
+        return findings
     along = np.sum(due * moved)
     across = np.sum(due[:, 0] * moved[:, 1] - due[:, 1] * moved[:, 0])
     gain = float(np.hypot(along, across) / np.sum(due * due))
@@ -90,14 +90,14 @@ def _signs_and_joints(pointing: Array, angle: Array) -> list[ImportFinding]:
     """Findings on signs and order of the joints, comparing each direction with each angle."""
     joints = range(angle.shape[1])
     fit = np.array([[correlation(pointing[:, i], angle[:, j]) for j in joints] for i in joints])
-    found = [
+    findings = [
         finding
         for j in joints
         if fit[j, j] < -ALIKE
         for finding in causes.SIGN.raised(joint=j + 1, correlation=fit[j, j])
     ]
-    if found or len(joints) == 1:
-        return found
+    if findings or len(joints) == 1:
+        return findings
     crossed = np.abs(fit[[0, 1], [1, 0]]).min()
     is_swapped = crossed > ALIKE and fit.diagonal().min() < crossed - 0.1
     return causes.JOINTS_SWAPPED.raised() if is_swapped else []
@@ -116,28 +116,28 @@ def runs_against(goal_rad: Array, angle_rad: Array) -> bool:
 
 
 def _against_goals(trial: Trial) -> list[ImportFinding]:
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     goal, angle, stated_rad = trial.goal_rad, trial.angle_rad, trial.meta.amplitude_rad
     for j, (q, g) in enumerate(zip(angle.T, goal.T, strict=True), start=1):
         if not np.isfinite(q).all() or min(q.std(), g.std()) < LEAST_MOTION_RAD:
             continue
         factor = float(q.std() / g.std())
         if runs_against(g, q):
-            found += causes.GOAL_AGAINST.raised(joint=j)
+            findings += causes.GOAL_AGAINST.raised(joint=j)
         elif not 0.3 < factor < 3.0:
-            found += causes.GOAL_FACTOR.raised(joint=j, factor=factor)
+            findings += causes.GOAL_FACTOR.raised(joint=j, factor=factor)
         elif (lead := _lead(g, q)) > 0:
-            found += causes.GOAL_BEHIND.raised(joint=j, lead_s=lead * trial.step_s)
+            findings += causes.GOAL_BEHIND.raised(joint=j, lead_s=lead * trial.step_s)
     # A motion may begin away from zero, and a servo's zero may be elsewhere.
     reaches = (float(np.max(np.abs(goal - goal[0]))), float(np.max(np.abs(goal))))
     reach_rad = min(reaches, key=lambda reach: abs(reach - stated_rad))
     if reach_rad > LEAST_MOTION_RAD:
         is_degrees = abs(stated_rad / np.degrees(reach_rad) - 1) < 0.15
-        found += causes.AMPLITUDE.beyond(
+        findings += causes.AMPLITUDE.beyond(
             (reach_rad - stated_rad) / max(reach_rad, stated_rad), reach_rad=reach_rad,
             stated_rad=stated_rad, unit=": it is in deg" if is_degrees else "",
         )  # fmt: skip
-    return found
+    return findings
 
 
 def _lead(goal: Array, angle: Array) -> int:
@@ -159,7 +159,7 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
     to -g·∂u/∂angle, and friction adds a term along the motion. If both have the wrong sign, it is
     that of the current; if only the weight differs, it is the stated gravity.
     """
-    found = causes.CURRENTS_SWAPPED.raised() if _are_swapped(trial) else []
+    findings = causes.CURRENTS_SWAPPED.raised() if _are_swapped(trial) else []
     stated = np.array(trial.meta.gravity)
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
     for j, (current, q) in enumerate(zip(trial.current_a.T, trial.angle_rad.T, strict=True)):
@@ -168,7 +168,7 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
             continue
         both_ways = min(q.max(), -q.min()) > LEAST_MOTION_RAD and not stated[:2].any()
         if both_ways and current.min() >= 0.0 < current.std():
-            found += causes.CURRENT_SIZE.raised(joint=j + 1)
+            findings += causes.CURRENT_SIZE.raised(joint=j + 1)
         step_rad = 1e-4 * np.eye(trial.meta.dof)[j]
         ends = [base_rotation(trial.angle_rad + way * step_rad)[:, :, 2] for way in (1, -1)]
         lever = (ends[1] - ends[0]) / 2e-4
@@ -185,11 +185,11 @@ def _against_currents(trial: Trial) -> list[ImportFinding]:
         noise = max(0.2 * np.std(current - design @ terms), 0.1 * current.std())
         is_slow = rate.var() / q.var() * reach_m < 0.5 * STANDARD_M_S2  # weight outweighs inertia
         if terms[-1] < -noise and along < -0.5 and part > 0.1:
-            found += causes.CURRENT_SIGN.raised(joint=j + 1)
+            findings += causes.CURRENT_SIGN.raised(joint=j + 1)
         elif terms[-1] > noise and along < 0.5 and part > 0.5 and is_slow:
             direction = shown / np.linalg.norm(shown)
-            found += causes.GRAVITY_DIRECTION.raised(joint=j + 1, shown=direction, stated=stated)
-    return found
+            findings += causes.GRAVITY_DIRECTION.raised(joint=j + 1, shown=direction, stated=stated)
+    return findings
 
 
 def current_terms(current: Array, angle: Array, step_s: float) -> tuple[Array, Array]:
@@ -228,8 +228,8 @@ def judge_goals(trial: Trial) -> list[ImportFinding]:
     """Findings on the goals of a whole trial."""
     if np.nanmax(np.abs(trial.goal_rad)) > LARGEST_RAD:
         return []  # in another unit
-    found = [*judge_standing_goals(trial), *_missing_rows(trial)]
-    return [*(found or _sinusoid(trial)), *_phase(trial)]
+    findings = [*judge_standing_goals(trial), *_missing_rows(trial)]
+    return [*(findings or _sinusoid(trial)), *_phase(trial)]
 
 
 def judge_standing_goals(trial: Trial) -> list[ImportFinding]:

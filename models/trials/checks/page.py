@@ -173,19 +173,19 @@ def chart(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
 
 def _drawn(curve: Curve, places: Array) -> str:
     """Line or dots of a curve at its places on the page, (n, 2)."""
-    seen = np.isfinite(places.sum(axis=1))
+    visible = np.isfinite(places.sum(axis=1))
     if curve.names is not None:
         dots = [
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{curve.colour}" fill-opacity="0.75"/>'
-            for x, y in places[seen]
+            for x, y in places[visible]
         ]
         names = zip(curve.names, places, strict=False)
         return "".join([*dots, *(_text(x + 6, y + 4, name, "start") for name, (x, y) in names)])
     rows = np.arange(0, len(places), max(len(places) // POINTS, 1))
-    pen = np.where(np.concatenate([[False], seen[rows[:-1]]]), "L", "M")
+    pen = np.where(np.concatenate([[False], visible[rows[:-1]]]), "L", "M")
     drawn = [
         f"{pen[k]}{places[row, 0]:.1f} {places[row, 1]:.1f}"
-        for k, row in enumerate(rows) if seen[row]
+        for k, row in enumerate(rows) if visible[row]
     ]  # fmt: skip
     return f'<path d="{"".join(drawn)}" fill="none" stroke="{curve.colour}" stroke-width="1.2"/>'
 

@@ -47,15 +47,15 @@ def judge_payloads(trials: Sequence[Trial]) -> list[ImportFinding]:
     the bend in proportion to the angle. It is compared between trials, not with a nominal link: it
     must be equal for equal payloads, larger for a larger one, and between those of its neighbours.
     """
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for group in _by_motion(trials):
         by_current = _of_one_motion(group, _current_load, "current")
         by_bend = _of_one_motion(group, _bend_load, "bend")
         if by_current and by_bend == []:
-            found += causes.SERVO_LOG.raised(contradiction=by_current[0].text)
+            findings += causes.SERVO_LOG.raised(contradiction=by_current[0].text)
         else:
-            found += by_current or (by_bend if by_current is None else []) or []
-    return found
+            findings += by_current or (by_bend if by_current is None else []) or []
+    return findings
 
 
 def _by_motion(trials: Sequence[Trial]) -> list[list[Trial]]:
@@ -82,11 +82,11 @@ def _current_load(trial: Trial, joint: int) -> float | None:
 
 def _bend_load(trial: Trial, joint: int) -> float | None:
     """Bend in a joint's plane per angle; None if the tip is occluded or the bend is small."""
-    seen = np.isfinite(trial.tip_m).all(axis=1)
-    angle = trial.angle_rad[seen, joint]
-    if seen.mean() < 0.5 or angle.std() < LEAST_MOTION_RAD:
+    visible = np.isfinite(trial.tip_m).all(axis=1)
+    angle = trial.angle_rad[visible, joint]
+    if visible.mean() < 0.5 or angle.std() < LEAST_MOTION_RAD:
         return None
-    bend = pointing_angles_rad(trial.tip_m[seen])[:, joint] - angle
+    bend = pointing_angles_rad(trial.tip_m[visible])[:, joint] - angle
     moved = angle - angle.mean()
     load = float(moved @ bend / (moved @ moved))
     return abs(load) if abs(load) > LEAST_BEND else None
@@ -238,11 +238,11 @@ def judge_conditions(trial: Trial, *, is_described: bool = False) -> list[Import
     meta = trial.meta
     if not meta.link_length_m:
         return []
-    found = judge_undeclared(trial)
+    findings = judge_undeclared(trial)
     if 0 < meta.pressure_pa < PRESSURE_PA:
-        found += causes.PRESSURE_UNIT.raised(pressure_pa=meta.pressure_pa)
+        findings += causes.PRESSURE_UNIT.raised(pressure_pa=meta.pressure_pa)
     gravity = [] if is_described else _gravity_size(trial)
-    return [*found, *gravity, *_payload_size(trial)]
+    return [*findings, *gravity, *_payload_size(trial)]
 
 
 def judge_undeclared(trial: Trial) -> list[ImportFinding]:

@@ -78,7 +78,7 @@ class RestPose:
         self.tip_aside_m = float(np.hypot(highest_m[0], highest_m[1]))
         heights_m = np.full((layout.rows, layout.corners), np.nan)
         heights_m.flat[indices] = measured_m[:, 2]
-        self.row_heights_m = seen_mean(heights_m.T)
+        self.row_heights_m = visible_mean(heights_m.T)
 
 
 def rest_pose(
@@ -88,20 +88,20 @@ def rest_pose(
 
     `markers_m` is NaN for an occluded marker; `rest_rad` (dof,) are the joint angles.
     """
-    seen = {
+    visible = {
         n: markers_m[n] for n in meta.layout.names if np.isfinite(markers_m.get(n, np.nan)).all()
     }
-    if len(seen) < 4:
+    if len(visible) < 4:
         return None
     rest_rad = np.zeros(meta.dof) if rest_rad is None else np.asarray(rest_rad)
-    return RestPose(tuple(seen), np.array([*seen.values()]), meta, rest_rad)
+    return RestPose(tuple(visible), np.array([*visible.values()]), meta, rest_rad)
 
 
-def seen_mean(rows_m: Array) -> Array:
-    """Mean over rows (n, …) without those that were not seen; NaN if none was."""
-    seen = np.isfinite(rows_m)
-    count = seen.sum(axis=0)
-    total = np.where(seen, rows_m, 0.0).sum(axis=0)
+def visible_mean(rows_m: Array) -> Array:
+    """Mean over rows (n, …) without those that were not visible; NaN if none was."""
+    visible = np.isfinite(rows_m)
+    count = visible.sum(axis=0)
+    total = np.where(visible, rows_m, 0.0).sum(axis=0)
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
@@ -167,7 +167,7 @@ BETTER: Final = 0.35
 def nearest_order(measured: Array, reference: Array, rotation: Array) -> Order:
     """Indices of the reference points (k, 3) that the measured points (k, 3) are.
 
-    From a first rotation of the reference, nearest pairs and the best rigid motion are found in
+    From a first rotation of the reference, nearest pairs and the best rigid motion are computed in
     turn (the iterative closest point of Besl and McKay 1992, with one-to-one pairs).
     """
     for _ in range(4):
@@ -204,7 +204,7 @@ def _places(names: Sequence[str], measured: Array, nominal: Array, layout: Marke
 
 
 def _fit(nominal: Array, measured: Array) -> tuple[Array, Array]:
-    """Rotation of the best motion from nominal to measured places, and the distances left by it."""
+    """Rotation of the best motion from nominal to measured places, and the remaining distances."""
     rotation, shift = fit_rigid_motion(nominal, measured)
     return rotation, np.linalg.norm(nominal @ rotation.T + shift - measured, axis=1)
 
@@ -260,19 +260,19 @@ def judge_pose(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[I
     size = _scale(pose)
     if size and unit_of_length(pose.scale):
         return size  # the shape in another unit fits no order of the names
-    found = [*(_names(pose, mapping, default_up) or size)]
+    findings = [*(_names(pose, mapping, default_up) or size)]
     if mapping.frame.align == "rest" and pose.sag_m > ORIGIN_M:
-        found += causes.SAG.raised(sag_m=pose.sag_m)
+        findings += causes.SAG.raised(sag_m=pose.sag_m)
     if zero := _encoder_zero(pose):
-        return found + zero
+        return findings + zero
     if mapping.frame.align == "none" and not any(f.level == "refused" for f in size):
-        found += _frame(pose, mapping, default_up)
+        findings += _frame(pose, mapping, default_up)
         if not size:  # which shifts the height of the rows
-            found += _origin(pose, mapping)
-    if not found:
+            findings += _origin(pose, mapping)
+    if not findings:
         worst = int(np.argmax(pose.misfit_m))
-        found += causes.SHAPE.beyond(pose.misfit_m[worst], name=pose.names[worst])
-    return found
+        findings += causes.SHAPE.beyond(pose.misfit_m[worst], name=pose.names[worst])
+    return findings
 
 
 def _scale(pose: RestPose) -> list[ImportFinding]:
@@ -355,14 +355,14 @@ def _frame(pose: RestPose, mapping: RecordingMap, default_up: str) -> list[Impor
         up = f"{'-' if in_file[k] < 0 else ''}{'xyz'[k]}"
         return causes.UP_AXIS.raised(up=up, now=mapping.frame.up or default_up)
     yaw_deg = (mapping.frame.yaw_deg - np.degrees(pose.yaw_rad) + 180.0) % 360.0 - 180.0
-    found = causes.CORNERS_TURNED.beyond(pose.yaw_rad, yaw_deg=yaw_deg)
+    findings = causes.CORNERS_TURNED.beyond(pose.yaw_rad, yaw_deg=yaw_deg)
     level = causes.TILT.level(pose.tilt_rad)
     if level and _tilt_rad(pose.rotation @ pose.turn @ pose.turn) < pose.tilt_rad / 3:
-        return found + causes.LEANS_AGAINST.raised(tilt_rad=pose.tilt_rad)
+        return findings + causes.LEANS_AGAINST.raised(tilt_rad=pose.tilt_rad)
     if not level and not _is_tilt(pose):
-        return found
+        return findings
     measured = {"tilt_rad": pose.tilt_rad, "aside_m": pose.tip_aside_m}
-    return [*found, causes.TILT.at(level or "warning", **measured)]
+    return [*findings, causes.TILT.at(level or "warning", **measured)]
 
 
 def _is_tilt(pose: RestPose) -> bool:
@@ -380,7 +380,7 @@ def _origin(pose: RestPose, mapping: RecordingMap) -> list[ImportFinding]:
     return causes.ORIGIN.beyond(
         float(np.linalg.norm(offset_m)),
         height_m=abs(offset_m[2]), way="low" if offset_m[2] > 0 else "high",
-        aside_m=np.hypot(*offset_m[:2]), seen_m=-offset_m,
+        aside_m=np.hypot(*offset_m[:2]), off_m=-offset_m,
         new_m=np.array(mapping.frame.origin_m) + world_rotation(upright, "z").T @ offset_m,
     )  # fmt: skip
 

@@ -105,8 +105,8 @@ def judge_shared_signals(servo: Sequence[Series], mocap: Sequence[Series]) -> li
         inside = (s.time_s >= other.time_s[0]) & (s.time_s <= other.time_s[-1])
         used = s.columns[name][inside]
         differ = np.abs(np.interp(s.time_s[inside], other.time_s, other.columns[name]) - used)
-        seen = np.isfinite(differ)
-        if seen.any() and np.percentile(differ[seen], 95) > 0.01 * np.ptp(used[seen]):
+        visible = np.isfinite(differ)
+        if visible.any() and np.percentile(differ[visible], 95) > 0.01 * np.ptp(used[visible]):
             names.append(name)
     if not names:
         return []
@@ -131,20 +131,20 @@ def judge_goal_sources(mapping: RecordingMap) -> list[ImportFinding]:
 
 def judge_signals(series: Sequence[Series], dof: int) -> list[ImportFinding]:
     """Findings on the signals of the joints, each file for itself."""
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for s in series:
-        found += _doubled(s, dof)
+        findings += _doubled(s, dof)
         for j in range(1, dof + 1):
             names = [n for n in (f"goal_{j}_rad", f"angle_{j}_rad") if n in s.columns]
             units = [unit for n in names for unit in _angle_unit(s, n)]
             wraps = [wrap for n in names for wrap in _wraps(s, n)]
-            found += units or wraps
+            findings += units or wraps
             if not units and not wraps and f"angle_{j}_rad" in names:
-                found += _angle_spikes(s, f"angle_{j}_rad")
+                findings += _angle_spikes(s, f"angle_{j}_rad")
                 if len(names) == 2:
-                    found += _stuck(s, j)
-            found += _current(s, j, series)
-    return found
+                    findings += _stuck(s, j)
+            findings += _current(s, j, series)
+    return findings
 
 
 def _doubled(series: Series, dof: int) -> list[ImportFinding]:
@@ -184,12 +184,12 @@ def _current(series: Series, joint: int, others: Sequence[Series]) -> list[Impor
     if name not in series.columns:
         return []
     reached, angle = _largest(series.columns[name]), series.columns.get(f"angle_{joint}_rad")
-    found = _current_spikes(series, joint, others)
+    findings = _current_spikes(series, joint, others)
     if reached > LARGEST_A:
-        found += causes.MILLIAMPERES.raised(name=name, reached=reached)
+        findings += causes.MILLIAMPERES.raised(name=name, reached=reached)
     if angle is not None and np.nanstd(angle) > LEAST_MOTION_RAD and 0 < reached < LEAST_A:
-        found += causes.SMALL_CURRENT.raised(joint=joint, reached_a=reached)
-    return found
+        findings += causes.SMALL_CURRENT.raised(joint=joint, reached_a=reached)
+    return findings
 
 
 def _stuck(series: Series, joint: int) -> list[ImportFinding]:

@@ -41,43 +41,43 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     """
     if not trial.meta.link_length_m or "tip_x_m" not in trial.columns:
         return []
-    seen = np.flatnonzero(np.isfinite(trial.tip_m).all(axis=1))
-    if not len(seen):
+    visible = np.flatnonzero(np.isfinite(trial.tip_m).all(axis=1))
+    if not len(visible):
         return []
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
-    size_m = float(np.median(np.linalg.norm(trial.tip_m[seen], axis=1)))
+    size_m = float(np.median(np.linalg.norm(trial.tip_m[visible], axis=1)))
     rows, apart_m = _from_last_row(trial)
     if not REACH[0] <= size_m / reach_m <= REACH[1] and not _marker_at(trial, rows):
         unit = unit_of_length(size_m / reach_m)
         return causes.TIP_REACH.raised(size_m=size_m, reach_m=reach_m, unit=unit)
     names = trial.meta.layout.row(-1)
     row = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     if len(rows):
         off_m = np.linalg.norm(apart_m, axis=1)
         usual_m = float(np.median(off_m))
-        found += causes.TIP_PLACE.beyond(usual_m, row=row, cause=_cause(trial, rows, apart_m))
+        findings += causes.TIP_PLACE.beyond(usual_m, row=row, cause=_cause(trial, rows, apart_m))
         if usual_m <= REFUSED_M:
             part = float(np.mean(off_m > REFUSED_M))
-            found += causes.TIP_PART.beyond(part, limit_m=REFUSED_M, row=row)
-        if any(f.level == "refused" for f in found):
-            return found
+            findings += causes.TIP_PART.beyond(part, limit_m=REFUSED_M, row=row)
+        if any(f.level == "refused" for f in findings):
+            return findings
         wrong = rows[off_m > usual_m + REFUSED_M]
         if len(wrong):
             where = at_rows(wrong, trial.time_s)
-            found += causes.TIP_ROWS.raised(off_m=off_m.max(), where=where, row=row)
-    tip_m = trial.tip_m[seen]
+            findings += causes.TIP_ROWS.raised(off_m=off_m.max(), where=where, row=row)
+    tip_m = trial.tip_m[visible]
     beyond = np.flatnonzero(np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m)
-    jumps = np.setdiff1d(seen[np.union1d(beyond, single_samples(tip_m, JUMP_M))], rows)
+    jumps = np.setdiff1d(visible[np.union1d(beyond, single_samples(tip_m, JUMP_M))], rows)
     if len(jumps):
-        found += causes.TIP_JUMPS.raised(where=at_rows(jumps, trial.time_s), row=row)
-    return found
+        findings += causes.TIP_JUMPS.raised(where=at_rows(jumps, trial.time_s), row=row)
+    return findings
 
 
 def _from_last_row(trial: Trial) -> tuple[Rows, Array]:
     """Rows in which the last marker row is valid, and the tip's place from its centre.
 
-    It is valid if three of its markers are seen, or all of fewer, and no distance within it has
+    It is valid if three of its markers are visible, or all of fewer, and no distance within it has
     changed by a centimetre.
     """
     none = np.empty(0, dtype=np.intp), np.empty((0, 3))
@@ -139,7 +139,7 @@ def _marker_at(trial: Trial, rows: Rows) -> str:
         trial.meta.layout.names, trial.markers_m[rows].swapaxes(0, 1), strict=True
     ):
         distance_m = np.linalg.norm(marker_m - trial.tip_m[rows], axis=1)
-        seen_m = distance_m[np.isfinite(distance_m)]
-        if len(seen_m) and np.median(seen_m) < SAME_PLACE_M:
+        visible_m = distance_m[np.isfinite(distance_m)]
+        if len(visible_m) and np.median(visible_m) < SAME_PLACE_M:
             return name
     return ""

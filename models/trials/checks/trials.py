@@ -31,7 +31,7 @@ from models.trials.checks.motion import (
     runs_against,
 )
 from models.trials.checks.payloads import judge_conditions, judge_payloads, judge_undeclared
-from models.trials.checks.pose import judge_pose, rest_pose, seen_mean
+from models.trials.checks.pose import judge_pose, rest_pose, visible_mean
 from models.trials.checks.signals import judge_signals
 from models.trials.checks.tip import judge_tip
 from models.trials.checks.verdict import ImportVerdict
@@ -57,7 +57,7 @@ def check_trial(trial: Trial) -> ImportVerdict:
         )
         mapping = RecordingMap(link="of the trial", described=link)
         verdict.findings += judge_markers(series, mapping)
-        rest_m = dict(zip(meta.layout.names, seen_mean(trial.markers_m[:rest]), strict=True))
+        rest_m = dict(zip(meta.layout.names, visible_mean(trial.markers_m[:rest]), strict=True))
         verdict.pose = rest_pose(rest_m, meta, trial.angle_rad[:rest].mean(axis=0))
         if verdict.pose is not None:
             verdict.findings += judge_pose(verdict.pose, mapping, "z")
@@ -69,11 +69,11 @@ def check_trial(trial: Trial) -> ImportVerdict:
 
 def judge_whole(trial: Trial) -> list[ImportFinding]:
     """Findings on a whole trial of the link."""
-    found = [*judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial)]
-    found += judge_marker_run(trial)
-    if all(f.level == "warning" for f in found) and (path := judge_root_path(trial)):
-        return [f for f in found if f.cause != "gain"] + path  # the path explains the gain
-    return found
+    findings = [*judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial)]
+    findings += judge_marker_run(trial)
+    if all(f.level == "warning" for f in findings) and (path := judge_root_path(trial)):
+        return [f for f in findings if f.cause != "gain"] + path  # the path explains the gain
+    return findings
 
 
 def read_usable_trials(
@@ -89,13 +89,13 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
     """Refuse trials whose errors would silently spoil a fit or a diagnosis."""
     known: dict[bytes, Trial] = {}
     for trial in trials:
-        found: list[ImportFinding] = []
+        findings: list[ImportFinding] = []
         for j in range(1, trial.meta.dof + 1):
             goal, angle = (trial.columns.get(f"{of}_{j}_rad") for of in ("goal", "angle"))
             if goal is not None and angle is not None and runs_against(goal, angle):
-                found += causes.GOAL_AGAINST.raised(joint=j)
-        found += [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
-        for finding in found:
+                findings += causes.GOAL_AGAINST.raised(joint=j)
+        findings += [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
+        for finding in findings:
             if finding.level == "refused":
                 raise InputError(trial.path, finding.text, finding.remedy)
         samples = hashlib.sha256()
@@ -115,14 +115,14 @@ LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity"
 
 def check_trials(trials: TrialSet) -> list[ImportFinding]:
     """Findings on trials that are fitted together: links, pressures, payloads, held-out trials."""
-    found = [*_judge_links(trials), *judge_pressures(trials), *judge_doubled(trials)]
-    found += [*judge_payloads(list(trials)), *judge_not_fitted(trials)]
+    findings = [*_judge_links(trials), *judge_pressures(trials), *judge_doubled(trials)]
+    findings += [*judge_payloads(list(trials)), *judge_not_fitted(trials)]
     if not len(trials.split()[1]):
-        found += causes.NO_TEST.raised()
+        findings += causes.NO_TEST.raised()
     two = [t for t in trials if t.meta.dof == 2 and np.ptp(t.angle_rad, axis=0).all()]
     if two and all(abs(float(np.corrcoef(*t.angle_rad.T)[0, 1])) >= 0.98 for t in two):
-        found += causes.TOGETHER.raised()
-    return found
+        findings += causes.TOGETHER.raised()
+    return findings
 
 
 def refuse_mixed_links(trials: Sequence[Trial]) -> None:
@@ -135,12 +135,12 @@ def refuse_mixed_links(trials: Sequence[Trial]) -> None:
 
 def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Findings on trials of several links: sizes, mounting, markers."""
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for key in LINK_FACTS:
         values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
         if len(values) > 1:
-            found += causes.LINK_SIZE.raised(key=key, listed="; ".join(map(_worded, values)))
-    return found
+            findings += causes.LINK_SIZE.raised(key=key, listed="; ".join(map(_worded, values)))
+    return findings
 
 
 def _worded(value: Any) -> str:
@@ -163,7 +163,7 @@ def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
 def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Findings on trials of one recording, or with the same angles: a copy is no test."""
     known: dict[bytes | str, Trial] = {}
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for trial in trials:
         keys: list[bytes | str] = [trial.meta.recording_sha256] * bool(trial.meta.recording_sha256)
         if trial.angle_rad.std() > 0:
@@ -175,8 +175,8 @@ def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
         first, second = other.name, trial.name
         if first == second:
             first, second = str(other.path), str(trial.path)
-        found += causes.COPY.raised(first=first, second=second)
-    return found
+        findings += causes.COPY.raised(first=first, second=second)
+    return findings
 
 
 def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
