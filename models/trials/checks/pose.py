@@ -38,8 +38,8 @@ _, SMALL_TILT_RAD = causes.TILT.limits
 class RestPose:
     """Pose of the link at rest, compared with the nominal link.
 
-    It is made of the mean places (k, 3) of the markers `names` in the order of a trial, and the
-    joint angles (dof,).
+    It follows from the mean places, (k, 3), of the markers `names` in the order of a trial, and the
+    joint angles, (dof,).
     """
 
     def __init__(
@@ -54,9 +54,8 @@ class RestPose:
         # Index of the nominal place at which each marker is, and what the names are in words
         self.places = at = _places(names, measured_m, straight_m + sag_m, layout)
         self.order = order_words(names, at, layout)
-        self.nominal_m = (
-            straight_m + _stiffness_ratio(straight_m[at], sag_m[at], measured_m) * sag_m
-        )
+        sag_m = _stiffness_ratio(straight_m[at], sag_m[at], measured_m) * sag_m
+        self.nominal_m = straight_m + sag_m
         placed_m = self.nominal_m[at]
         # measured = rotation placed + crossing. The joint axes cross there if the whole tilt
         # belongs to the frame, none to the link.
@@ -88,9 +87,8 @@ def rest_pose(
 
     `markers_m` is NaN for an occluded marker; `rest_rad` (dof,) are the joint angles.
     """
-    visible = {
-        n: markers_m[n] for n in meta.layout.names if np.isfinite(markers_m.get(n, np.nan)).all()
-    }
+    means_m = {name: markers_m[name] for name in meta.layout.names if name in markers_m}
+    visible = {name: mean_m for name, mean_m in means_m.items() if np.isfinite(mean_m).all()}
     if len(visible) < 4:
         return None
     rest_rad = np.zeros(meta.dof) if rest_rad is None else np.asarray(rest_rad)
