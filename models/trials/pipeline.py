@@ -148,8 +148,7 @@ class Inspection:
         # Check each file, and align the markers to the world frame
         if meta is not None:
             zero_m = to_world(np.zeros(3), mapping.frame, "z")
-            remedy = "check that these markers were hidden: the samples are not used"
-            series, zeros = without_zeros(series, mapping.known_markers, zero_m, remedy)
+            series, zeros = without_zeros(series, mapping.known_markers, zero_m)
             verdict.findings += zeros
             verdict.findings += [*judge_markers(series, mapping), *judge_goal_sources(mapping)]
             for side in filter(None, (servo, series)):
@@ -163,8 +162,7 @@ class Inspection:
         if servo:
             servo = self._on_mocap_clock(servo, series, epoch_s - servo_epoch_s)
         elif meta is not None:
-            remedy = "give the angles as a second file with --servo"
-            verdict.clock, late = judge_common_clock(series, meta, remedy)
+            verdict.clock, late = judge_common_clock(series, meta)
             verdict.findings += late
         series = [*series, *servo]
         if meta is not None:

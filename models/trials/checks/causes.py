@@ -13,6 +13,9 @@ import string
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from firmware_py.display_units import ANGLE, DURATION, LENGTH
 
 Level = Literal["refused", "warning"]
@@ -28,9 +31,13 @@ class ImportFinding(NamedTuple):
 
 
 class _Sentences(string.Formatter):
-    """Formatter that shows SI values in the usual units: `{angle_rad:deg}`, `{size_m:mm0}`."""
+    """Formatter of SI values in the usual units, `{angle_rad:deg}`, of lists and vectors."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec == "listed":
+            return " and ".join(filter(None, [", ".join(value[:-1]), value[-1]]))
+        if format_spec == "vector":
+            return ", ".join(f"{round(float(v), 2) + 0.0:g}" for v in value)  # without -0
         for name, unit in (("deg", ANGLE), ("mm", LENGTH), ("ms", DURATION)):
             if format_spec.startswith(name):
                 decimals = format_spec.removeprefix(name)
@@ -39,6 +46,20 @@ class _Sentences(string.Formatter):
 
 
 _SENTENCES: Final = _Sentences()
+
+
+def at_rows(rows: NDArray[np.intp], time_s: NDArray[np.float64], noun: str = "row") -> str:
+    """Rows of a trial in words, counted as in its file, whose header is row 1.
+
+    With `noun` "sample", samples of a recording, counted from 1.
+    """
+    first, last = int(rows[0]), int(rows[-1])
+    header = 2 if noun == "row" else 1
+    if first == last:
+        return f"{noun} {first + header} ({time_s[first]:.2f} s)"
+    of = "" if len(rows) == last - first + 1 else f"{len(rows)} of the "
+    times = f"({time_s[first]:.2f} s to {time_s[last]:.2f} s)"
+    return f"{of}{noun}s {first + header} to {last + header} {times}"
 
 
 WARNS: Final = (-math.inf, math.inf)
@@ -82,21 +103,24 @@ ABSENT_MARKER = Cause("absent", REFUSES,
     "{name} is mapped to {source!r}, which the file does not hold",
     "correct [markers] in MAP.toml")
 NOT_MAPPED = Cause("absent", WARNS,
-    "the file holds no {names}: there is no Deformation Index without",
+    "the file holds no {names:listed}: there is no Deformation Index without",
     "map them under [markers], or use the plant without DI")
 OCCLUDED = Cause("occluded", (0.2, 0.8),  # fraction of the rows
-    "{name} is unseen in {size:.0%} of the rows",
+    "{name} is occluded in {size:.0%} of the rows",
     "check its name, or record it again with the marker in view")
 ZEROS = Cause("zeros", WARNS,
-    "markers are at exactly 0, 0, 0 between {first_s:.2f} s and {last_s:.2f} s ({listed} samples), "
-    "as some exports write an occlusion",
-    "{remedy}")
+    "markers are at exactly 0, 0, 0 between {first_s:.2f} s and {last_s:.2f} s ({counts:listed} "
+    "samples), as some exports write an occlusion: these samples are left out",
+    "leave these cells empty where the marker was hidden, and compute the tip there from the other "
+    "markers of its row")
 HELD = Cause("held", WARNS,
-    "{text}", "leave these cells empty where the marker was not seen")
+    "the position of {names:listed} is constant in {rows}, while {meanwhile} by {moved_m:mm0}",
+    "leave these cells empty where the marker was occluded")
 EXCHANGED = Cause("swapped", WARNS,
-    "{text}", "exchange them in these rows and correct the tip")
+    "{order} in {rows}", "exchange them in these rows and correct the tip")
 OUT_OF_PLACE = Cause("place", WARNS,
-    "{text}",
+    "the place of {names:listed} is wrong in {rows}: distances to the neighbours are off by up to "
+    "{off_m:mm0}",
     "leave these cells empty, or label the markers again and export anew")
 
 # Pose at rest.
@@ -116,11 +140,11 @@ SCALE = Cause("scale", (0.015, 0.05),  # relative error of the distances
 ROW_SPACING = Cause("scale", SCALE.limits,
     "the rows of markers are {ratio:.4g} times as far apart as those of the link, the corners "
     "{other:.4g} times",
-    "correct link_length_m (it fits at {found_m:.3f} m), or the heights of the rows")
+    "correct link_length_m (it fits at {fits_m:.3f} m), or the heights of the rows")
 CORNER_SPACING = Cause("scale", (0.06, 0.3),  # markers sit a little inside of the edges
     "the corners of a row are {ratio:.4g} times as far apart as those of the link, the rows "
     "{other:.4g} times",
-    "correct link_width_m (it fits at {found_m:.3f} m), or the places of the corners")
+    "correct link_width_m (it fits at {fits_m:.3f} m), or the places of the corners")
 SAG = Cause("sag", WARNS,
     'align = "rest" takes the link for straight, but at rest it sags by about {sag_m:mm0}',
     'align by the base\'s markers, or give the frame with align = "none"')
@@ -147,18 +171,22 @@ ZERO = Cause("zero", REFUSES,
     "zero is elsewhere",
     "set offset = {offset_rad:.4f} for angle_{joint}_rad and goal_{joint}_rad in MAP.toml")
 ORIGIN = Cause("origin", (0.008, 0.025),  # m, from the crossing of the joint axes
-    "the origin is {where}", "{remedy}")
+    "the origin is {height_m:.3f} m too {way} and {aside_m:.3f} m aside ({off_m[0]:+.3f}, "
+    "{off_m[1]:+.3f})",
+    "set origin_m = [{new_m[0]:.3f}, {new_m[1]:.3f}, {new_m[2]:.3f}] under [frame] (correct the "
+    "tilt first if there is one), or correct base_offset_m")
 SHAPE = Cause("shape", (0.006, 0.015),  # m, after the best rigid motion
     "{name} is {size:mm0} from its place on the link",
     "check its name under [markers], its place, and the size of the link")
 BASE_ORDER = Cause("base", REFUSES,
-    "by the base's markers the link {wrong}",
+    "by the base's markers the link leans by {tilt_rad:deg}, is turned by {yaw_rad:deg} and is "
+    "{off_m:.3f} m off",
     "correct b01 … b04 under [markers]: the corners (+x, +y), (-x, +y), (+x, -y), (-x, -y) of the "
     "base plate")
 REST_ROWS: Final = (20, 2)
 """Rows at rest; fewer than the first warn, fewer than the second refuse."""
 SHORT_REST = Cause("rest", WARNS,
-    "{rows} at rest before the motion, the reference of the Deformation Index",
+    "{rest} rows at rest before the motion, the reference of the Deformation Index",
     f"start both recordings at least {REST_ROWS[0]} rows before the motion")
 REST_MOVES = Cause("rest", (0.003, 0.010),  # m
     "a marker moves by {size:mm} within the {rest} rest rows",
@@ -171,11 +199,11 @@ FIXED_BASE = Cause("base", REFUSES,
     "{due_m:mm0}: they are on a fixed stand",
     'leave b01 … b04 out of [markers], and set align = "rest" or "none" under [frame]')
 BASE_OFFSET = Cause("base offset", (0.004, 0.012),  # m
-    "the base's markers move on circles about axes {found_m:.3f} m below the base plate, "
+    "the base's markers move on circles about axes {fits_m:.3f} m below the base plate, "
     "base_offset_m says {stated_m:.3f} m",
-    "set base_offset_m = {found_m:.3f}, in link.toml too")
+    "set base_offset_m = {fits_m:.3f}, in link.toml too")
 ROOT_PATH = Cause("base offset", (0.010, math.inf),  # m
-    "the first marker row moves as on a base plate {found_m:.3f} m above the joint axes, "
+    "the first marker row moves as on a base plate {fits_m:.3f} m above the joint axes, "
     "base_offset_m says {stated_m:.3f} m",
     "measure it, and correct base_offset_m or the place of the first row")
 
@@ -189,39 +217,36 @@ FRAME_NUMBERS = Cause("time", REFUSES,
     'map the column of the times, or set scale = 1 over the frame rate, or unit = "ms", for time_s '
     "in MAP.toml")
 STEP = Cause("step", WARNS,
-    "the samples of {file} are {own_s:ms} apart and the trial's rows {step_s:ms}: its goals are "
+    "the samples of {file} are {file_s:ms} apart and the trial's rows {step_s:ms}: its goals are "
     "held from sample to sample and come late or early",
-    "set step_s = {own_s:.4g} in MAP.toml")
+    "set step_s = {file_s:.4g} in MAP.toml")
 GAP = Cause("gap", (0.035, 0.1),  # s without a sample: two periods of a motion below 4 Hz
     "{file} has no samples for {size:.3f} s from {start_s:.2f} s on",
     "cut the recording there, or record it again")
 CLOCK_ERROR = Cause("clock", (0.002, 0.02),  # s, half of the interval; the tip moves at 0.7 m/s
     "the clock's offset is known to ±{size:ms} only",
     "map m01 to m08, record more motion, or record a sync signal in both files")
-CLOCK_DRIFT_S: Final = 0.002
-DRIFT_DEVIATIONS: Final = 3.0
-"""Number of standard errors that a drift must exceed."""
-CLOCK_DRIFT = Cause("clock", WARNS,
-    "the two clocks drift apart by {change_s:ms} in {over_s:.1f} s",
+CLOCK_DRIFT = Cause("clock", (0.002, math.inf),  # s
+    "the two clocks drift apart by {size:ms} in {over_s:.1f} s",
     "correct the frame rate of the motion capture, or record shorter takes")
 FRAME_RATE = Cause("rate", REFUSES,
     "angle and motion fit (correlation {correlation:.3f}) once the times of {file} are multiplied "
     "by {factor:.4g}: the frame rate of one of the files is wrong",
     "correct the frame rate, as with scale = {factor:.4g} for time_s in MAP.toml, or export the "
     "motion capture again")
-GIVEN_CLOCK_S: Final = 0.002
-"""Difference of the user's offset from the estimate, beyond three half widths."""
-GIVEN_CLOCK = Cause("clock", WARNS,
-    "the offset given by hand, {given_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
-    "{found_s:.4f} s ± {error_s:ms2}",
+CLOCK_OPTION = Cause("clock", (0.002, math.inf),  # s, beyond three half widths
+    "the offset given by hand, {option_s:.4f} s, differs by {differs_s:ms} from that of the {by}, "
+    "{estimate_s:.4f} s ± {error_s:ms2}",
     "leave out --offset (offset_s in a table of takes), or correct it")
 COMMON_CLOCK = Cause("clock", (0.01, 0.05),  # s between markers and angles of one file
-    "the markers are {late_s:.3f} s {late} against the angles", "{remedy}")
+    "the markers are {size:.3f} s {late} against the angles",
+    "import the recordings again, the angles as a second file with --servo; dropstitch gap names "
+    "an offset that stays (sync_offset)")
 
 # Signals of the servo.
 
 SHARED_SIGNAL = Cause("twice", WARNS,
-    "{name} in {own} and in {other} differ by up to {most:.3g}{more}: what {own} holds is used",
+    "{names:listed} in {servo} and in {mocap} differ: what {servo} holds is used",
     "leave it out of the file that is wrong")
 DOUBLED_SIGNAL = Cause("doubled", REFUSES,
     "{one} and {other} hold the same values", "map each to its own column")
@@ -229,12 +254,11 @@ GOAL_FROM_ANGLE = Cause("goal", WARNS,
     "goal and angle of joint {joint} are both taken from {source!r}: the servo's own error is lost",
     "map the goals, or say in 'notes' under [trial] that they were not logged")
 STUCK = Cause("stuck", (0.03, 0.1),  # rad of the goal; a servo with stiction lags by less
-    "angle_{joint}_rad does not change for {held_s:ms} from {first_s:.2f} s on, while its goal "
+    "angle_{joint}_rad does not change for {still_s:ms} from {first_s:.2f} s on, while its goal "
     "moves by {size:deg}",
     "check torque and current limit of the servo, or cut the recording there")
 WRAP = Cause("wrap", REFUSES,
-    "{name} jumps by {jump:deg} from sample {sample} to {next} ({at_s:.2f} s){times}: its count "
-    "starts again after a turn",
+    "{name} jumps by {jump:deg} after {where}: its count starts again after a turn",
     "write it without jumps: where it counts from 0 to 360 deg, subtract 360 deg above 180 deg")
 ANGLE_SPIKE = Cause("spike", WARNS,
     "{name} jumps by {jump:deg} and back in {where}: no joint moves like that",
@@ -243,10 +267,16 @@ CURRENT_SPIKE = Cause("spike", WARNS,
     "{name} jumps to {jump:.3g} A and back in {where}, the others lie between {low:.3g} and "
     "{high:.3g} A",
     "correct the sample by its neighbours: one such sample changes a fit")
-UNIT = Cause("unit", REFUSES,
-    "{name} reaches {reached:.3g}: it is in {unit}", "set {remedy} for {name} in MAP.toml")
+DEGREES = Cause("unit", REFUSES,
+    "{name} reaches {reached:.3g}: it is in deg", 'set unit = "deg" for {name} in MAP.toml')
+COUNTS = Cause("unit", REFUSES,
+    "{name} reaches {reached:.3g}: it is in counts of the encoder",
+    "set scale = 0.0015339 (4096 counts per turn) and offset for {name} in MAP.toml")
+MILLIAMPERES = Cause("unit", REFUSES,
+    "{name} reaches {reached:.3g}: it is in mA, or in counts of the servo",
+    'set unit = "mA", or the servo\'s A per count as scale, for {name} in MAP.toml')
 SMALL_CURRENT = Cause("unit", WARNS,
-    "current {joint} reaches {reached} only, less than friction takes: its unit is wrong",
+    "current {joint} reaches {reached_a:.2g} A only, less than friction takes: its unit is wrong",
     "correct unit or scale of current_{joint}_a")
 SIGN = Cause("sign", REFUSES,
     "joint {joint} counts the other way: its angle and the link's direction correlate by "
@@ -269,13 +299,17 @@ GAIN = Cause("gain", (0.15, 0.3),  # deviation from one; the bend adds 0.1 at 2 
     "the link turns {gain:.3g} times as far as the angle says{unit}",
     "check the angle's unit, the gear ratio, base_offset_m, and that the log is of this take")
 GOAL_AGAINST = Cause("goal", REFUSES,
-    "goal and angle of joint {joint} {what}", "correct the sign or unit of goal_{joint}_rad")
+    "goal and angle of joint {joint} run against each other",
+    "correct the sign of angle_{joint}_rad")
+GOAL_FACTOR = Cause("goal", REFUSES,
+    "goal and angle of joint {joint} differ by a factor of {factor:.3g}",
+    "correct the unit of goal_{joint}_rad")
 GOAL_BEHIND = Cause("goal", WARNS,
     "angle_{joint}_rad moves {lead_s:ms} before goal_{joint}_rad: no servo knows its goal before, "
     "so the two columns are exchanged or the goals come from another clock",
     "exchange them in MAP.toml, or correct the times of the goals")
 AMPLITUDE = Cause("amplitude", (0.3, math.inf),  # relative difference; only a warning
-    "the goals reach {reach}, amplitude_rad says {stated}{unit}",
+    "the goals reach {reach_rad:deg}, amplitude_rad says {stated_rad:deg}{unit}",
     "correct amplitude_rad under [trial]")
 CURRENTS_SWAPPED = Cause("current", WARNS,
     "currents 1 and 2 are swapped", "exchange their columns in MAP.toml")
@@ -290,10 +324,11 @@ CURRENT_SIZE = Cause("current", WARNS,
 # Goals and conditions.
 
 STILL_GOAL = Cause("goal", REFUSES,
-    "angle_{joint}_rad moves by {moved_rad:deg} while goal_{joint}_rad {only}",
+    "angle_{joint}_rad moves by {moved_rad:deg} while goal_{joint}_rad stands still within "
+    "{goal_rad:deg}",
     "give the goals that were sent, or set amplitude_rad = 0 where the joint was moved by hand")
 STILL_GOALS = Cause("amplitude", WARNS,
-    "the goals stand still, amplitude_rad says {stated}",
+    "the goals stand still, amplitude_rad says {stated_rad:deg}",
     "correct amplitude_rad, or give the goals that were sent")
 MISSING_ROWS = Cause("gap", WARNS,
     "goal_{joint}_rad and angle_{joint}_rad jump together by {jump:deg} in row {row} "
@@ -302,9 +337,9 @@ MISSING_ROWS = Cause("gap", WARNS,
 NO_SINUSOID = Cause("period", WARNS,
     "the goals are no sinusoid with the period of {period_s:g} s",
     "correct period_s or motion under [trial]")
-PERIOD = Cause("period", WARNS,
+PERIOD = Cause("period", (0.005, math.inf),  # relative difference; only a warning
     "the goals repeat after {period_s:.3f} s, period_s says {stated_s:.3f} s: the time step or "
-    "period_s is wrong by {off:.1%}",
+    "period_s is wrong by {size:.1%}",
     "correct period_s, or the step and the unit of the times")
 MOTION = Cause("motion", WARNS,
     "the goals are a sinusoid of {period_s:.3f} s, motion says {motion!r}",
@@ -316,17 +351,19 @@ PRESSURE_UNIT = Cause("pressure", REFUSES,
     "pressure_pa is {pressure_pa:g}: that is not in Pa",
     "give it in Pa: 6 PSI are 41370 Pa, 0.4 bar are 40000 Pa")
 CONDITIONS = Cause("conditions", REFUSES,
-    "[conditions] names {names}, which no plant of the link declares",
-    "take [conditions] out, which is for plants with [signals]{instead}")
+    "[conditions] names {names:listed}, which no plant of the link declares",
+    "take [conditions] out, which is for plants with [signals]; conditions of the link, such as "
+    "payload_kg, stand above it")
 GRAVITY_SIZE = Cause("gravity", REFUSES,
-    "gravity_m_s2 is [{stated}], {size_m_s2:.3g} m/s²{unit}",
+    "gravity_m_s2 is [{stated:vector}], {size_m_s2:.3g} m/s²: a wrong unit, such as g",
     "leave it out for an upright link, or give the direction with 9.81 m/s²")
 GRAVITY_LOW = Cause("gravity", WARNS,
-    "gravity_m_s2 is [{stated}], {size_m_s2:.3g} m/s²: right only where a balloon carries the rest "
-    "of the weight (effective_weight in link.toml)",
+    "gravity_m_s2 is [{stated:vector}], {size_m_s2:.3g} m/s²: right only where a balloon carries "
+    "the rest of the weight (effective_weight in link.toml)",
     f"otherwise {GRAVITY_SIZE.remedy}")
 GRAVITY_DIRECTION = Cause("gravity", WARNS,
-    "current {joint} holds a weight that pulls along [{shown}], gravity_m_s2 is [{stated}]",
+    "current {joint} holds a weight that pulls along [{shown:vector}], gravity_m_s2 is "
+    "[{stated:vector}]",
     "correct gravity_m_s2 (leave it out for an upright link), or the signs of angle_{joint}_rad "
     "and current_{joint}_a")
 
@@ -336,19 +373,31 @@ TIP_REACH = Cause("tip", REFUSES,
     "the tip is {size_m:.3g} m from the joint axes, the end of the link {reach_m:.3g} m{unit}",
     "correct the unit or place of tip (tip_x_m, tip_y_m, tip_z_m), or link_length_m")
 TIP_PLACE = Cause("tip", SHAPE.limits,
-    "the tip is {off} from the centre of the last marker row ({row}){cause}",
+    "the tip is {size:mm} from the centre of the last marker row ({row}){cause}",
     "correct tip in [markers] of the map (the pivot of its rigid body), or leave it out to have it "
     "computed, and import again")
+TIP_PART = Cause("tip", (math.inf, 0.1),  # fraction of the rows; fewer are outliers
+    "the tip is beyond {limit_m:mm0} from the centre of the last marker row ({row}) in {size:.0%} "
+    "of the rows", TIP_PLACE.remedy)
 TIP_ROWS = Cause("tip", WARNS,
-    "the tip is {what} in {where}",
+    "the tip is up to {off_m:mm0} from the centre of {row} in {where}",
     "correct the tip there: the centre of {row}, or interpolate it")
+TIP_JUMPS = Cause("tip", WARNS,
+    "the tip is off its course in {where}", TIP_ROWS.remedy)
 
 # What several trials hold together.
 
-PAYLOAD = Cause("payload", WARNS,
-    "{text}", "correct payload_kg where it is wrong")
+SAME_PAYLOAD = Cause("payload", WARNS,
+    "{low} and {high} are both of {payload_kg:g} kg, but the {signal} shows {ratio:.2f} times the "
+    "load in the second", "correct payload_kg where it is wrong")
+LESS_LOAD = Cause("payload", WARNS,
+    "the {signal} shows less load in the trials of {payload_kg:g} kg than in those of "
+    "{less_kg:g} kg", SAME_PAYLOAD.remedy)
+PAYLOAD_BETWEEN = Cause("payload", WARNS,
+    "the {signal} shows {shown_kg:.2g} kg in the trials of {payload_kg:g} kg, by those of "
+    "{around_kg[0]:g} and {around_kg[1]:g} kg", SAME_PAYLOAD.remedy)
 SERVO_LOG = Cause("servo log", WARNS,
-    "{text}, while the link's bend fits the payloads: a servo log belongs to another take",
+    "{contradiction}, while the link's bend fits the payloads: a servo log belongs to another take",
     "import the takes again, each with its own servo log")
 PAYLOAD_SIZE = Cause("payload unit", (2.0, 5.0),  # moment relative to that which folds the link
     "a payload of {payload_kg:g} kg would load the link's root with {moment_nm:.3g} N.m, which "
@@ -370,12 +419,13 @@ PRESSURES = Cause("pressure", WARNS,
     "it",
     "fit a plant or a predictor to the trials of one pressure")
 COPY = Cause("doubled", WARNS,
-    "{first} and {second} {what}", "import each recording once; a copy is no test")
+    "{first} and {second} hold the same angles or are of one recording",
+    "import each recording once; a copy is no test")
 NO_TEST = Cause("held out", WARNS,
     "no trial is left to test on",
     "record a second trial of each payload before a plant or a predictor is fitted to these")
 NOT_FITTED = Cause("held out", WARNS,
-    "nothing is fitted to {listed}: smaller amplitude only",
+    "nothing is fitted to {payloads:listed}: smaller amplitude only",
     "record these payloads with the largest amplitude too, or use them as a test")
 TOGETHER = Cause("joints", WARNS,
     "both joints move together in every trial",

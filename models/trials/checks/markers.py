@@ -1,4 +1,4 @@
-"""Markers over a run: absent, occluded, moving at rest, held, exchanged or out of place.
+"""Markers over a run: absent, occluded, moving at rest, constant, exchanged or out of place.
 
 Distances between markers of a section, and to the next one, are compared with those at rest: a
 section keeps its shape, and the bend to its neighbours is small. On every rig, with each effect and
@@ -10,20 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import combinations
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import LENGTH
-from firmware_py.link.marker_layout import MarkerLayout
 from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
-from models.trials.checks.causes import Cause, ImportFinding
+from models.trials.checks.causes import ImportFinding, at_rows
+from models.trials.checks.pose import nearest_order, order_words, visible_mean
 from models.trials.recordings.mapping import RecordingMap
-from models.trials.recordings.series import Series
-from models.trials.trial import Array, Trial
+from models.trials.recordings.series import Series, fit_rigid_motion, nominal_markers_m
+from models.trials.trial import Array, Trial, TrialMeta
 
 Rows = NDArray[np.intp]
 
@@ -32,20 +30,20 @@ def judge_markers(series: Sequence[Series], mapping: RecordingMap) -> list[Impor
     """Findings on markers that are mapped but absent, or occluded most of the time."""
     columns = {name: values for s in series for name, values in s.columns.items()}
     markers = mapping.layout.names
-    given = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
-    if not given:
+    present = [n for n in (*markers, "tip") if f"{n}_x_m" in columns]
+    if not present:
         return []
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for name, source in mapping.markers.items():
         if f"{name}_x_m" not in columns:
-            found += causes.ABSENT_MARKER.raised(name=name, source=source)
-    missing = [n for n in markers if n not in given and n not in mapping.markers]
-    if missing and given != ["tip"]:
-        found += causes.NOT_MAPPED.raised(names=", ".join(missing))
-    for name in given:
-        unseen = float(np.mean(~np.isfinite(columns[f"{name}_x_m"])))
-        found += causes.OCCLUDED.beyond(unseen, name=name)
-    return found
+            findings += causes.ABSENT_MARKER.raised(name=name, source=source)
+    missing = [n for n in markers if n not in present and n not in mapping.markers]
+    if missing and present != ["tip"]:
+        findings += causes.NOT_MAPPED.raised(names=missing)
+    for name in present:
+        occluded = float(np.mean(~np.isfinite(columns[f"{name}_x_m"])))
+        findings += causes.OCCLUDED.beyond(occluded, name=name)
+    return findings
 
 
 def judge_rest(trial: Trial) -> list[ImportFinding]:
@@ -53,26 +51,17 @@ def judge_rest(trial: Trial) -> list[ImportFinding]:
     markers_m, rest = trial.markers_m, trial.meta.rest_samples
     if not np.isfinite(markers_m).any():
         return []
-    if rest < causes.REST_ROWS[0]:
-        level: causes.Level = "refused" if rest < causes.REST_ROWS[1] else "warning"
-        return [causes.SHORT_REST.at(level, rows=f"{rest} row{'' if rest == 1 else 's'}")]
+    warned, refused = causes.REST_ROWS
+    if rest < warned:
+        return [causes.SHORT_REST.at("refused" if rest < refused else "warning", rest=rest)]
     third = max(rest // 3, 1)
-    first_m, last_m = seen_mean(markers_m[:third]), seen_mean(markers_m[rest - third : rest])
-    moved_m = np.linalg.norm(last_m - first_m, axis=-1)
-    most_m = float(np.nanmax(moved_m)) if np.isfinite(moved_m).any() else 0.0
-    return causes.REST_MOVES.beyond(most_m, rest=rest)
-
-
-def seen_mean(rows_m: Array) -> Array:
-    """Mean over rows (n, …) without those that were not seen; NaN if none was."""
-    seen = np.isfinite(rows_m)
-    count = seen.sum(axis=0)
-    total = np.where(seen, rows_m, 0.0).sum(axis=0)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+    moved_m = visible_mean(markers_m[rest - third : rest]) - visible_mean(markers_m[:third])
+    most_m = np.nan_to_num(np.linalg.norm(moved_m, axis=-1)).max()
+    return causes.REST_MOVES.beyond(float(most_m), rest=rest)
 
 
 def without_zeros(
-    series: list[Series], names: Iterable[str], zero_m: Array, remedy: str
+    series: list[Series], names: Iterable[str], zero_m: Array
 ) -> tuple[list[Series], list[ImportFinding]]:
     """Set markers at exactly zero (`zero_m`, shape (3,)) to NaN, with a finding that counts them.
 
@@ -83,29 +72,26 @@ def without_zeros(
     result = []
     for s in series:
         columns = dict(s.columns)
-        for name in names:
-            axes = [f"{name}_{axis}_m" for axis in "xyz"]
-            if not all(axis in columns for axis in axes):
-                continue
-            zero = np.logical_and.reduce(
-                [columns[axis] == at for axis, at in zip(axes, zero_m, strict=True)]
-            )
-            if zero.any() and np.isfinite(columns[axes[0]][~zero]).any():
-                columns |= {axis: np.where(zero, np.nan, columns[axis]) for axis in axes}
+        for name in filter(s.has, names):
+            zero = (s.position_m(name) == zero_m).all(axis=1)
+            if zero.any() and np.isfinite(columns[f"{name}_x_m"][~zero]).any():
+                for column in (f"{name}_{axis}_m" for axis in "xyz"):
+                    columns[column] = np.where(zero, np.nan, columns[column])
                 counts[name] = int(zero.sum())
                 times_s.append(s.time_s[zero])
-        result.append(replace(s, columns=columns) if counts else s)
+        result.append(replace(s, columns=columns))
     if not counts:
         return series, []
-    seen_s = np.concatenate(times_s)
+    zeros_s = np.concatenate(times_s)
     return result, causes.ZEROS.raised(
-        first_s=seen_s.min(), last_s=seen_s.max(), remedy=remedy,
-        listed=", ".join(f"{name} in {n}" for name, n in counts.items()),
-    )  # fmt: skip
+        first_s=zeros_s.min(),
+        last_s=zeros_s.max(),
+        counts=[f"{n} in {k}" for n, k in counts.items()],
+    )
 
 
 MOST_NAMED: Final = 4
-"""Most findings of one kind that are listed one by one."""
+"""Most findings of one cause that are listed, the longest first."""
 
 
 def judge_marker_run(trial: Trial) -> list[ImportFinding]:
@@ -113,56 +99,22 @@ def judge_marker_run(trial: Trial) -> list[ImportFinding]:
     markers_m, names, time_s = trial.markers_m, trial.meta.layout.names, trial.time_s
     if not np.isfinite(markers_m).any():
         return []
-    texts: dict[Cause, list[str]] = {
-        causes.HELD: [], causes.EXCHANGED: [], causes.OUT_OF_PLACE: []
-    }  # fmt: skip
-    for held in held_markers(trial):
-        markers_m[held.first : held.last + 1, list(held.places)] = np.nan
-        verb = "holds its position" if len(held.places) == 1 else "hold their positions"
-        meanwhile = "the link moves" if len(held.places) == len(names) else "the neighbours move"
-        where = _rows(np.arange(held.first, held.last + 1), time_s)
-        texts[causes.HELD].append(
-            f"{_listed(names, held.places)} {verb} {where}, while {meanwhile} by "
-            f"{LENGTH.text(held.moved_m, 0)}"
-        )
-    for wrong in misplaced_markers(markers_m, trial.meta.layout, trial.meta.rest_samples):
-        which, where = _listed(names, wrong.places), _rows(wrong.rows, time_s)
-        if wrong.exchanged:
-            texts[causes.EXCHANGED].append(f"{which} are exchanged {where}")
-            continue
-        texts[causes.OUT_OF_PLACE].append(
-            f"{which} {'is' if len(wrong.places) == 1 else 'are'} out of place {where}: distances "
-            f"to the neighbours are wrong by up to {LENGTH.text(wrong.off_m, 0)}"
-        )
-    found: list[ImportFinding] = []
-    for cause, of_cause in texts.items():
-        listed = of_cause[:MOST_NAMED]
-        if len(of_cause) > MOST_NAMED:
-            listed[-1] += f"; and {len(of_cause) - MOST_NAMED} times more in this trial"
-        found += [finding for text in listed for finding in cause.raised(text=text)]
-    return found
+    findings: list[ImportFinding] = []
+    holds = constant_markers(trial)
+    for (first, last), moved_m in sorted(holds.items(), key=lambda hold: hold[0][0] - hold[0][1]):
+        places, whole = list(moved_m), len(moved_m) == len(names)
+        markers_m[first : last + 1, places] = np.nan
+        findings += causes.HELD.raised(
+            names=["all markers"] if whole else [names[k] for k in places],
+            rows=at_rows(np.arange(first, last + 1), time_s),
+            meanwhile="the link moves" if whole else "the neighbours move",
+            moved_m=max(moved_m.values()),
+        )  # fmt: skip
+    return findings[:MOST_NAMED] + _misplaced(trial, markers_m)
 
 
-def _listed(names: Sequence[str], places: Iterable[int]) -> str:
-    """Names of markers in words."""
-    listed = [names[k] for k in places]
-    if len(listed) == len(names) > 1:
-        return "all markers"
-    return " and ".join(filter(None, [", ".join(listed[:-1]), listed[-1]]))
+# --- constant positions --------------------------------------------------------------------------
 
-
-def _rows(rows: Rows, time_s: Array) -> str:
-    """Rows in words, counted as in the trial's file: its header is row 1."""
-    first, last = int(rows[0]), int(rows[-1])
-    if first == last:
-        return f"in row {first + 2} ({time_s[first]:.2f} s)"
-    of = "" if len(rows) == last - first + 1 else f"{len(rows)} of the "
-    return f"in {of}rows {first + 2} to {last + 2} ({time_s[first]:.2f} s to {time_s[last]:.2f} s)"
-
-
-SAME_M: Final = 1e-9
-"""Largest change of a constant position between rows: rounding of a rotated frame."""
-LEAST_ROWS: Final = 5
 LEAST_S: Final = 0.1
 """Shortest hold that is reported; a capture at 10 Hz, held to the trial's step, is shorter."""
 MOVED_M: Final = 0.02
@@ -170,208 +122,165 @@ MOVED_M: Final = 0.02
 error of 20 ms moves the tip of the study's motion by 14 mm."""
 ALL_MOVED_M: Final = 0.06
 """The same, from the joint angles alone, if every marker holds its position."""
-NEIGHBOURS: Final = 3
-MOST_RUNS: Final = 100
+MOST_HOLDS: Final = 100
 """Number of the longest holds of a marker that are checked."""
 
 
-class HeldMarkers(NamedTuple):
-    """Markers that hold their positions over the same rows."""
+def constant_markers(trial: Trial) -> dict[tuple[int, int], dict[int, float]]:
+    """Holds of markers that contradict the link's motion.
 
-    places: tuple[int, ...]  # Indices of the markers in the layout
-    first: int  # First and last row in the trial
-    last: int
-    moved_m: float  # Travel of the neighbours meanwhile, or of the markers by the joint angles
-
-
-def held_markers(trial: Trial) -> list[HeldMarkers]:
-    """Holds of markers that contradict the link's motion, in the order of the rows."""
-    markers_m = trial.markers_m
-    same = np.all(np.abs(np.diff(markers_m, axis=0)) <= SAME_M, axis=2)
-    found: dict[tuple[int, int], dict[int, float]] = {}
+    By the first and last row of a hold, the markers with the travel that was due in m: that of
+    their neighbours, or by the joint angles.
+    """
+    markers_m, time_s = trial.markers_m, trial.time_s
+    same = np.all(np.abs(np.diff(markers_m, axis=0)) <= 1e-9, axis=2)  # a rotated frame rounds
+    due_m: dict[tuple[int, int], dict[int, float]] = {}
     for place in range(markers_m.shape[1]):
-        for run in _runs(same[:, place], trial.time_s):
-            way_m = _way_m(trial, markers_m, same, place, run)
-            if way_m > 0:
-                found.setdefault(run, {})[place] = way_m
-    return [
-        HeldMarkers(tuple(ways_m), *run, max(ways_m.values()))
-        for run, ways_m in sorted(found.items())
-    ]
+        edges = np.diff(np.concatenate([[0], same[:, place].astype(int), [0]]))
+        holds = np.column_stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)])
+        holds = holds[(np.ptp(holds, axis=1) > 3) & (np.ptp(time_s[holds], axis=1) >= LEAST_S)]
+        longest = np.argsort(-np.ptp(holds, axis=1), kind="stable")[:MOST_HOLDS]
+        for first, last in holds[longest].tolist():
+            moved_m = _due_travel_m(trial, markers_m, same, place, slice(first, last + 1))
+            if moved_m > MOVED_M:
+                due_m.setdefault((first, last), {})[place] = moved_m
+    return due_m
 
 
-def _runs(same: Array, time_s: Array) -> list[tuple[int, int]]:
-    """First and last rows of the longest holds."""
-    edges = np.diff(np.concatenate([[0], same.astype(int), [0]]))
-    first, last = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    long = (last - first + 1 >= LEAST_ROWS) & (time_s[last] - time_s[first] >= LEAST_S)
-    runs = sorted(zip(first[long], last[long], strict=True), key=lambda run: run[0] - run[1])
-    return [(int(a), int(b)) for a, b in runs[:MOST_RUNS]]
-
-
-def _way_m(trial: Trial, markers_m: Array, same: Array, place: int, run: tuple[int, int]) -> float:
-    """Travel of a marker that is expected during a hold; 0 if it may have been at rest."""
-    first, last = run
-    rows = slice(first, last + 1)
-    turn = base_rotation(trial.angle_rad[rows])
-    own_m = markers_m[first, place]
-    carried_m = turn @ (turn[0].T @ own_m) - own_m
+def _due_travel_m(trial: Trial, markers_m: Array, same: Array, place: int, rows: slice) -> float:
+    """Travel of a marker that is expected while it holds; 0 if it may have been at rest."""
+    turn, start_m = base_rotation(trial.angle_rad[rows]), markers_m[rows.start, place]
+    carried_m = turn @ (turn[0].T @ start_m) - start_m
     rigid_m = float(np.linalg.norm(carried_m, axis=1).max())
-    if rigid_m < MOVED_M:
-        return 0.0
-    free = np.flatnonzero(~same[first:last].all(axis=0) & np.isfinite(markers_m[first, :, 0]))
-    if not len(free):
+    moving = ~same[rows.start : rows.stop - 1].all(axis=0)
+    free = np.flatnonzero(moving & np.isfinite(markers_m[rows.start, :, 0]))
+    if rigid_m < MOVED_M or not len(free):
         return rigid_m if rigid_m > ALL_MOVED_M else 0.0
-    distance_m = np.linalg.norm(markers_m[first, free] - own_m, axis=1)
-    near = free[np.argsort(distance_m, kind="stable")[:NEIGHBOURS]]
-    apart_m = np.linalg.norm(markers_m[rows, near] - markers_m[first, near], axis=2)
-    way_m = float(np.median(np.fmax.reduce(apart_m, axis=0)))
-    return way_m if way_m > MOVED_M else 0.0
+    distance_m = np.linalg.norm(markers_m[rows.start, free] - start_m, axis=1)
+    near = free[np.argsort(distance_m, kind="stable")[:3]]
+    apart_m = np.linalg.norm(markers_m[rows, near] - markers_m[rows.start, near], axis=2)
+    return float(np.median(np.fmax.reduce(apart_m, axis=0)))
 
+
+# --- wrong distances -----------------------------------------------------------------------------
 
 IN_SECTION: Final = 0.15
 """Relative change above which a distance within a section is wrong: ten times the rigs' largest."""
 TO_NEXT: Final = 0.25
 """The same between neighbouring sections: a bend of half a radian in a quarter of the link."""
-LEAST_M: Final = 0.01
-"""Change of a distance that is never wrong."""
-JOINED_ROWS: Final = 5
-"""Most correct rows between wrong ones of one stretch."""
-SAMPLED_ROWS: Final = 15
-"""Rows of a stretch that are sampled to detect an exchange."""
-MOST_CANDIDATES: Final = 20
-"""Most markers of which every exchange is tried."""
-MOST_EXCHANGES: Final = 4
-RIGHT_AGAIN: Final = 0.9
-"""Fraction of the sampled rows that an exchange must correct."""
-PRESENT: Final = 0.2
-"""Fraction of a stretch in which a marker must be wrong to be named."""
 MOST_STRETCHES: Final = 50
-"""Number of the longest stretches that are checked one by one; all others form one finding."""
+"""Number of the longest stretches that are checked one by one; all others are checked as one."""
 ROWS_AT_ONCE: Final = 2000
 """Most rows whose distances are in memory, and most of a stretch that name its markers."""
-
-
-class Misplaced(NamedTuple):
-    """Markers at a wrong position over a stretch of rows."""
-
-    places: tuple[int, ...]  # Indices of the markers in the layout; two for an exchange
-    exchanged: bool  # Whether the two have each other's position
-    rows: Rows  # Rows of the trial in which distances are wrong
-    off_m: float  # Largest change of a distance
 
 
 class _Distances:
     """Pairs of markers, their distances at rest and the limits of change."""
 
-    def __init__(self, markers_m: Array, layout: MarkerLayout, rest: int) -> None:
-        first, second = np.triu_indices(layout.count, 1)
-        near = second // layout.corners - first // layout.corners <= 1
+    def __init__(self, meta: TrialMeta, markers_m: Array) -> None:
+        first, second = np.triu_indices(meta.layout.count, 1)
+        sections_apart = second // meta.layout.corners - first // meta.layout.corners
+        near = sections_apart <= 1
         self.first, self.second = first[near], second[near]
-        nominal_m = np.array([(x, y, z) for z in layout.rows_m for x, y in layout.corners_m])
-        self.rest_m = self.of(nominal_m[None])[0]
-        at_rest_m = self.of(markers_m[: min(max(rest, 1), ROWS_AT_ONCE)])
-        seen = np.isfinite(at_rest_m).any(axis=0)
-        self.rest_m[seen] = np.nanmedian(at_rest_m[:, seen], axis=0)
-        same = self.first // layout.corners == self.second // layout.corners
-        self.limit_m = np.maximum(np.where(same, IN_SECTION, TO_NEXT) * self.rest_m, LEAST_M)
+        at_rest_m = visible_mean(self.of(markers_m[: min(max(meta.rest_samples, 1), ROWS_AT_ONCE)]))
+        nominal_m = self.of(nominal_markers_m(meta)[None])[0]
+        self.rest_m = np.where(np.isfinite(at_rest_m), at_rest_m, nominal_m)
+        part = np.where(sections_apart[near] == 0, IN_SECTION, TO_NEXT)
+        self.limit_m = np.maximum(part * self.rest_m, 0.01)  # a centimetre is never wrong
 
     def of(self, markers_m: Array) -> Array:
         """Distances, shape (n, pairs); NaN if a marker is occluded."""
-        return np.asarray(
-            np.linalg.norm(markers_m[:, self.first] - markers_m[:, self.second], axis=2)
-        )
+        apart_m = markers_m[:, self.first] - markers_m[:, self.second]
+        return np.asarray(np.linalg.norm(apart_m, axis=2))
 
-    def off_m(self, markers_m: Array) -> Array:
+    def changes_m(self, markers_m: Array) -> Array:
         """Changes of the distances, shape (n, pairs); 0 if a marker is occluded."""
         return np.asarray(np.nan_to_num(np.abs(self.of(markers_m) - self.rest_m)))
 
+    def are_right(self, markers_m: Array) -> NDArray[np.bool_]:
+        """Whether no distance is wrong, by row."""
+        parts = np.array_split(markers_m, len(markers_m) // ROWS_AT_ONCE + 1)
+        right = [(self.changes_m(part) <= self.limit_m).all(axis=1) for part in parts]
+        return np.concatenate(right)
 
-def misplaced_markers(markers_m: Array, layout: MarkerLayout, rest: int) -> list[Misplaced]:
-    """Markers, (n, markers, 3), whose distances to neighbours are wrong, by stretches of rows.
 
-    The same markers in several stretches are one entry; the longest comes first.
+def _misplaced(trial: Trial, markers_m: Array) -> list[ImportFinding]:
+    """Findings on markers, (n, markers, 3), whose distances to neighbours are wrong.
+
+    The same markers in several stretches of rows are one finding.
     """
-    distances = _Distances(markers_m, layout, rest)
-    parts = range(0, len(markers_m), ROWS_AT_ONCE)
-    wrong = [distances.off_m(markers_m[k : k + ROWS_AT_ONCE]) > distances.limit_m for k in parts]
-    rows = np.flatnonzero(np.concatenate([part.any(axis=1) for part in wrong]))
-    if not len(rows):
+    layout, names = trial.meta.layout, trial.meta.layout.names
+    distances = _Distances(trial.meta, markers_m)
+    right = distances.are_right(markers_m)
+    wrong = np.flatnonzero(~right)
+    if not len(wrong):
         return []
-    stretches = np.split(rows, np.flatnonzero(np.diff(rows) > JOINED_ROWS + 1) + 1)
+    stretches = np.split(wrong, np.flatnonzero(np.diff(wrong) > 6) + 1)
     stretches.sort(key=len, reverse=True)
-    found: list[Misplaced] = []
-    for stretch in stretches[:MOST_STRETCHES]:
-        before = markers_m[stretch[0] - 1] if stretch[0] else np.full(markers_m.shape[1:], np.nan)
-        found += _exchanges(distances, markers_m, stretch, before) or [
-            _out_of_place(distances, markers_m, stretch)
-        ]
-    if stretches[MOST_STRETCHES:]:
-        rest_rows = np.sort(np.concatenate(stretches[MOST_STRETCHES:]))
-        found.append(_out_of_place(distances, markers_m, rest_rows))
-    merged: dict[tuple[tuple[int, ...], bool], Misplaced] = {}
-    for one in found:
-        other = merged.get(key := (one.places, one.exchanged))
-        if other is not None:
-            rows = np.sort(np.concatenate([other.rows, one.rows]))
-            one = Misplaced(*key, rows, max(one.off_m, other.off_m))
-        merged[key] = one
-    return sorted(merged.values(), key=lambda one: -len(one.rows))
+    if rest := stretches[MOST_STRETCHES:]:
+        stretches[MOST_STRETCHES:] = [np.sort(np.concatenate(rest))]
+    exchanged: dict[str, Rows] = {}
+    elsewhere: dict[tuple[str, ...], tuple[Rows, float]] = {}
+    for rows in stretches:
+        order = _exchange(distances, markers_m, right, rows)
+        if order is not None:
+            words = order_words(names, order, layout)
+            exchanged[words] = np.union1d(exchanged.get(words, rows), rows)
+            continue
+        worst, off_m = _worst(distances, markers_m, rows)
+        which = tuple(names[k] for k in worst)
+        known, known_m = elsewhere.get(which, (rows, 0.0))
+        elsewhere[which] = np.union1d(known, rows), max(known_m, off_m)
+    findings: list[ImportFinding] = []
+    for words, rows in sorted(exchanged.items(), key=lambda e: -len(e[1]))[:MOST_NAMED]:
+        findings += causes.EXCHANGED.raised(order=words, rows=at_rows(rows, trial.time_s))
+    for which, (rows, off_m) in sorted(elsewhere.items(), key=lambda e: -len(e[1][0]))[:MOST_NAMED]:
+        where = at_rows(rows, trial.time_s)
+        findings += causes.OUT_OF_PLACE.raised(names=which, rows=where, off_m=off_m)
+    return findings
 
 
-def _sample(stretch: Rows, count: int) -> Rows:
-    every = np.linspace(0, len(stretch) - 1, min(len(stretch), count)).astype(int)
-    return np.asarray(stretch[every])
+def _sample(rows: Rows, count: int) -> Rows:
+    every = np.linspace(0, len(rows) - 1, min(len(rows), count)).astype(int)
+    return np.asarray(rows[every])
 
 
-def _exchanges(
-    distances: _Distances, markers_m: Array, stretch: Rows, before_m: Array
-) -> list[Misplaced]:
-    """Exchanges of two markers that correct the distances of a stretch, or none."""
-    sampled_m, start_m = markers_m[_sample(stretch, SAMPLED_ROWS)], markers_m[stretch[0]]
-    off_m = distances.off_m(sampled_m)
-    often = ((off_m > distances.limit_m).mean(axis=0) >= 0.5).astype(float)
-    counts = np.bincount(distances.first, often, markers_m.shape[1])
-    counts += np.bincount(distances.second, often, markers_m.shape[1])
-    candidates = [k for k in np.argsort(-counts, kind="stable")[:MOST_CANDIDATES] if counts[k]]
-    order, swaps = np.arange(markers_m.shape[1]), []
+def _exchange(
+    distances: _Distances, markers_m: Array, right: NDArray[np.bool_], rows: Rows
+) -> Rows | None:
+    """Order of the markers, by the nearest right row, that corrects nine rows in ten of a stretch.
 
-    def cost(trial_order: Rows) -> float:
-        """Sum of distance changes; the jump at the start decides between mirrored exchanges."""
-        jump_m = np.nansum(np.linalg.norm(start_m[trial_order] - before_m, axis=1))
-        return float(distances.off_m(sampled_m[:, trial_order]).mean(axis=0).sum() + jump_m)
-
-    now = cost(order)
-    for _ in range(MOST_EXCHANGES):
-        tried = []
-        for i, j in combinations(sorted(candidates), 2):
-            other = order.copy()
-            other[[i, j]] = order[[j, i]]
-            tried.append((cost(other), (int(i), int(j)), other))
-        if not tried or min(tried, key=lambda t: t[0])[0] >= now:
-            return []
-        now, swap, order = min(tried, key=lambda t: t[0])
-        swaps.append(swap)
-        right = (distances.off_m(sampled_m[:, order]) <= distances.limit_m).all(axis=1)
-        if right.mean() >= RIGHT_AGAIN:
-            return [Misplaced(pair, True, stretch, float(off_m.max())) for pair in swaps]
-    return []
+    None if there is none.
+    """
+    first_m = markers_m[rows[0]]
+    visible = np.flatnonzero(np.isfinite(first_m).all(axis=1))
+    complete = np.isfinite(markers_m[:, visible]).all(axis=(1, 2))
+    comparable = np.flatnonzero(right & complete)
+    if not len(comparable) or len(visible) < 4:
+        return None
+    before_m = markers_m[comparable[np.argmin(np.abs(comparable - rows[0]))], visible]
+    start, _ = fit_rigid_motion(before_m, first_m[visible])
+    order = np.arange(len(first_m))
+    order[visible] = visible[nearest_order(first_m[visible], before_m, start)]
+    corrected_m = markers_m[_sample(rows, 15)][:, np.argsort(order)]
+    return order if distances.are_right(corrected_m).mean() >= 0.9 else None
 
 
-def _out_of_place(distances: _Distances, markers_m: Array, stretch: Rows) -> Misplaced:
-    """Markers of a stretch without which no distance is wrong; both of two equal candidates."""
-    count, sample = markers_m.shape[1], _sample(stretch, ROWS_AT_ONCE)
-    off_m = distances.off_m(markers_m[sample])
-    wrong = np.zeros((len(sample), count, count), dtype=bool)
-    wrong[:, distances.first, distances.second] = off_m > distances.limit_m
-    wrong |= wrong.transpose(0, 2, 1)
-    named = np.zeros(count)
+def _worst(distances: _Distances, markers_m: Array, rows: Rows) -> tuple[list[int], float]:
+    """Markers without which no distance of a stretch is wrong, and the largest change in m.
+
+    Distances count that are wrong in a fifth of the rows. Of markers with as many of them, all are
+    named.
+    """
+    changes_m = distances.changes_m(markers_m[_sample(rows, ROWS_AT_ONCE)])
+    part = (changes_m > distances.limit_m).mean(axis=0)
+    wrong = np.zeros((markers_m.shape[1],) * 2, dtype=bool)
+    wrong[distances.first, distances.second] = part >= min(0.2, part.max())
+    wrong |= wrong.T
+    named = np.zeros(len(wrong), dtype=bool)
     while wrong.any():
-        pairs = wrong.sum(axis=2)
-        most = pairs.max(axis=1, keepdims=True)
-        worst = (pairs == most) & (most > 0)
-        named += worst.sum(axis=0)
-        wrong &= ~(worst[:, :, None] | worst[:, None, :])
-    least = min(PRESENT * len(sample), named.max())
-    places = tuple(int(k) for k in np.flatnonzero(named >= least))
-    return Misplaced(places, False, stretch, float(off_m.max()))
+        count = wrong.sum(axis=1)
+        worst = count == count.max()
+        named |= worst
+        wrong[worst], wrong[:, worst] = False, False
+    return np.flatnonzero(named).tolist(), float(changes_m.max())

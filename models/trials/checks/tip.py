@@ -15,40 +15,22 @@ from numpy.typing import NDArray
 from firmware_py.display_units import LENGTH
 from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
-from models.trials.checks.causes import ImportFinding
+from models.trials.checks.causes import ImportFinding, at_rows
 from models.trials.checks.pose import unit_of_length
+from models.trials.checks.signals import single_samples
 from models.trials.recordings.series import row_centre_m
 from models.trials.trial import Array, Trial
 
 Rows = NDArray[np.intp]
 
-BESIDE_M: Final = causes.TIP_PLACE.limits
-REFUSED_ROWS: Final = 0.1
-"""Fraction of rows above which a tip beyond the limit is more than outliers [assumed]."""
-ROW_SHAPE_M: Final = 0.01
-"""Change of a distance within the last row above which its centre is not used in a sample."""
-FEWEST_SEEN: Final = 3
-"""Fewest visible markers of a row, or all of a smaller row."""
+WARNED_M, REFUSED_M = causes.TIP_PLACE.limits
 REACH: Final = (0.5, 1.3)
 """Distance of the tip from the joint axes, relative to a straight link's: a link bent to a half
 circle has 0.64; a larger distance means another unit or origin."""
-CONSTANT: Final = 0.1
-"""Largest change of a constant offset, relative to its length."""
-SAME_PLACE_M: Final = 1e-3
-"""Largest distance between tip and marker at the same place."""
 JUMP_M: Final = 0.02
-"""Smallest distance from the midpoint of the adjacent samples at which the tip jumps."""
-JUMP_NOISE: Final = 20.0
-"""Smallest jump, relative to the median of that distance."""
-TURNED: Final = (
-    ("x is negated", (0, 1, 2), (-1, 1, 1)),
-    ("y is negated", (0, 1, 2), (1, -1, 1)),
-    ("z is negated", (0, 1, 2), (1, 1, -1)),
-    ("x and y are exchanged", (1, 0, 2), (1, 1, 1)),
-    ("x and z are exchanged", (2, 1, 0), (1, 1, 1)),
-    ("y and z are exchanged", (0, 2, 1), (1, 1, 1)),
-)
-"""Mistakes in the axes of the tip: order and signs that undo them."""
+"""Smallest distance from the middle of the adjacent samples at which the tip jumps."""
+SAME_PLACE_M: Final = 1e-3
+"""Largest distance between points at the same place."""
 
 
 def judge_tip(trial: Trial) -> list[ImportFinding]:
@@ -59,34 +41,45 @@ def judge_tip(trial: Trial) -> list[ImportFinding]:
     """
     if not trial.meta.link_length_m or "tip_x_m" not in trial.columns:
         return []
-    seen = np.flatnonzero(np.isfinite(trial.tip_m).all(axis=1))
-    if not len(seen):
+    visible = np.flatnonzero(np.isfinite(trial.tip_m).all(axis=1))
+    if not len(visible):
         return []
     reach_m = trial.meta.base_offset_m + trial.meta.link_length_m
-    size_m = float(np.median(np.linalg.norm(trial.tip_m[seen], axis=1)))
+    size_m = float(np.median(np.linalg.norm(trial.tip_m[visible], axis=1)))
     rows, apart_m = _from_last_row(trial)
     if not REACH[0] <= size_m / reach_m <= REACH[1] and not _marker_at(trial, rows):
         unit = unit_of_length(size_m / reach_m)
         return causes.TIP_REACH.raised(size_m=size_m, reach_m=reach_m, unit=unit)
-    off_m = np.linalg.norm(apart_m, axis=1)
-    found = _beside_row(trial, rows, apart_m) if len(rows) else []
-    if any(f.level == "refused" for f in found):
-        return found
-    usual_m = float(np.median(off_m)) if len(rows) else 0.0
-    wrong = rows[off_m > usual_m + BESIDE_M[1]]
-    if len(wrong):
-        off = LENGTH.text(off_m.max(), 0)
-        what = f"up to {off} from the centre of {_last_row(trial)}"
-        found += causes.TIP_ROWS.raised(what=what, where=_where(trial, wrong), row=_last_row(trial))
-    others = np.setdiff1d(_jumps(trial, seen, reach_m), rows)
-    if len(others):
-        where = _where(trial, others)
-        found += causes.TIP_ROWS.raised(what="off its course", where=where, row=_last_row(trial))
-    return found
+    names = trial.meta.layout.row(-1)
+    row = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
+    findings: list[ImportFinding] = []
+    if len(rows):
+        off_m = np.linalg.norm(apart_m, axis=1)
+        usual_m = float(np.median(off_m))
+        findings += causes.TIP_PLACE.beyond(usual_m, row=row, cause=_cause(trial, rows, apart_m))
+        if usual_m <= REFUSED_M:
+            part = float(np.mean(off_m > REFUSED_M))
+            findings += causes.TIP_PART.beyond(part, limit_m=REFUSED_M, row=row)
+        if any(f.level == "refused" for f in findings):
+            return findings
+        wrong = rows[off_m > usual_m + REFUSED_M]
+        if len(wrong):
+            where = at_rows(wrong, trial.time_s)
+            findings += causes.TIP_ROWS.raised(off_m=off_m.max(), where=where, row=row)
+    tip_m = trial.tip_m[visible]
+    beyond = np.flatnonzero(np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m)
+    jumps = np.setdiff1d(visible[np.union1d(beyond, single_samples(tip_m, JUMP_M))], rows)
+    if len(jumps):
+        findings += causes.TIP_JUMPS.raised(where=at_rows(jumps, trial.time_s), row=row)
+    return findings
 
 
 def _from_last_row(trial: Trial) -> tuple[Rows, Array]:
-    """Rows in which the last marker row is valid, and the tip's place from its centre."""
+    """Rows in which the last marker row is valid, and the tip's place from its centre.
+
+    It is valid if three of its markers are visible, or all of fewer, and no distance within it has
+    changed by a centimetre.
+    """
     none = np.empty(0, dtype=np.intp), np.empty((0, 3))
     layout = trial.meta.layout
     if f"{layout.names[-1]}_x_m" not in trial.columns:
@@ -99,26 +92,25 @@ def _from_last_row(trial: Trial) -> tuple[Rows, Array]:
     usual_m[known] = np.nanmedian(distance_m[:, known], axis=0)
     if len(first) and usual_m.max() < SAME_PLACE_M:
         return none  # all in one place, so these are no markers
-    changed = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
+    changed_m = np.nan_to_num(np.abs(distance_m - usual_m)).max(axis=1, initial=0.0)
     apart_m = trial.tip_m - row_centre_m(np.moveaxis(row_m, 1, 0), layout.corners_m)
     count = np.isfinite(row_m).all(axis=2).sum(axis=1)
-    kept = (count >= min(FEWEST_SEEN, layout.corners)) & (changed < ROW_SHAPE_M)
-    rows = np.flatnonzero(kept & np.isfinite(apart_m).all(axis=1))
+    valid = (count >= min(3, layout.corners)) & (changed_m < 0.01)
+    rows = np.flatnonzero(valid & np.isfinite(apart_m).all(axis=1))
     return rows, apart_m[rows]
 
 
-def _beside_row(trial: Trial, rows: Rows, apart_m: Array) -> list[ImportFinding]:
-    """Finding on a tip that is not the centre of the last marker row in the whole run."""
-    off_m = np.linalg.norm(apart_m, axis=1)
-    usual_m, most_m = float(np.median(off_m)), float(np.quantile(off_m, 1 - REFUSED_ROWS))
-    level = "refused" if most_m > BESIDE_M[1] else causes.TIP_PLACE.level(usual_m)
-    if level is None:
-        return []
-    off, cause = LENGTH.text(usual_m), _cause(trial, rows, apart_m)
-    if usual_m <= BESIDE_M[0]:
-        part = float(np.mean(off_m > BESIDE_M[1]))
-        off, cause = f"beyond {LENGTH.text(BESIDE_M[1], 0)}", f" in {part:.0%} of the rows"
-    return [causes.TIP_PLACE.at(level, off=off, row=_last_row(trial), cause=cause)]
+TURNED: Final = (
+    ("x is negated", (0, 1, 2), (-1, 1, 1)),
+    ("y is negated", (0, 1, 2), (1, -1, 1)),
+    ("z is negated", (0, 1, 2), (1, 1, -1)),
+    ("x and y are exchanged", (1, 0, 2), (1, 1, 1)),
+    ("x and z are exchanged", (2, 1, 0), (1, 1, 1)),
+    ("y and z are exchanged", (0, 2, 1), (1, 1, 1)),
+)
+"""Mistakes in the axes of the tip: order and signs that undo them."""
+CONSTANT: Final = 0.1
+"""Largest change of a constant offset, relative to its length."""
 
 
 def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
@@ -128,8 +120,8 @@ def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
     if marker:
         return f": it is marker {marker}"
     for words, order, signs in TURNED:
-        left_m = tip_m[:, order] * signs - (tip_m - apart_m)
-        if np.median(np.linalg.norm(left_m, axis=1)) < min(BESIDE_M[0], CONSTANT * off_m):
+        remaining_m = tip_m[:, order] * signs - (tip_m - apart_m)
+        if np.median(np.linalg.norm(remaining_m, axis=1)) < min(WARNED_M, CONSTANT * off_m):
             return f": {words}"
     in_link_m = np.einsum("nji,nj->ni", base_rotation(trial.angle_rad[rows]), apart_m)
     for frame, offset_m in (("link", in_link_m), ("world", apart_m)):
@@ -143,34 +135,11 @@ def _cause(trial: Trial, rows: Rows, apart_m: Array) -> str:
 
 def _marker_at(trial: Trial, rows: Rows) -> str:
     """Name of the marker at the tip's place, empty for none."""
-    if not len(rows):
-        return ""
-    distance_m = np.linalg.norm(trial.markers_m[rows] - trial.tip_m[rows, None], axis=2)
-    for name, own_m in zip(trial.meta.layout.names, distance_m.T, strict=True):
-        known_m = own_m[np.isfinite(own_m)]
-        if len(known_m) and np.median(known_m) < SAME_PLACE_M:
+    for name, marker_m in zip(
+        trial.meta.layout.names, trial.markers_m[rows].swapaxes(0, 1), strict=True
+    ):
+        distance_m = np.linalg.norm(marker_m - trial.tip_m[rows], axis=1)
+        visible_m = distance_m[np.isfinite(distance_m)]
+        if len(visible_m) and np.median(visible_m) < SAME_PLACE_M:
             return name
     return ""
-
-
-def _jumps(trial: Trial, seen: Rows, reach_m: float) -> Rows:
-    """Rows in which the tip jumps from the adjacent samples, or leaves the reach of the link."""
-    tip_m = trial.tip_m[seen]
-    beyond = np.linalg.norm(tip_m, axis=1) > REACH[1] * reach_m
-    if len(seen) >= 3:
-        bent_m = np.linalg.norm(tip_m[1:-1] - 0.5 * (tip_m[:-2] + tip_m[2:]), axis=1)
-        limit_m = max(JUMP_M, JUMP_NOISE * float(np.median(bent_m)))
-        around_m = np.linalg.norm(tip_m[2:] - tip_m[:-2], axis=1)
-        beyond[1:-1] |= (bent_m > limit_m) & (bent_m > around_m)
-    return np.asarray(seen[beyond])
-
-
-def _last_row(trial: Trial) -> str:
-    names = trial.meta.layout.row(-1)
-    return names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
-
-
-def _where(trial: Trial, rows: Rows) -> str:
-    """Single rows, counted as in the trial's file: its header is row 1."""
-    where = f"row {rows[0] + 2} ({trial.time_s[rows[0]]:.2f} s)"
-    return f"{len(rows)} rows from {where} on" if len(rows) > 1 else where

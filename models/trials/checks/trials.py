@@ -18,32 +18,27 @@ from models.trials.checks import causes
 from models.trials.checks.base import judge_root_path
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.clocks import judge_common_clock
-from models.trials.checks.goals import judge_goals, judge_standing_goals
 from models.trials.checks.markers import (
     judge_marker_run,
     judge_markers,
     judge_rest,
-    seen_mean,
     without_zeros,
 )
-from models.trials.checks.motion import judge_motion, runs_against
+from models.trials.checks.motion import (
+    judge_goals,
+    judge_motion,
+    judge_standing_goals,
+    runs_against,
+)
 from models.trials.checks.payloads import judge_conditions, judge_payloads, judge_undeclared
-from models.trials.checks.pose import judge_pose, rest_pose
+from models.trials.checks.pose import judge_pose, rest_pose, visible_mean
 from models.trials.checks.signals import judge_signals
 from models.trials.checks.tip import judge_tip
 from models.trials.checks.verdict import ImportVerdict
 from models.trials.files import PlantSignals, read_trial_directories
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series
-from models.trials.trial import Trial, TrialMeta, TrialSet
-
-CLOCK_REMEDY: Final = (
-    "import the recordings again, the angles as a second file with --servo; dropstitch gap names "
-    "an offset that stays (sync_offset)"
-)
-ZERO_REMEDY: Final = (
-    "leave these cells empty, and compute the tip there from the other markers of its row"
-)
+from models.trials.trial import Trial, TrialSet
 
 
 def check_trial(trial: Trial) -> ImportVerdict:
@@ -52,18 +47,21 @@ def check_trial(trial: Trial) -> ImportVerdict:
     meta, rest = trial.meta, max(trial.meta.rest_samples, 1)
     columns = {n: v for n, v in trial.columns.items() if n != "time_s"}
     series, verdict.findings = without_zeros(
-        [Series(trial.time_s, columns, trial.path)], meta.layout.names, np.zeros(3), ZERO_REMEDY
+        [Series(trial.time_s, columns, trial.path)], meta.layout.names, np.zeros(3)
     )
     trial = replace(trial, columns=trial.columns | series[0].columns)
     verdict.findings += judge_signals(series, meta.dof)
     if np.isfinite(trial.markers_m).any():
-        mapping = _map_of(meta)
+        link = msgspec.structs.replace(
+            STUDY_LINK, length_m=meta.link_length_m, width_m=meta.link_width_m, markers=meta.layout
+        )
+        mapping = RecordingMap(link="of the trial", described=link)
         verdict.findings += judge_markers(series, mapping)
-        rest_m = dict(zip(meta.layout.names, seen_mean(trial.markers_m[:rest]), strict=True))
+        rest_m = dict(zip(meta.layout.names, visible_mean(trial.markers_m[:rest]), strict=True))
         verdict.pose = rest_pose(rest_m, meta, trial.angle_rad[:rest].mean(axis=0))
         if verdict.pose is not None:
             verdict.findings += judge_pose(verdict.pose, mapping, "z")
-        verdict.clock, late = judge_common_clock(series, meta, CLOCK_REMEDY)
+        verdict.clock, late = judge_common_clock(series, meta)
         verdict.findings += late
     verdict.findings += [*judge_conditions(trial), *judge_whole(trial)]
     return verdict
@@ -71,19 +69,11 @@ def check_trial(trial: Trial) -> ImportVerdict:
 
 def judge_whole(trial: Trial) -> list[ImportFinding]:
     """Findings on a whole trial of the link."""
-    found = [*judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial)]
-    found += judge_marker_run(trial)
-    if all(f.level == "warning" for f in found) and (path := judge_root_path(trial)):
-        return [f for f in found if f.cause != "gain"] + path  # the path explains the gain
-    return found
-
-
-def _map_of(meta: TrialMeta) -> RecordingMap:
-    """Map with the markers of a trial."""
-    link = msgspec.structs.replace(
-        STUDY_LINK, length_m=meta.link_length_m, width_m=meta.link_width_m, markers=meta.layout
-    )
-    return RecordingMap(link="of the trial", described=link)
+    findings = [*judge_rest(trial), *judge_tip(trial), *judge_motion(trial), *judge_goals(trial)]
+    findings += judge_marker_run(trial)
+    if all(f.level == "warning" for f in findings) and (path := judge_root_path(trial)):
+        return [f for f in findings if f.cause != "gain"] + path  # the path explains the gain
+    return findings
 
 
 def read_usable_trials(
@@ -99,13 +89,13 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
     """Refuse trials whose errors would silently spoil a fit or a diagnosis."""
     known: dict[bytes, Trial] = {}
     for trial in trials:
+        findings: list[ImportFinding] = []
         for j in range(1, trial.meta.dof + 1):
             goal, angle = (trial.columns.get(f"{of}_{j}_rad") for of in ("goal", "angle"))
             if goal is not None and angle is not None and runs_against(goal, angle):
-                what = f"goal and angle of joint {j} run against each other"
-                raise InputError(trial.path, what, f"correct the sign of angle_{j}_rad")
-        found = [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
-        for finding in found:
+                findings += causes.GOAL_AGAINST.raised(joint=j)
+        findings += [*judge_tip(trial), *judge_undeclared(trial), *judge_standing_goals(trial)]
+        for finding in findings:
             if finding.level == "refused":
                 raise InputError(trial.path, finding.text, finding.remedy)
         samples = hashlib.sha256()
@@ -117,24 +107,22 @@ def refuse_unusable(trials: Sequence[Trial]) -> None:
             raise InputError(trial.path, f"is a copy of {other.path}", "leave one of them out")
 
 
+# --- trials that are fitted together -------------------------------------------------------------
+
 LINK_FACTS: Final = ("link_length_m", "link_width_m", "base_offset_m", "gravity", "layout")
 """Conditions that all trials of one link share."""
-ONE_PRESSURE_FRACTION: Final = 0.05
-"""Largest difference of pressures that count as equal: of 5 % in the limit moment [assumed]."""
-COLLINEAR: Final = 0.98
-"""Correlation of two angles above which their effects cannot be separated."""
 
 
 def check_trials(trials: TrialSet) -> list[ImportFinding]:
     """Findings on trials that are fitted together: links, pressures, payloads, held-out trials."""
-    found = [*_judge_links(trials), *judge_pressures(trials), *judge_doubled(trials)]
-    found += [*judge_payloads(list(trials)), *judge_not_fitted(trials)]
+    findings = [*_judge_links(trials), *judge_pressures(trials), *judge_doubled(trials)]
+    findings += [*judge_payloads(list(trials)), *judge_not_fitted(trials)]
     if not len(trials.split()[1]):
-        found += causes.NO_TEST.raised()
+        findings += causes.NO_TEST.raised()
     two = [t for t in trials if t.meta.dof == 2 and np.ptp(t.angle_rad, axis=0).all()]
-    if two and all(_collinear(t) for t in two):
-        found += causes.TOGETHER.raised()
-    return found
+    if two and all(abs(float(np.corrcoef(*t.angle_rad.T)[0, 1])) >= 0.98 for t in two):
+        findings += causes.TOGETHER.raised()
+    return findings
 
 
 def refuse_mixed_links(trials: Sequence[Trial]) -> None:
@@ -147,12 +135,12 @@ def refuse_mixed_links(trials: Sequence[Trial]) -> None:
 
 def _judge_links(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Findings on trials of several links: sizes, mounting, markers."""
-    found: list[ImportFinding] = []
+    findings: list[ImportFinding] = []
     for key in LINK_FACTS:
         values = list(dict.fromkeys(getattr(t.meta, key) for t in trials))
         if len(values) > 1:
-            found += causes.LINK_SIZE.raised(key=key, listed="; ".join(_worded(v) for v in values))
-    return found
+            findings += causes.LINK_SIZE.raised(key=key, listed="; ".join(map(_worded, values)))
+    return findings
 
 
 def _worded(value: Any) -> str:
@@ -162,43 +150,37 @@ def _worded(value: Any) -> str:
 
 
 def judge_pressures(trials: Sequence[Trial]) -> list[ImportFinding]:
-    """Finding on trials of several pressures that are used together; a pressure of 0 is unknown."""
+    """Finding on trials of several pressures that are used together; a pressure of 0 is unknown.
+
+    Pressures within 5 %, of as much in the limit moment, count as equal [assumed].
+    """
     known = sorted({t.meta.pressure_pa for t in trials if t.meta.pressure_pa > 0})
-    if not known or known[-1] <= (1 + ONE_PRESSURE_FRACTION) * known[0]:
+    if not known or known[-1] <= 1.05 * known[0]:
         return []
     return causes.PRESSURES.raised(low=known[0], high=known[-1])
 
 
 def judge_doubled(trials: Sequence[Trial]) -> list[ImportFinding]:
     """Findings on trials of one recording, or with the same angles: a copy is no test."""
-    of_angles: dict[bytes, Trial] = {}
-    of_recording: dict[str, Trial] = {}
-    found = []
+    known: dict[bytes | str, Trial] = {}
+    findings: list[ImportFinding] = []
     for trial in trials:
-        what, other = "hold the same angles", of_angles.setdefault(trial.angle_rad.tobytes(), trial)
-        if not trial.angle_rad.std() > 0:
-            other = trial
-        recording = trial.meta.recording_sha256
-        if recording and of_recording.setdefault(recording, trial) is not trial:
-            what, other = "are of one recording", of_recording[recording]
-        if other is not trial:
-            first, second = other.name, trial.name
-            if first == second:
-                first, second = str(other.path), str(trial.path)
-            found += causes.COPY.raised(first=first, second=second, what=what)
-    return found
+        keys: list[bytes | str] = [trial.meta.recording_sha256] * bool(trial.meta.recording_sha256)
+        if trial.angle_rad.std() > 0:
+            keys.append(trial.angle_rad.tobytes())
+        other = next((known[key] for key in keys if key in known), None)
+        known |= {key: trial for key in keys if key not in known}
+        if other is None:
+            continue
+        first, second = other.name, trial.name
+        if first == second:
+            first, second = str(other.path), str(trial.path)
+        findings += causes.COPY.raised(first=first, second=second)
+    return findings
 
 
 def judge_not_fitted(trials: TrialSet) -> list[ImportFinding]:
     """Finding on payloads of held-out trials only: nothing is fitted to them."""
     fitted, held_out = ({t.meta.payload_kg for t in part} for part in trials.split())
-    missing = sorted(held_out - fitted)
-    if not missing:
-        return []
-    return causes.NOT_FITTED.raised(listed=", ".join(f"{kg:g} kg" for kg in missing))
-
-
-def _collinear(trial: Trial) -> bool:
-    first, second = (column - column.mean() for column in trial.angle_rad.T)
-    size = np.linalg.norm(first) * np.linalg.norm(second)
-    return bool(abs(first @ second) >= COLLINEAR * size)
+    payloads = [f"{kg:g} kg" for kg in sorted(held_out - fitted)]
+    return causes.NOT_FITTED.raised(payloads=payloads) if payloads else []

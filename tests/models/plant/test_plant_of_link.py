@@ -12,7 +12,7 @@ from dropstitch.__main__ import main
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity, LinkServo
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from models.commands.simulate import _cases, _complete_from_link
+from models.commands.simulate import _cases
 from models.plan.planning import check_grid
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.parameter import check_payload
@@ -140,7 +140,6 @@ def test_the_rig_of_a_link_simulates_the_payloads_of_its_plant(tmp_path):
         dof=None, phase_deg=None, payloads=None, pressure_pa=None, gravity=None, trials=1, seed=0,
         workers=1, amplitude_deg=30.0, period=2.0, motion="sinusoid", out=tmp_path / "trials",
     )  # fmt: skip
-    _complete_from_link(args, SMALL)
     assert [case.payload_kg for case in _cases(args, rig)] == list(SMALL.payloads_kg)
     args.payloads = [0.2]
     with pytest.raises(InputError, match=r"choose 0 to 0.15, or raise payload_kg in .*link.toml"):

@@ -1,4 +1,4 @@
-"""Steps, shared signals and clocks of the files of one take are told where they do not fit."""
+"""Steps, shared signals and clocks of the files of one take."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from firmware_py.link.link_description import STUDY_LINK
 from models.trials.checks.clocks import judge_clock
 from models.trials.checks.signals import judge_shared_signals, judge_steps, judge_times
 from models.trials.checks.verdict import ImportVerdict
-from models.trials.clock import ClockDrift, Synchronisation, synchronise
+from models.trials.clock import ClockDrift, Synchronisation
 from models.trials.pipeline import Inspection, Source
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series, marker_columns
@@ -33,13 +33,9 @@ def servo_log(path, step_s=0.017):
 
 
 @pytest.mark.parametrize(
-    ("step_s", "remedy"),
-    [
-        (0.017, None), (0.001, None), (0.0015, None), (0.01, "0.01"), (0.02, "0.02"),
-        (1 / 60, "0.01667"),
-    ],
-)  # fmt: skip
-def test_another_step_is_told_with_the_remedy(step_s, remedy, tmp_path):
+    ("step_s", "remedy"), [(0.017, None), (0.001, None), (0.0015, None), (1 / 60, "0.01667")]
+)
+def test_another_step_is_named_with_the_remedy(step_s, remedy, tmp_path):
     log = [servo_log(tmp_path / "servo.csv", step_s)]
     found = judge_steps(log, RecordingMap())
     assert [f"step_s = {remedy}" in f.remedy for f in found] == [True] * bool(remedy)
@@ -58,35 +54,22 @@ def test_a_step_that_jitters_is_not_taken_for_another(tmp_path):
     ("times", "words"),
     [(np.arange(50.0), "count frames"), (17.0 * np.arange(50), "unit"), (np.arange(50) / 60, "")],
 )
-def test_times_that_are_no_seconds_are_told(times, words, tmp_path):
+def test_times_that_are_no_seconds_are_refused(times, words, tmp_path):
     found = judge_times([Series(times, {}, tmp_path / "take.csv")])
     assert [words in f.text for f in found] == [True] * bool(words)
 
 
 @pytest.mark.parametrize(("factor", "count"), [(1.0, 0), (0.9, 1)])
-def test_a_signal_of_both_files_is_told_where_they_differ(factor, count, tmp_path):
+def test_a_signal_of_both_files_is_named_where_they_differ(factor, count, tmp_path):
     servo = servo_log(tmp_path / "servo.csv")
     time_s = np.arange(0.1, 9.5, 1 / 120)
     mocap = Series(time_s, {"angle_1_rad": factor * swing(time_s)}, tmp_path / "mocap.csv")
     found = judge_shared_signals([servo], [mocap])
-    assert len(found) == count
-    assert all("what servo.csv holds is used" in f.text for f in found)
-
-
-@pytest.mark.parametrize(("rate_error", "count"), [(0.0, 0), (1e-3, 1)])
-def test_clocks_that_drift_apart_are_told(rate_error, count, rigid_markers, tmp_path):
-    time_s = np.arange(0, 10, 1 / 200)
-    markers_m = rigid_markers(np.pad(swing(time_s)[:, None], ((0, 0), (0, 1))))
-    rng = np.random.default_rng(4)
-    markers_m = markers_m + 2e-4 * rng.standard_normal(markers_m.shape)
-    columns = marker_columns({f"m{k + 1:02d}": markers_m[:, k] for k in range(16)})
-    mocap = [Series(time_s / (1 + rate_error), columns, tmp_path)]
-    found = judge_clock(synchronise([servo_log(tmp_path)], mocap, META))
-    assert ["drift apart" in f.text for f in found] == [True] * count
+    assert ["angle_1_rad in servo.csv and in mocap.csv" in f.text for f in found] == [True] * count
 
 
 @pytest.mark.parametrize(("change_s", "count"), [(0.0015, 0), (0.0025, 1), (-0.0025, 1)])
-def test_a_drift_over_the_edges_of_a_signal_is_told(change_s, count):
+def test_a_drift_over_the_edges_of_a_signal_is_named(change_s, count):
     drift = ClockDrift(change_s, 2e-4, 7.8)
     clock = Synchronisation(1.0, np.nan, 5e-4, by="sync", drifts=(drift,))
     assert ["drift apart by 2.5" in f.text for f in judge_clock(clock)] == [True] * count
@@ -131,11 +114,10 @@ def test_an_offset_by_hand_is_compared_with_the_motion(
 ):
     true_s = 100.0 - epoch_s
     verdict = inspected(tmp_path, rigid_markers, epoch_s, true_s + late_s)
-    assert verdict.clock.offset_s == pytest.approx(true_s + late_s, abs=1e-6)  # taken as it is
-    told = [f.text for f in verdict.findings if f.cause == "clock"]
-    assert len(told) == bool(differs)
-    if differs:
-        assert float(told[0].split("differs by ")[1].split("\xa0")[0]) == pytest.approx(
-            float(differs), abs=0.5
-        )
-        assert f"{true_s:.2f}"[:-2] in told[0]
+    assert verdict.clock.offset_s == pytest.approx(true_s + late_s, abs=1e-6)  # used all the same
+    texts = [f.text for f in verdict.findings if f.cause == "clock"]
+    assert len(texts) == bool(differs)
+    for text in texts:
+        shown = float(text.split("differs by ")[1].split("\xa0")[0])
+        assert shown == pytest.approx(float(differs), abs=0.5)
+        assert f"{true_s:.2f}"[:-2] in text

@@ -1,0 +1,215 @@
+"""Wrong units, doubled and stuck signals, and trials that do not go together."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dropstitch.__main__ import main
+from firmware_py.motion import Motion
+from models.plant.plant import read_plant
+from models.rig.parameters import read_parameters
+from models.rig.protocol import TrialCase, run_case
+from models.trials.checks.payloads import judge_payload_unit, payload_unit_cause
+from models.trials.checks.trials import check_trial, check_trials, judge_doubled
+from models.trials.files import write_trial
+from models.trials.trial import Trial, TrialMeta, TrialSet
+
+STEP_S, REST = 0.017, 60
+KG_A = 2.0
+"""Current per sine of the angle and kilogram."""
+SIGNALS = (("goal", "rad"), ("angle", "rad"), ("current", "a"))
+
+
+def swung(payload_kg=1.0, number=1, dof=1, shown_kg=None):
+    """A trial without motion capture: rest, then two periods; friction, weight and noise."""
+    meta = TrialMeta(
+        dof=dof, payload_kg=payload_kg, pressure_pa=41300.0, trial=number, motion="sinusoid",
+        period_s=4.352, amplitude_rad=0.5, phase_2_rad=1.57 if dof == 2 else 0.0, source="measured",
+        base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=REST,
+    )  # fmt: skip
+    time_s = STEP_S * np.arange(REST + 512)
+    rng = np.random.default_rng(number)
+    columns = {"time_s": time_s}
+    for j in range(1, dof + 1):
+        phase = 2 * np.pi * np.maximum(time_s - STEP_S * REST, 0) / meta.period_s
+        goal = 0.5 * np.sin(phase) if j == 1 else 0.25 * (np.cos(phase) - 1)
+        angle = np.interp(time_s - 0.03, time_s, goal) + 2e-5 * rng.standard_normal(len(time_s))
+        load = KG_A * (0.7 + (payload_kg if shown_kg is None else shown_kg))
+        friction = 0.5 * np.tanh(np.gradient(angle, STEP_S) / 0.05)
+        noise = 0.05 * rng.standard_normal(len(time_s))
+        signals = (goal, angle, friction - load * np.sin(angle) + noise)
+        names = [f"{signal}_{j}_{unit}" for signal, unit in SIGNALS]
+        columns |= dict(zip(names, signals, strict=True))
+    occluded = [f"{name}_{axis}_m" for name in ("tip", *meta.layout.names) for axis in "xyz"]
+    columns |= {name: np.full(len(time_s), np.nan) for name in occluded}
+    return Trial(f"load{payload_kg:g}_{number}", meta, columns)
+
+
+def changed(trial, **columns):
+    return replace(trial, columns=trial.columns | columns)
+
+
+def stated(trial, **conditions):
+    return replace(trial, meta=msgspec.structs.replace(trial.meta, **conditions))
+
+
+def findings(trial):
+    return [(f.level, f.cause) for f in check_trial(trial).findings]
+
+
+def shared(*trials, causes):
+    """Findings on trials together, of some causes."""
+    return [f for f in check_trials(TrialSet(trials)) if f.cause in causes]
+
+
+# One trial
+
+
+@pytest.mark.parametrize("dof", [1, 2])
+def test_a_right_trial_has_no_findings(dof):
+    assert findings(swung(dof=dof)) == []
+
+
+@pytest.mark.parametrize(
+    ("mistake", "level", "cause"),
+    [
+        (lambda t: changed(t, current_1_a=1e-3 * t.columns["current_1_a"]), "warning", "unit"),
+        (lambda t: changed(t, current_2_a=t.columns["current_1_a"]), "refused", "doubled"),
+        (lambda t: stated(t, pressure_pa=6.0), "refused", "pressure"),
+        (lambda t: stated(t, amplitude_rad=0.2), "warning", "amplitude"),
+    ],
+)
+def test_a_wrong_signal_or_condition_is_named(mistake, level, cause):
+    """Others are in the tests of imports."""
+    assert findings(mistake(swung(dof=2)))[0] == (level, cause)
+
+
+def test_a_late_clock_within_one_file_is_named():
+    late = run_case(read_parameters().hide({"sync_offset": 0.02}), TrialCase(Motion(), 1.0, 1, 0))
+    (found,) = [f for f in check_trial(late).findings if f.cause == "clock"]
+    assert "late" in found.text and "dropstitch gap" in found.remedy
+
+
+# Payloads
+
+
+@pytest.mark.parametrize(
+    ("shown_kg", "words"),
+    [
+        ({}, None),
+        ({(1.0, 2): 2.0}, "load1_1 and load1_2 are both of 1 kg"),
+        (
+            {(0.0, 1): 2.0, (0.0, 2): 2.0, (2.0, 1): 0.0, (2.0, 2): 0.0},
+            "less load in the trials of",
+        ),
+        ({(1.0, 1): 0.2, (1.0, 2): 0.2}, "shows 0.2 kg in the trials of 1 kg"),
+    ],
+)
+def test_payloads_that_do_not_fit_the_current_are_named(shown_kg, words):
+    """One take of another payload, two payloads exchanged, one payload stated wrongly."""
+    trials = [
+        swung(kg, n, shown_kg=shown_kg.get((kg, n))) for kg in (0.0, 1.0, 2.0) for n in (1, 2)
+    ]
+    found = shared(*trials, causes=("payload",))
+    assert [words in f.text for f in found] == ([True] if words else [])
+
+
+@pytest.mark.parametrize(("shown_kg", "causes"), [((0, 1, 2), []), ((2, 1, 0), ["servo log"])])
+def test_servo_logs_of_other_takes_are_recognised_by_the_bend(shown_kg, causes):
+    """Angles of one motion are alike; the currents of two payloads are exchanged."""
+    takes = []
+    for kg, shown in zip((0.0, 1.0, 2.0), shown_kg, strict=True):
+        trial = swung(kg, shown_kg=shown)
+        tip_rad = (1.05 + 0.05 * kg) * trial.columns["angle_1_rad"]
+        tip = {"tip_x_m": 1.01 * np.sin(tip_rad), "tip_z_m": 1.01 * np.cos(tip_rad)}
+        takes.append(changed(trial, tip_y_m=0 * tip_rad, **tip))
+    assert [f.cause for f in shared(*takes, causes=("servo log", "payload"))] == causes
+
+
+def test_the_load_of_one_joint_is_compared_where_both_move_alike():
+    """The second joint carries 1.4 times the load, and moves a little more in one trial."""
+    trials = []
+    for number, more in ((1, 1.001), (2, 0.999)):
+        one = swung(1.0, number, dof=2)
+        other = swung(1.0, number + 10, shown_kg=1.7).columns
+        second = {f"{n}_2_{unit}": other[f"{n}_1_{unit}"] for n, unit in SIGNALS}
+        second["angle_2_rad"] = more * one.columns["angle_1_rad"]
+        trials.append(changed(one, **second))
+    assert shared(*trials, causes=("payload",)) == []
+
+
+def in_another_unit(factor):
+    """Trials of 0, 1 and 2 kg whose payloads are stated in another unit."""
+    return [stated(swung(kg), payload_kg=factor * kg) for kg in (0.0, 1.0, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("factor", "servo", "cause", "words"),
+    [
+        (2.2046, 1.0, "payload unit", "in pounds"),
+        (1e3, 1.0, "payload unit", "in grams"),
+        (1 / 2.2046, 1.0, "payload unit", "divided by 2.2"),
+        (1.0, 2.2, "torque constant", "not the servo's"),
+    ],
+)
+def test_current_and_plant_show_the_unit_of_the_payloads(factor, servo, cause, words):
+    values = {name: q.value for name, q in read_plant().parameters.items()}
+    assert judge_payload_unit(in_another_unit(1.0), values) == []
+    other_servo = {"torque_constant_1_nm_a": servo * values["torque_constant_1_nm_a"]}
+    (found,) = judge_payload_unit(in_another_unit(factor), values | other_servo)
+    assert found.cause == cause and words in found.text
+
+
+@pytest.mark.parametrize(
+    ("factor", "error", "unit"),
+    [
+        (0.48, 0.02, "in pounds"), (1.05, 0.01, None), (0.7, 0.02, None), (0.5, 0.3, None),
+        (0.11, 0.01, "in newtons"),
+    ],
+)  # fmt: skip
+def test_a_factor_names_a_unit_only_where_one_fits_and_one_does_not(factor, error, unit):
+    assert payload_unit_cause(factor, error) == unit
+
+
+def test_validate_with_a_plant_names_payloads_in_pounds(tmp_path, capsys):
+    for trial in in_another_unit(2.2046):
+        write_trial(trial, tmp_path)
+    assert main(["validate", str(tmp_path), "--plant", "models/plant/nominal.toml"]) == 0
+    assert "the payloads seem to be in pounds" in capsys.readouterr().out
+
+
+# Copies, pressures, joints
+
+
+@pytest.mark.parametrize(
+    ("sha256", "noise_rad", "count"), [("", 0.0, 1), ("a" * 64, 1e-9, 1), ("b" * 64, 1e-9, 0)]
+)
+def test_copies_share_their_angles_or_their_recording(sha256, noise_rad, count):
+    """Angles may differ in the last digits after another import of one file."""
+    once = stated(swung(), recording_sha256="a" * 64)
+    near = once.columns["angle_1_rad"] + noise_rad
+    again = stated(changed(once, angle_1_rad=near), recording_sha256=sha256)
+    named = [replace(once, path=Path("a") / "x.csv"), replace(again, path=Path("b") / "x.csv")]
+    found = judge_doubled(named)
+    assert [f.cause for f in found] == ["doubled"] * count
+    assert all(str(trial.path) in f.text for f in found for trial in named)
+
+
+@pytest.mark.parametrize(("pressure_pa", "count"), [(42000.0, 0), (20700.0, 1)])
+def test_trials_of_several_pressures_are_named(pressure_pa, count):
+    trials = (swung(number=1), stated(swung(number=2), pressure_pa=pressure_pa))
+    found = shared(*trials, causes=("pressure",))
+    assert ["20700 to 41300 Pa" in f.text for f in found] == [True] * count
+
+
+def test_joints_that_move_together_matter_to_a_predictor_only():
+    trials = []
+    for number in (1, 2):
+        one = swung(dof=2, number=number)
+        both = {f"{n}_2_{unit}": one.columns[f"{n}_1_{unit}"] for n, unit in SIGNALS}
+        trials.append(changed(one, **both))
+    (found,) = shared(*trials, causes=("joints",))
+    assert found.level == "warning" and "to train a predictor" in found.remedy
