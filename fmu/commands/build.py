@@ -56,13 +56,12 @@ def run(args: argparse.Namespace) -> int:
     kind: Kind = args.kind
     output = _output(args)
     platforms = platform_names(args.platforms)
-    progress = Progress(f"fmu {kind}", 2 + sum(name != SOURCE_CODE for name in platforms))
-    progress.begin("composing the model")
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if args.plant and parts.plant:
         compare_with_bundle(parts.plant, args.plant, files, "this FMU")
+    progress = Progress(f"fmu {kind}", 2 + sum(name != SOURCE_CODE for name in platforms))
     if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
         if args.fmi != 3:
             raise InputError(
@@ -70,8 +69,10 @@ def run(args: argparse.Namespace) -> int:
                 "cannot run on the robot (FMI 3.0)",
                 "omit --fmi or give --out",
             )
+        progress.begin("composing the model")
         add_observer(args.bundle, manifest, parts, platforms, progress.step)
     else:
+        progress.begin("composing the model")
         model = parts.model()
         contents = fmu_contents(parts, model, args.fmi)
         build_fmu(

@@ -28,10 +28,9 @@ __all__ = ["write_fault_report", "write_gap_report", "write_report"]
 
 def write_report(build: Path, out: Path) -> int:
     """Write the report of a build directory; return its size in bytes."""
-    progress = Progress("report", 1)
-    progress.begin("reading the build directory")
     inputs = read_build(build)
-    progress.total = SECTIONS + max(len(inputs.loops), 1)
+    progress = Progress("report", SECTIONS + max(len(inputs.loops), 1))
+    progress.begin("drawing")
     return _write(report_page(inputs, progress.step), out)
 
 

@@ -115,7 +115,7 @@ def test_of_several_inputs_none_is_taken_where_one_is_out_of_bounds(instance):
 
 def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof, tmp_path, capsys):
     twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
-    assert main(["fmu", "build", str(bundle_1dof), "--out", twin]) == 0
+    assert main(["fmu", "build", str(bundle_1dof), "--out", twin, "--quiet"]) == 0
     for payload in ("-0.3", "3.5"):
         assert main(["fmu", "simulate", twin, "--out", out, "--payload-kg", payload]) == 2
         error = capsys.readouterr().err
