@@ -18,7 +18,7 @@ from firmware_py.display_units import FRACTION, LENGTH
 from firmware_py.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from models.plant.document import DofEvaluation, Evaluation
-from models.plant.identification.fit import Objective
+from models.plant.identification.fit import LARGEST_DERIVATIVE, Objective
 from models.plant.identification.identify import LINK_SIGNALS, Identification, free_parameters
 from models.plant.parameter import bound_reached
 from models.plant.plant import Plant
@@ -169,6 +169,8 @@ def torque_constant_doubts(plant: Plant, trials: Sequence[Trial]) -> list[str]:
     rms = plant.provenance.residual_rms
     objective = Objective(plant, "driven", trials, free, LINK_SIGNALS, rms)
     residual, slopes = objective(objective.start)
+    if not np.abs(slopes).max() < LARGEST_DERIVATIVE:  # a payload that no twin carries
+        return []
     information = slopes.T @ slopes
     step = -np.linalg.solve(information, slopes.T @ residual)
     deviation = np.sqrt(np.diag(np.linalg.inv(information)))

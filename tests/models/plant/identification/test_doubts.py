@@ -88,6 +88,8 @@ def test_wrong_payloads_and_currents_are_named_as_causes(synthetic):
     pounds = changed(heavy, payload_kg=2.2046 * heavy.meta.payload_kg)
     (doubt,) = torque_constant_doubts(read_plant(), [light, pounds])
     assert "or the payloads are in pounds" in doubt
+    grams = changed(heavy, payload_kg=1e3 * heavy.meta.payload_kg)
+    assert not any("nan" in text for text in torque_constant_doubts(read_plant(), [light, grams]))
     turned = 2 * light.columns["current_1_a"] - heavy.columns["current_1_a"]
     falling = replace(heavy, columns=heavy.columns | {"current_1_a": turned})
     (doubt,) = torque_constant_doubts(read_plant(), [light, falling])
