@@ -194,6 +194,13 @@ def test_deadlines_that_were_met_beside_a_busy_host_pass():
     assert (timing.verdict, timing.host.preempted_ticks) == ("pass", 300)
 
 
+@pytest.mark.parametrize(("miss_rate", "slots"), [(1e-3, 2995), (1e-2, 299), (1.0, 1)])
+def test_the_slots_that_bound_a_miss_rate(miss_rate, slots):
+    """1 − 0.05^(1/n) is the bound of n slots without a miss."""
+    assert timing_verdict.slots_needed(miss_rate) == slots
+    assert 1 - 0.05 ** (1 / slots) <= miss_rate
+
+
 @pytest.mark.parametrize(
     ("ticks", "missed", "miss_rate", "verdict", "code"),
     [
