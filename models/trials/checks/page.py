@@ -110,7 +110,7 @@ def _panels(verdict: ImportVerdict) -> list[Panel]:
                 place_m = pose.measured_m[chosen]
                 curves.append(Curve(place_m[:, axis], place_m[:, 2], colour, names))
             title = f"Markers at rest in the plane of {'xy'[axis]} and z"
-            svg = chart(curves, f"{'xy'[axis]} in m", "z in m")
+            svg = chart(curves, f"{'xy'[axis]} in m", "z in m", one_scale=True)
             panels.append(Panel(title, title + ", measured and nominal", svg))
     direction = link_direction(trial) if trial is not None else None
     if trial is not None and direction is not None:
@@ -148,10 +148,14 @@ class Curve(NamedTuple):
     names: tuple[str, ...] | None = None
 
 
-def chart(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
-    """Draw a chart of curves with axes."""
+def chart(curves: Sequence[Curve], x_label: str, y_label: str, one_scale: bool = False) -> str:
+    """Draw a chart of curves with axes, to one scale if both are lengths."""
     low_x, high_x = _range([c.x for c in curves])
     low_y, high_y = _range([c.y for c in curves])
+    if one_scale:
+        scale = max((high_x - low_x) / WIDE, (high_y - low_y) / HIGH)
+        low_x, high_x = (low_x + high_x + scale * WIDE * np.array([-1, 1])) / 2
+        low_y, high_y = (low_y + high_y + scale * HIGH * np.array([-1, 1])) / 2
     parts = [f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" font-size="11" fill="{INK}">']
     for value in _ticks(low_x, high_x):
         x = LEFT + (value - low_x) / (high_x - low_x) * WIDE
@@ -179,8 +183,11 @@ def _drawn(curve: Curve, places: Array) -> str:
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{curve.colour}" fill-opacity="0.75"/>'
             for x, y in places[visible]
         ]
-        names = zip(curve.names, places, strict=False)
-        return "".join([*dots, *(_text(x + 6, y + 4, name, "start") for name, (x, y) in names)])
+        words: dict[tuple[float, float], list[str]] = {}  # names at one place stand side by side
+        for name, (x, y) in zip(curve.names, places.round().tolist(), strict=False):
+            words.setdefault((x, y), []).append(name)
+        texts = [_text(x + 6, y + 4, ", ".join(n), "start") for (x, y), n in words.items()]
+        return "".join([*dots, *texts])
     rows = np.arange(0, len(places), max(len(places) // POINTS, 1))
     pen = np.where(np.concatenate([[False], visible[rows[:-1]]]), "L", "M")
     drawn = [
