@@ -14,7 +14,7 @@ import binascii
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import Annotated, ClassVar, Final
 
 import msgspec
 
@@ -36,6 +36,9 @@ _CONTEXT: Final = "dropstitch bundle manifest 2\n"
 _SIGN: Final = "sign it with 'dropstitch sign'"
 
 
+ZonedTime = Annotated[datetime, msgspec.Meta(tz=True)]
+
+
 class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[trust]` of `robot.toml`."""
 
@@ -51,7 +54,7 @@ class BundleSignature(Document, frozen=True, kw_only=True):
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "dropstitch sign"
 
-    signed_utc: datetime  # Time of signing, with its zone
+    signed_utc: ZonedTime  # Time of signing
     key: str  # Public key: `ed25519:` and 32 bytes in base64
     signature: str  # Signature: 64 bytes in base64
 
@@ -61,7 +64,7 @@ class NewestBundle(Document, frozen=True, kw_only=True):
 
     MADE_BY: ClassVar[str] = "dropstitch run"
 
-    signed_utc: dict[str, datetime]  # By public key
+    signed_utc: dict[str, ZonedTime]  # By public key
 
 
 def signed_message(manifest: FileContent, signed_utc: datetime) -> bytes:
@@ -87,7 +90,13 @@ def refuse_older(signature: BundleSignature, bundle: Path, memory: Path) -> None
         )  # fmt: skip
     if newest != signature.signed_utc:
         newer = known | {signature.key: signature.signed_utc}
-        write_document(memory, NewestBundle(schema=NewestBundle.VERSION, signed_utc=newer))
+        try:
+            write_document(memory, NewestBundle(schema=NewestBundle.VERSION, signed_utc=newer))
+        except OSError as error:
+            raise InputError(
+                memory, f"cannot be written ({error.strerror})",
+                "name another file as memory under [trust]",
+            ) from None  # fmt: skip
 
 
 def key_text(raw: bytes) -> str:
@@ -133,8 +142,6 @@ def check_signature(manifest: FileContent, path: Path, trusted: Sequence[str]) -
         raise InputError(path, f"is no signature ({error})", f"{_SIGN} again") from None
     check_version(path, raw, BundleSignature.VERSION, f"{_SIGN} again")
     signature = convert(raw, BundleSignature, path, "is no signature", f"{_SIGN} again")
-    if signature.signed_utc.tzinfo is None:
-        raise InputError(path, "gives its time without a zone", f"{_SIGN} again")
     if signature.key not in trusted:
         raise InputError(
             path, f"is by the key {signature.key[:80]!r}, which [trust] does not name",

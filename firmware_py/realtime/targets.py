@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-OWN_COST_P50_NS: Final = 500_000
 OWN_COST_P99_NS: Final = 1_000_000
 """Of a tick in real time without its wait for the bus."""
 

@@ -133,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
     elif args.line == "virtual":
         seconds = 10.0
     else:
-        seconds = min((slots_needed(args.miss_rate) + 1) * bundle.manifest.period_s, LONGEST_S)
+        needed_s = (slots_needed(args.miss_rate) + 1) * bundle.manifest.period_s
+        seconds = min(max(needed_s, 10.0), LONGEST_S)
     options = SilOptions(
         bundle=bundle,
         model=model_named(args.model),

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from firmware_py.documents import Document
 from firmware_py.realtime.percentiles import Nanoseconds, Percentiles
-from firmware_py.realtime.targets import OWN_COST_P50_NS, OWN_COST_P99_NS
 from firmware_py.realtime.timing import Cause, miss_rate_bound
 from firmware_py.safety.stop_reason import Fault
 from firmware_py.signals import STAGES
@@ -45,21 +44,11 @@ MISS_RATE: Final = 1e-3
 
 
 class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits and targets for a run."""
+    """Limits of a run."""
 
     period_ns: int  # Control period
-    # Target for the median of a tick without its wait for the bus; reported, not judged
-    own_cost_p50_ns: int = OWN_COST_P50_NS
-    # Target for the 99th percentile of a tick without its wait for the bus; reported, not judged
-    own_cost_p99_ns: int = OWN_COST_P99_NS
     # Miss rate that the run has to bound with 95 % confidence; 1 asks for none
     miss_rate: float = 1.0
-
-
-class OwnCost(Percentiles, frozen=True, kw_only=True):
-    """Time of a tick without its wait for the bus, and whether it meets its targets."""
-
-    within_budget: bool  # Whether median and 99th percentile meet their targets
 
 
 class HostTime(Percentiles, frozen=True, kw_only=True):
@@ -79,12 +68,12 @@ class TimingVerdict(Document, frozen=True, kw_only=True):
     stopped: str  # Reason for which the safety supervisor stopped the robot; empty if it did not
     # Signal that ended the run early, and the slots completed by then; empty if none did
     interrupted: str = ""
-    budget: TimingTargets  # Limits and targets
+    budget: TimingTargets  # Limits
     slots: int  # Number of slots, including lost ones
     ticks: int  # Number of ticks that ran
     stages: dict[str, Percentiles]  # Duration of each stage of a tick
     tick: Percentiles  # Duration of a tick
-    own_cost: OwnCost  # Duration of a tick without its wait for the bus
+    own_cost: Percentiles  # Duration of a tick without its wait for the bus
     bus_wait: Percentiles  # Wait for the bus in a tick
     lateness: Percentiles  # Lateness of the wake-up
     host: HostTime  # Certain host time of a tick
@@ -134,7 +123,7 @@ def judge_timing(
         budget=targets, slots=slots, ticks=len(records),
         stages={name: Percentiles.of(records[f"{name}_ns"]) for name in STAGES},
         tick=Percentiles.of(records["busy_ns"]),
-        own_cost=_own_cost(records["busy_ns"] - records["bus_wait_ns"], targets),
+        own_cost=Percentiles.of(records["busy_ns"] - records["bus_wait_ns"]),
         bus_wait=Percentiles.of(records["bus_wait_ns"]),
         lateness=Percentiles.of(records["lateness_ns"]),
         host=host,
@@ -155,12 +144,6 @@ def _host_time(certain_ns: Nanoseconds) -> HostTime:
         preempted_ticks=preempted,
         preempted_fraction=preempted / max(len(certain_ns), 1),
     )
-
-
-def _own_cost(cost_ns: Nanoseconds, targets: TimingTargets) -> OwnCost:
-    cost = OwnCost.of(cost_ns, within_budget=False)
-    met = cost.p50_ns <= targets.own_cost_p50_ns and cost.p99_ns <= targets.own_cost_p99_ns
-    return msgspec.structs.replace(cost, within_budget=met)
 
 
 def _decide(

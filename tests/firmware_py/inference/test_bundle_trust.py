@@ -180,8 +180,16 @@ def test_an_older_bundle_of_the_same_key_is_refused(bundle, key, tmp_path):
     signature.write_bytes(older)
     with pytest.raises(InputError, match=r"older bundle.*newest-bundle\.json"):
         load_bundle(config, robot)
-    (tmp_path / "newest-bundle.json").unlink()
+    memory = tmp_path / "newest-bundle.json"
+    memory.write_text(memory.read_text().replace('Z"', '"'))
+    with pytest.raises(InputError, match=r"newest-bundle\.json.*timezone"):
+        load_bundle(config, robot)
+    memory.unlink()
     load_bundle(config, robot)
+    memory.unlink()
+    memory.mkdir()
+    with pytest.raises(InputError, match=r"newest-bundle\.json"):
+        load_bundle(config, robot)
 
 
 @pytest.mark.parametrize(
