@@ -421,12 +421,13 @@ mutate: $(READY)
 fuzz-fmu: $(READY)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
 
-# Diagnose, design, run, diagnose again: one payload more or less does not tell these effects apart.
+# Diagnose, rank motions, run the best, diagnose again: one payload more or less does not tell these effects apart.
 experiment-demo: HIDE := $(if $(filter command line,$(origin HIDE)),$(HIDE),encoder_offset=0.02)
 experiment-demo: build/plant.json
+	rm -rf build/experiment/motion
 	$(call run,dropstitch simulate --out build/experiment/trials --payloads $(GAP_PAYLOADS) --trials 1 --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 	$(call judge,dropstitch gap build/experiment/trials --plant build/plant.json --out build/experiment/gap)
-	$(call run,dropstitch experiment --gap build/experiment/gap/gap.json --config robot.toml --seconds 10 --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
+	$(call run,dropstitch experiment --gap build/experiment/gap/gap.json --config robot.toml --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
 	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test:workshop"; do \

@@ -96,7 +96,8 @@ def diagnose_faulty(
     change, effects = FAULTS[fault]
     own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
     found = diagnose(known, TrialSet(tuple(own)))
-    alike = {e for i in found.inclusions for a in i.look_alikes for e in a.effects}
+    alike = {e for own in found.look_alikes.values() for fit in own for e in fit.candidates}
+    alike -= set(found.named)
     right = bool(effects & set(found.named)) if effects else not found.named
     return {
         "gains": list(gains),
@@ -106,7 +107,7 @@ def diagnose_faulty(
         "right": right,
         "class_right": right or bool(found.named and effects & alike),
         "verdict": found.verdict,
-        "unexplained_fraction": found.unexplained_fraction,
+        "gap_left_fraction": found.gap_left_fraction,
     }
 
 

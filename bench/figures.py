@@ -259,7 +259,7 @@ def real(out: Path) -> list[Figure]:
 def gap(out: Path) -> list[Figure]:
     """Effects hidden in rigs for testing."""
     from bench.gap import figures_by_link
-    from models.gap.training.case_runs import case_results, run_cases
+    from models.gap.training.case_runs import records_of, run_cases
     from models.gap.training.cases import hidden_cases
 
     # One effect in three data sets of each rig, nothing in one; no pairs, none outside.
@@ -268,7 +268,7 @@ def gap(out: Path) -> list[Figure]:
         for case in hidden_cases(rig, 3, 0, 1, 0, 0, 65, same)
     ]  # fmt: skip
     failed = run_cases(cases, out)
-    found = figures_by_link(list(case_results(out).values()))
+    found = figures_by_link(records_of(cases, out))
     on = f"simulation, {len(GAP_RIGS)} rigs for testing"
     command = "python -m bench.gap --rigs " + " ".join(GAP_RIGS)
     rows = []

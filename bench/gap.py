@@ -8,9 +8,9 @@ link changed since (default) or the same (--same-link). Rigs from drawn_900 on, 
 are for testing: no number of the workflow was set on them.
 
 A name is right where it is that of the hidden effect or a declared look-alike of it. A false alarm
-is a gap where nothing is hidden. A data set takes about half a minute on a core, a plant as long. A
-rerun does what is missing; delete OUT for results of other code. Prints and writes
-OUT/figures.json.
+is a gap where nothing is hidden. A data set takes one to two minutes on a core, a plant one. A
+rerun does what is missing; delete OUT for results of other code. Prints the figures and writes them
+to OUT/figures.json.
 """
 
 from __future__ import annotations
@@ -22,53 +22,72 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bench.rates import rate
 from firmware_py.console import DONE, NEGATIVE
 from firmware_py.errors import InputError
-from models.gap.training.case_runs import case_results, run_cases
+from models.gap.training.case_runs import DataSetRecord, effects_of, records_of, run_cases
 from models.gap.training.cases import hidden_cases
+from models.gap.training.fit import calibration_table
 from models.rig.drawn import rig_named
 
-Result = dict[str, Any]
 
-
-def is_class_right(r: Result) -> bool:
-    """Whether a hidden effect is named first, or is a declared look-alike of what is.
-
-    What was named and then taken out again does not count.
-    """
-    if not r["named"]:
+def is_class_right(record: DataSetRecord) -> bool:
+    """Whether the first name is a hidden effect, or has one among its declared look-alikes."""
+    if not record.named:
         return False
-    turns = zip(r["chosen"], r["look_alikes"], strict=True)
-    names, alike = next(turn for turn in turns if r["named"][0] in turn[0])
-    right = {e for e in names if e in r["named"]} | {e for effects in alike for e in effects}
-    return bool(set(r["case"]["hidden"]) & right)
+    first, *_ = record.named
+    alike = (c for candidates in record.look_alikes[first] for c in candidates)
+    return bool(effects_of([first, *alike]) & set(record.case.hidden))
 
 
-def gap_figures(results: Sequence[Result]) -> dict[str, Any]:
-    """Rates over some results, each with its 95 % interval."""
-    possible = [r for r in results if "impossible" not in r]
-    of = {k: [r for r in possible if r["case"]["kind"] == k] for k in ("single", "null", "pair")}
-    outside = [r for r in possible if r["case"]["kind"] == "outside" and r["separable"]]
-    wrong = [
-        bool(r["named"]) and not is_class_right(r) and r["verdict"] in ("closed", "reduced")
-        for r in of["single"]
-    ]
+def is_wrong(record: DataSetRecord) -> bool:
+    """Whether another effect than the hidden one passes for what was missing."""
+    return (
+        bool(record.named)
+        and not is_class_right(record)
+        and record.verdict in ("closed", "reduced")
+    )
+
+
+def is_doubted(record: DataSetRecord) -> bool:
+    """Whether something outside of the catalogue is reported, or what is named less than likely."""
+    improbable = record.answers is not None and record.answers.catalogue < 0.5
+    return record.verdict == "not in the catalogue" or (bool(record.named) and improbable)
+
+
+def gap_figures(records: Sequence[DataSetRecord]) -> dict[str, Any]:
+    """Rates over some records, each with its 95 % interval."""
+    of = {
+        kind: [r for r in records if not r.impossible and r.case.kind == kind]
+        for kind in ("single", "null", "pair", "outside")
+    }
     return {
         "class_right": rate([is_class_right(r) for r in of["single"]]),
-        "wrong_and_closed": rate(wrong),
-        "false_alarms": rate([r["verdict"] != "no gap" for r in of["null"]]),
-        "pairs_both": rate([set(r["case"]["hidden"]) <= set(r["named"]) for r in of["pair"]]),
-        "outside_said": rate([r["verdict"] == "not in the catalogue" for r in outside]),
+        "wrong_and_closed": rate([is_wrong(r) for r in of["single"]]),
+        "false_alarms": rate([r.verdict != "no gap" for r in of["null"]]),
+        "pairs_both": rate([set(r.case.hidden) <= effects_of(r.named) for r in of["pair"]]),
+        "outside_said": rate([is_doubted(r) for r in of["outside"] if r.separable]),
     }
 
 
-def figures_by_link(results: Sequence[Result]) -> dict[str, Any]:
+def figures_by_link(records: Sequence[DataSetRecord]) -> dict[str, Any]:
     """Figures with the link changed since the plant was identified, and with the same link."""
     return {
-        "link changed": gap_figures([r for r in results if r["case"]["nuisance"]]),
-        "same link": gap_figures([r for r in results if not r["case"]["nuisance"]]),
+        "link changed": gap_figures([r for r in records if r.case.nuisance]),
+        "same link": gap_figures([r for r in records if not r.case.nuisance]),
     }
+
+
+def calibration(records: Sequence[DataSetRecord]) -> str:
+    """How often names are right, by their probability, where the trials can tell."""
+    rows = [
+        (r.answers.catalogue, r.best_is_right)
+        for r in records
+        if r.named and r.answers is not None and r.separable
+    ]
+    return calibration_table(np.array([p for p, _ in rows]), [right for _, right in rows])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -88,23 +107,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--joints", type=int, choices=(1, 2), default=1, help="driven joints")
     add("--seed", type=int, default=0, help="of the draw")
     args = parser.parse_args(argv)
-    for name in args.rigs:
-        try:
-            rig_named(name)
-        except InputError as error:
-            parser.error(str(error))
     counts = args.singles, 0, args.nulls, args.pairs, args.outside
-    drawn = [
+    try:
+        for name in args.rigs:
+            rig_named(name)
+    except InputError as error:
+        parser.error(str(error))
+    cases = [
         case for rig in args.rigs
         for case in hidden_cases(rig, *counts, args.seed, args.same_link, args.joints)
     ]  # fmt: skip
-    failed = run_cases(drawn, args.out)
-    figures = figures_by_link(list(case_results(args.out).values()))
-    text = json.dumps(figures, indent=1) + "\n"
+    failed = run_cases(cases, args.out)
+    records = records_of(cases, args.out)
+    text = json.dumps(figures_by_link(records), indent=1) + "\n"
     (args.out / "figures.json").write_text(text, encoding="utf-8")
-    print(text, end="")
+    print(text + calibration(records))
     if failed:
-        print(f"{failed} cases have no result: see {args.out}/failures", file=sys.stderr)
+        print(f"{failed} jobs failed: see {args.out}/failures", file=sys.stderr)
     return NEGATIVE if failed else DONE
 
 

@@ -109,7 +109,7 @@ def name_and_identify(
         if not (gap / "report.html").exists():
             _models("gap", str(trials), "--plant", str(plant), "--out", str(gap), negative=True)
         named = read_gap_document(gap / "gap.json").named
-        rounds.append([e for row in named if row.kept for e in row.effect.split(" + ")])
+        rounds.append([row.effect for row in named])
         if not rounds[-1]:
             break
         better = out / f"identified_{k}.json"

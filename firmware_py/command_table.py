@@ -28,7 +28,7 @@ COMMANDS: Final = (
     Command("plant", "identify", f"{_MODELS}.identify", "fit the plant to trials"),
     Command("plant", "evaluate", f"{_MODELS}.evaluate", "compare a plant with trials"),
     Command("plant", "gap", f"{_GAP}.gap", "find the effects that the plant lacks, add them"),
-    Command("plant", "experiment", f"{_GAP}.experiment", "design the motion that separates best"),
+    Command("plant", "experiment", f"{_GAP}.experiment", "rank motions that separate look-alikes"),
     Command("plant", "calibrate", f"{_GAP}.calibrate", "measure the plant's own error for gap"),
     Command("predictor", "train", f"{_MODELS}.train", "train the predictors, write a bundle"),
     Command("predictor", "sign", f"{_MODELS}.sign", "sign a bundle for robots that name the key"),

@@ -26,7 +26,6 @@ from firmware_py.link.link_limits import limits_with_link
 from firmware_py.log.live_config import LiveConfig
 from firmware_py.motion import GLIDE_S
 from firmware_py.motion_config import MotionConfig
-from firmware_py.motion_document import read_motion_document
 from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
@@ -155,8 +154,7 @@ def read_config(path: Path | str) -> RobotConfig:
     if config.motion.file is not None:
         if config.motion.design is not None:
             raise InputError(path, "motion.file and motion.design are given", "leave one out")
-        design = read_motion_document(path.parent / config.motion.file)
-        motion = msgspec.structs.replace(config.motion, design=design)
+        motion = config.motion.with_file(path.parent / config.motion.file)
         config = msgspec.structs.replace(config, motion=motion)
     if config.link:
         models, given = [s.model for s in config.servos], document.get("limits", {})

@@ -1,14 +1,32 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar, Final
 
 import msgspec
 
+from firmware_py.documents import Document, check_version
 from firmware_py.errors import InputError
+from firmware_py.files.input_files import convert, read_toml
 from firmware_py.motion import KINDS, STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S, Kind, Motion
 from firmware_py.motion_document import MotionDocument, read_motion_document
 
-__all__ = ["MotionConfig"]
+__all__ = ["FixedMotionDocument", "MotionConfig"]
+
+_MAKE: Final = "write it anew with dropstitch experiment"
+
+
+class FixedMotionDocument(Document, frozen=True):
+    """Motion file with a kind of motion: its keys stand for those of the table `[motion]`."""
+
+    MADE_BY: ClassVar[str] = "dropstitch experiment"
+
+    kind: Kind
+    amplitude_rad: float
+    period_s: float
+    phase_2_rad: float = 0.0
+    payload_kg: float | None = None  # Payload to attach for the run
+    notes: str = ""
 
 
 class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -21,7 +39,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     rest_s: float = 1.0  # Rest before the motion, the reference of the Deformation Index
     # Motion file, relative to robot.toml, instead of kind, amplitude, period and phase
     file: str | None = None
-    design: MotionDocument | None = None  # Content of the motion file
+    design: MotionDocument | None = None  # Fourier series of the motion file
 
     def motion(self, dof: int) -> Motion:
         """Return the motion for a number of joints."""
@@ -31,7 +49,7 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             raise InputError(
                 f"motion {self.design.name}",
                 f"has {len(self.design.joints)} joints, the robot {dof}",
-                "design one for this robot",
+                "give one for this robot",
             )
         return Motion.designed(self.design)
 
@@ -45,4 +63,22 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 f"motion {wanted}", "is no kind of motion and no file",
                 "choose " + ", ".join(KINDS) + " or a motion file",
             )  # fmt: skip
-        return msgspec.structs.replace(self, file=wanted, design=read_motion_document(wanted))
+        return self.with_file(Path(wanted))
+
+    def with_file(self, path: Path) -> MotionConfig:
+        """Return the table for a motion file: of a kind of motion, or of a Fourier series."""
+        raw = read_toml(path, _MAKE, _MAKE)
+        if "kind" not in raw:
+            series = read_motion_document(path)
+            return msgspec.structs.replace(self, file=str(path), design=series)
+        check_version(path, raw, FixedMotionDocument.VERSION, _MAKE)
+        document = convert(raw, FixedMotionDocument, path, "is no motion", _MAKE)
+        motion = msgspec.structs.replace(
+            self, kind=document.kind, amplitude_rad=document.amplitude_rad,
+            period_s=document.period_s, phase_2_rad=document.phase_2_rad, file=None, design=None,
+        )  # fmt: skip
+        try:
+            motion.motion(1)
+        except InputError as error:
+            raise InputError(path, f"its {error.where} {error.what}", error.remedy) from None
+        return motion

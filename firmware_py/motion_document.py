@@ -35,7 +35,7 @@ FADE_FRACTION: Final = 0.1
 """Fraction of the duration for easing in, and for easing out; that of the multisine."""
 HIGHEST_FREQUENCY_HZ: Final = 10.0
 """Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
-_MAKE: Final = "write it anew with dropstitch experiment"
+_MAKE: Final = "correct it after docs/gap/experiment.md"
 
 
 class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -54,8 +54,7 @@ class MotionDocument(Document, frozen=True):
     duration_s: float
     harmonics: tuple[int, ...]  # Cycles per duration; 0 is a constant lean
     joints: tuple[JointSeries, ...]  # Coefficients of one or two joints, in joint order
-    # Payload that the motion was designed for, and that you attach for the run
-    payload_kg: float | None = None
+    payload_kg: float | None = None  # Payload to attach for the run
     notes: str = ""
 
     @property

@@ -23,6 +23,7 @@ from firmware_py.documents import Document
 from firmware_py.goals.outside.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature, NewestBundle
+from firmware_py.motion_config import FixedMotionDocument
 from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.campaign.campaign_document import CampaignDocument
@@ -48,6 +49,7 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "faults": FaultsDocument,
     "gap": GapDocument,
     "goalmap": GoalMap,
+    "fixed_motion": FixedMotionDocument,
     "motion": MotionDocument,
     "plan": TipPlan,
     "plant": PlantDocument,

@@ -45,7 +45,7 @@ def write_gap_report(
     """Write the page of a closed gap; return its figures as a dictionary and as text."""
     inputs = read_gap(directory, plant)
     data = before_after(inputs, hidden)
-    _write(before_after_page(inputs, data, hidden), out)
+    _write(before_after_page(inputs, data), out)
     figures = {**msgspec.to_builtins(data), "report": str(out)}
     return figures, f"{describe_before_after(data)}\n{out}"
 

@@ -1,47 +1,53 @@
-"""Diagnosis: from trials and a plant to the missing effects, their certainty and a better plant."""
+"""Diagnosis: from trials and a plant to the missing effects, their certainty and a better plant.
+
+`diagnose` is the method from top to bottom; docs/gap/method.md tells it in the same order.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
-import msgspec
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from firmware_py.errors import InputError
-from models.gap.decision.decision import JudgedNames, decide
-from models.gap.decision.gap_verdict import GapVerdict
-from models.gap.decision.posterior import Hypothesis, posterior_of
-from models.gap.decision.rejected_effects import RejectedEffect, rejected_effects
-from models.gap.estimation.curve_transfer import Knowledge
-from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.model_discrepancy import ModelDiscrepancy
+from models.gap.decision.certainty import Answers, Evidence, read_certainty
+from models.gap.decision.look_alikes import Hypothesis, LookAlike, hypotheses_of, look_alikes_of
+from models.gap.decision.naming import (
+    LEAST_WITHOUT_FLOOR,
+    Naming,
+    name_with_floor,
+    name_without_floor,
+)
+from models.gap.decision.written_fit import PlantWriter, WrittenFit
+from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
+from models.gap.estimation.nuisance_fit import NuisanceFit, nuisance_fit_of
+from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.improved_plant import improved_plant
-from models.gap.inclusion import Inclusion, inclusions_of
-from models.gap.odd_repetitions import disturbed_trials
-from models.gap.odd_trials import OddTrial, without_odd
+from models.gap.outliers import OddTrial, odd_trials, without_odd
 from models.gap.residuals.fit_parameters import (
-    FitParameter,
+    all_fit_parameters,
     candidate_effects,
-    effect_fit_parameters,
+    is_known_elsewhere,
 )
 from models.gap.residuals.localisation import GapRegion, locate_gap
 from models.gap.residuals.residuals import Residuals
 from models.gap.residuals.time_blocks import in_time_blocks
-from models.gap.search.effect_search import EffectSearch, ReportProgress
-from models.gap.search.null_distribution import NullDistribution
-from models.gap.search.refused_effect import RefusedEffect
-from models.gap.search.separate_joints import joints_differ
-from models.gap.search.strength_consistency import StrengthConsistency
+from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
-from models.plant.components import LOADS
-from models.plant.identification.noise_floor import Array, aligned
+from models.plant.identification.noise_floor import aligned
 from models.plant.plant import Plant
-from models.trials.trial import Trial, TrialSet
+from models.trials.trial import TrialSet
 
-__all__ = ["Diagnosis", "all_fit_parameters", "diagnose", "plant_is_known"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no floor"]
+"""Nothing is missing; the named effects explain the gap; more than noise is left beside them;
+something outside of the catalogue is missing; the noise is unknown, so nobody can tell."""
 
 
 @dataclass(frozen=True)
@@ -50,110 +56,90 @@ class Diagnosis:
 
     Attributes
     ----------
-    plant, improved : Plant
-        The plant that was diagnosed, and the same with the named effects and the refitted nuisance.
-    fitted : Plant
-        With the named effects, also where they are not written into the improved plant.
+    plant, improved, fitted : Plant
+        The plant that was diagnosed; the plant that is written, with the refitted nuisance and
+        those of the named effects that passed the check on what was left out; and with all of them.
     trials : TrialSet
-        Trials that were diagnosed; of a single trial its blocks of time
+        Trials that were diagnosed, without the outliers; of a single trial its blocks of time
         (`models.gap.residuals.time_blocks`).
-    settings : GapSettings
-        Tuned numbers of this run.
-    verdict : str
-        See `models.gap.decision.gap_verdict.GapVerdict`.
-    gap_left_fraction : float
-        Fraction of the gap's amplitude, in units of the noise floor, that remains.
-    floor : NoiseFloor
-        Noise floor of the plant file, or of the nuisance fit.
-    null_distribution : NullDistribution
-        Distribution of d′ where nothing is missing; an effect must exceed it to be named.
-    dispersion, residual_before, residual_after : float
-        Mean squared residual in noise floors: of the nuisance fit, clipped to what noise explains;
-        of the nuisance fit; with the named effects.
-    nuisance_bias : dict of str to float
-        Kinds of variation in which all trials differ in the same way, in standard deviations.
-    goal_not_followed_at_row : dict of str to int
-        First row from which the joint does not follow its goal, by trial; later rows are not used.
-    rows_fitted : dict of str to int
-        Rows that were fitted, for each trial that is too long to be fitted as a whole
-        (`models.plant.identification.fit`).
-    own_error : dict of str to tuple of str
-        By group of trials: how well the plant's mean error and its patterns are known there
-        (`models.gap.estimation.curve_transfer.Knowledge`).
-    located, remaining : tuple of GapRegion
-        Where the gap is after the nuisance fit, and with the named effects.
-    named : tuple of str
-        Effects in order of inclusion, without those deleted again.
-    inclusions : tuple of Inclusion
-        All inclusions, also of effects that were taken out again.
-    hypotheses : tuple of Hypothesis
-        Sets of effects that may be missing, by their probability.
-    tested : tuple of JudgedNames
-        Sets of effects that were judged, in order; the last one led to the verdict.
-    strength_consistency : dict of str to StrengthConsistency
-        Of each named effect without a dead zone.
-    screened, refitted : dict of str to float
-        d′ of each effect in the first round: after one step, and of the best ones refitted alone.
-    rejected : tuple of RejectedEffect
-        Effects that were never included.
-    refused : tuple of RefusedEffect
-        Effects that were taken out again, and refitted values that were undone.
-    left_out : tuple of str
-        What was left out in turn for the held-out errors, for example "payloads".
-    held_out_given, held_out_improved : dict of str to float
-        Root mean square held-out error of each signal, in its SI unit: of the plant that was
-        diagnosed, and of the improved plant fitted to the rest.
-    unexplained_fraction : float
-        Geometric mean of the ratios of these two errors.
-    fit_parameters : tuple of FitParameter
-        Nuisance, variation of each trial, and effects.
-    fitted_values : ndarray, shape (p,)
-        Their values with the named effects.
-    link_change : float
-        Change of the link in the nuisance fit, see `models.gap.estimation.link_change`.
-    amplification_power : dict of float to float
-        Factor on the power of the floor by payload in kg, see
-        `models.gap.estimation.measured_floor.with_amplified_scatter`.
     odd : tuple of OddTrial
         Outlier trials, which were left out because they differ far more than comparable ones.
+    verdict : str
+        See `GapVerdict`.
+    answers : Answers or None
+        Probabilities of what is missing; None without a learned noise floor.
+    evidence : Evidence
+        Numbers that they follow from.
+    gap_left_fraction : float
+        Fraction of the gap's amplitude, in noise floors, that remains with the named effects.
+    named : tuple of str
+        Missing effects, the one that explains most first; `EFFECT:JOINT` is in one servo alone.
+    look_alikes : dict of str to tuple of LookAlike
+        By named effect: what these trials cannot tell from it.
+    hypotheses : tuple of Hypothesis
+        Sets of effects that may be missing, by their probability.
+    nuisance, naming, written
+        Fits: of the nuisance, of the named effects with all sets that were tried, and of what was
+        written.
+    located, remaining : tuple of GapRegion
+        Where the gap is after the nuisance fit, and with the named effects.
+    settings : GapSettings
+        Settings of this run.
     """
 
     plant: Plant
     improved: Plant
     fitted: Plant
     trials: TrialSet
-    settings: GapSettings
+    odd: tuple[OddTrial, ...]
     verdict: GapVerdict
+    answers: Answers | None
+    evidence: Evidence
     gap_left_fraction: float
-    floor: NoiseFloor
-    null_distribution: NullDistribution
-    dispersion: float
-    residual_before: float
-    residual_after: float
-    nuisance_bias: dict[str, float]
-    goal_not_followed_at_row: dict[str, int]
-    rows_fitted: dict[str, int]
-    own_error: dict[str, tuple[Knowledge, Knowledge]]
-    located: tuple[GapRegion, ...]
-    remaining: tuple[GapRegion, ...]
     named: tuple[str, ...]
-    inclusions: tuple[Inclusion, ...]
+    look_alikes: dict[str, tuple[LookAlike, ...]]
     hypotheses: tuple[Hypothesis, ...]
-    tested: tuple[JudgedNames, ...]
-    strength_consistency: dict[str, StrengthConsistency]
-    screened: dict[str, float]
-    refitted: dict[str, float]
-    rejected: tuple[RejectedEffect, ...]
-    refused: tuple[RefusedEffect, ...]
+    nuisance: NuisanceFit
+    naming: Naming
+    written: WrittenFit
     left_out: tuple[str, ...]
     held_out_given: dict[str, float]
-    held_out_improved: dict[str, float]
-    unexplained_fraction: float
-    fit_parameters: tuple[FitParameter, ...]
-    fitted_values: Array
-    link_change: float
-    amplification_power: Mapping[float, float]
-    odd: tuple[OddTrial, ...] = ()
+    located: tuple[GapRegion, ...]
+    remaining: tuple[GapRegion, ...]
+    settings: GapSettings
+
+    @property
+    def floor(self) -> NoiseFloor:
+        """Noise floor as measured, at the change of the link."""
+        return self.nuisance.measured.floor
+
+    @property
+    def separation_of_nothing(self) -> float:
+        """d′ that is reached where nothing is missing on such trials."""
+        certainty, estimator = read_certainty(), self.nuisance.measured
+        if not self.naming.is_learned:
+            return LEAST_WITHOUT_FLOOR
+        return certainty.separation_of_nothing * certainty.scale_for(estimator)
+
+    @property
+    def unexplained_fraction(self) -> float:
+        """Held-out error of the written plant over that as given, geometric mean over signals."""
+        written = self.written.errors.rms()
+        ratios = [written[s] / rms for s, rms in self.held_out_given.items() if rms > 0]
+        return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-9))))) if ratios else 1.0
+
+    def summary(self) -> str:
+        """Diagnosis in words, as the command prints it."""
+        from models.gap.report.gap_results import gap_document
+        from models.gap.report.gap_words import gap_in_words
+
+        return gap_in_words(gap_document(self))
+
+    def plot(self) -> Figure:
+        """Measured and simulated signals over time, before and after, where the gap is largest."""
+        from models.gap.report.gap_charts import plot_signals
+
+        return plot_signals(self)
 
 
 def diagnose(
@@ -178,7 +164,7 @@ def diagnose(
     leave_out : sequence of str
         Effects that may not be named.
     settings : GapSettings
-        Tuned numbers.
+        What the user states, and limits.
     floor : NoiseFloor, optional
         Noise floor to use instead of the plant file's.
     patterns : sequence of ModelDiscrepancy
@@ -198,108 +184,48 @@ def diagnose(
     """
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
-    known = plant_is_known(plant, trials)
-    settings = msgspec.structs.replace(settings, plant_is_known=known)
     catalogue = _catalogue(plant, leave_out)
-    recorded, trials = trials, in_time_blocks(plant, aligned(trials), settings)
-    parameters = all_fit_parameters(plant, trials, catalogue, settings)
-    residuals = Residuals(plant, trials.trials, parameters, settings)
-    given_floor, floor = floor, floor or noise_floor_for(residuals, patterns)
-    search = EffectSearch(GaussNewton(residuals, floor), catalogue, report)
     with threadpool_limits(limits=1, user_api="blas"):  # the simulations use both processors
-        whole = len(recorded) == len(trials)
-        odd = disturbed_trials(search.first, search.nuisance_fit, floor) if whole else ()
-        if odd:
-            kept = without_odd(recorded, odd)
-            rest = diagnose(plant, kept, report, leave_out, settings, given_floor, patterns)
-            return replace(rest, odd=(*odd, *rest.odd))
-        result = search.first_round()
-        by_joint = msgspec.structs.replace(settings, separate_joints=True)
-        given = plant, recorded, report, leave_out, by_joint, given_floor, patterns
-        alike = trials[0].meta.dof > 1 and not settings.separate_joints
-        separate = all_fit_parameters(plant, trials, catalogue, by_joint) if alike else []
-        differ = alike and joints_differ(search, result, separate)
-        if differ and (found := diagnose(*given)).named:
-            return found
-        decision = decide(search, search.include(result))
-    outside = decision.verdict == "not in the catalogue"
-    if outside and alike and not differ and (found := diagnose(*given)).named:
-        return found
-    result, accepted = decision.result, decision.accepted
-    hypotheses = posterior_of(search, result, decision.answers)
-    report("tested on what was left out", 1)
-    located, remaining = (
-        locate_gap(residuals.groups, residuals.trials, search.first.whitened(p.rows), settings)
-        for p in (result.before, result.after)
-    )
-    free = search.free(result.named)
-    improved = improved_plant(plant, search, result, accepted.point, accepted.free, recorded)
-    is_written = set(result.named) == set(improved.provenance.named)
+        odd: tuple[OddTrial, ...] = ()
+        while True:
+            recorded = without_odd(trials, odd)
+            used = in_time_blocks(plant, aligned(recorded))
+            nuisance = _nuisance_fit(plant, used, catalogue, settings, floor, patterns)
+            naming = _naming(nuisance, settings, report)
+            more = _disturbed(nuisance, naming) if len(used) == len(recorded) else ()
+            if not more:
+                break
+            odd = (*odd, *more)
+        verdict = _verdict(naming)
+        writer = PlantWriter(naming.search, settings.harm_fraction)
+        written = _written(writer, naming, verdict, settings)
+        report("tested on what was left out", 1)
+        fitted = improved_plant(plant, naming.search, naming.fit, recorded)
+        located, remaining = (
+            tuple(_located(nuisance, fit)) for fit in (naming.search.nothing, naming.fit)
+        )
     return Diagnosis(
         plant=plant,
-        improved=improved,
-        fitted=improved
-        if is_written
-        else improved_plant(plant, search, result, result.after, free, recorded),
-        trials=trials,
+        improved=improved_plant(plant, naming.search, written, recorded),
+        fitted=fitted,
+        trials=used,
+        odd=odd,
+        verdict=verdict,
+        answers=naming.answers,
+        evidence=naming.evidence,
+        gap_left_fraction=nuisance.left_fraction(naming.fit.point),
+        named=naming.names,
+        look_alikes=look_alikes_of(naming),
+        hypotheses=hypotheses_of(naming),
+        nuisance=nuisance,
+        naming=naming,
+        written=written,
+        left_out=tuple(writer.held_out.folds),
+        held_out_given=writer.held_out.given.rms(),
+        located=located,
+        remaining=remaining,
         settings=settings,
-        verdict=decision.verdict,
-        gap_left_fraction=decision.gap_left_fraction,
-        floor=floor,
-        null_distribution=search.null_distribution,
-        dispersion=search.dispersion(result.before),
-        residual_before=search.mean_residual(result.before),
-        residual_after=search.mean_residual(result.after),
-        nuisance_bias=search.nuisance_bias(result.after),
-        goal_not_followed_at_row=residuals.goal_not_followed(),
-        rows_fitted={
-            t.name: len(t)
-            for t, whole in zip(residuals.trials, trials, strict=True)
-            if len(t) < len(whole)
-        },
-        own_error=search.first.knowledge(),
-        located=tuple(located),
-        remaining=tuple(remaining),
-        named=tuple(result.named),
-        inclusions=inclusions_of(result),
-        hypotheses=hypotheses,
-        tested=decision.tested,
-        strength_consistency=dict(decision.consistencies),
-        screened=result.screened,
-        refitted={c.effects[0]: c.separation for c in result.rounds[0] if len(c.effects) == 1},
-        rejected=rejected_effects(result, search.null_distribution),
-        refused=tuple(result.refused),
-        left_out=tuple(search.held_out.folds),
-        held_out_given=search.held_out.given.rms(),
-        held_out_improved=accepted.errors.rms(),
-        unexplained_fraction=accepted.errors.fraction_of(search.held_out.given),
-        fit_parameters=tuple(parameters),
-        fitted_values=accepted.point.values,
-        link_change=search.first.floor.link_change,
-        amplification_power=search.first.floor.amplification_power,
     )
-
-
-def all_fit_parameters(
-    plant: Plant,
-    trials: Sequence[Trial],
-    catalogue: Sequence[str],
-    settings: GapSettings = DEFAULT_SETTINGS,
-) -> list[FitParameter]:
-    """Fit parameters of nuisance, trial variation and every effect of a catalogue."""
-    own = trials[0].meta.dof, settings.separate_joints
-    effects = [q for e in catalogue for q in effect_fit_parameters(plant, e, *own)]
-    return nuisance_and_variation(plant, trials, settings) + effects
-
-
-def plant_is_known(plant: Plant, trials: TrialSet) -> bool:
-    """Whether a plant of another load than the link was identified on other trials only.
-
-    A link is excluded: its values may change from day to day, within priors of their own.
-    """
-    provenance = plant.provenance
-    elsewhere = provenance.fitted_trials and not any(map(provenance.was_fitted_to, trials))
-    return bool(elsewhere) and LOADS[plant.load].kind != "link"
 
 
 def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:
@@ -312,3 +238,74 @@ def _catalogue(plant: Plant, leave_out: Sequence[str]) -> list[str]:
                 "choose from " + ", ".join(known),
             )  # fmt: skip
     return [e for e in known if e not in leave_out]
+
+
+def _nuisance_fit(
+    plant: Plant,
+    trials: TrialSet,
+    catalogue: Sequence[str],
+    settings: GapSettings,
+    floor: NoiseFloor | None,
+    patterns: Sequence[ModelDiscrepancy],
+) -> NuisanceFit:
+    """What the plant misses although link, set-up and variation are refitted."""
+    parameters = all_fit_parameters(
+        plant, trials.trials, catalogue, is_known_elsewhere(plant, trials)
+    )
+    residuals = Residuals(plant, trials.trials, parameters)
+    return nuisance_fit_of(
+        residuals, floor or noise_floor_for(residuals, patterns), settings.same_link
+    )
+
+
+def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress) -> Naming:
+    """Search for the set of effects that explains the trials."""
+    learned = nuisance.measured.floor.learned
+    is_link = nuisance.estimator.residuals.plant.load == "link"
+    # A rigid load is simulated fast, and no learned floor tells its candidates apart.
+    refits_all = not (learned or is_link)
+    search = EffectSearch(nuisance, refits_all, report)
+    certainty = read_certainty()
+    if learned:
+        return name_with_floor(search, certainty, settings.equation_error_fraction)
+    return name_without_floor(search, certainty)
+
+
+def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OddTrial, ...]:
+    """Outlier trials: those that are odd in the nuisance fit, and with what explains it best.
+
+    A large gap alone makes trials differ more than usual.
+    """
+    found = odd_trials(nuisance.measured, nuisance.point)
+    if not found or not naming.is_learned:
+        return found
+    still = {o.path for o in odd_trials(nuisance.measured, naming.best.point)}
+    return tuple(o for o in found if o.path in still)
+
+
+def _written(
+    writer: PlantWriter, naming: Naming, verdict: GapVerdict, settings: GapSettings
+) -> WrittenFit:
+    """What is written: never a link that is known not to have changed, nor a mere stand-in."""
+    if verdict == "not in the catalogue" and "motions" not in writer.held_out.folds:
+        return writer.as_given("a stand-in would only fit the motion of these trials")
+    if not naming.names and (settings.same_link or not naming.is_learned):
+        return writer.as_given()
+    return writer.best(naming.fit)
+
+
+def _verdict(naming: Naming) -> GapVerdict:
+    left = naming.search.estimator.mean_square(naming.fit.point)
+    is_open = left > read_certainty().residual_of_nothing
+    if naming.answers is None:
+        return "not in the catalogue" if is_open and not naming.names else "no floor"
+    if naming.names:
+        return "reduced" if is_open else "closed"
+    outside = naming.answers.outside > naming.answers.nothing
+    return "not in the catalogue" if outside else "no gap"
+
+
+def _located(nuisance: NuisanceFit, fit: SetFit) -> list[GapRegion]:
+    residuals = nuisance.measured.residuals
+    white = nuisance.measured.whitened(fit.point.rows)
+    return locate_gap(residuals.groups, residuals.trials, white)

@@ -12,6 +12,12 @@ from firmware_py.signals import PERIOD_S
 from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial, TrialMeta
 
+REST_SAMPLES: Final = 60
+"""Samples at rest before a motion that is simulated to separate look-alikes [assumed]."""
+SWAPPED_PAYLOAD_KG: Final = 2.0
+"""Payload of the payload swap among these motions; none where trials carried more than half of it
+[assumed]."""
+
 MENU: Final[dict[str, Kind]] = {
     "multisine": "multisine", "payload swap": "sinusoid", "slow triangle": "triangle",
     "step and hold": "steps", "free decay": "decay",

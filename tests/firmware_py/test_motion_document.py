@@ -1,4 +1,4 @@
-"""Designed motions: the file, its checks, and the goals that follow from it."""
+"""Motion files, a kind or a Fourier series: their checks, and the goals that follow."""
 
 import msgspec
 import numpy as np
@@ -7,6 +7,7 @@ import pytest
 from firmware_py.config import read_config
 from firmware_py.errors import InputError
 from firmware_py.motion import Motion
+from firmware_py.motion_config import MotionConfig
 from firmware_py.motion_document import JointSeries, MotionDocument, read_motion_document
 
 FILE = """
@@ -125,6 +126,40 @@ def test_the_command_line_takes_a_kind_or_a_file(tmp_path, motion_file):
     assert motion.with_motion(str(motion_file)).motion(1).name.startswith("designed-")
     with pytest.raises(InputError, match="no kind of motion and no file"):
         motion.with_motion("circle")
+
+
+KIND_FILE = """
+schema = 1
+kind = "triangle"
+amplitude_rad = 0.2
+period_s = 3.0
+payload_kg = 1.0
+"""
+
+
+def test_a_file_may_name_a_kind_of_motion(tmp_path):
+    (tmp_path / "robot.toml").write_text(ROBOT + "rest_s = 0.5\n")
+    (tmp_path / "motion.toml").write_text(KIND_FILE)
+    motion = read_config(tmp_path / "robot.toml").motion
+    assert motion.motion(1) == Motion("triangle", 0.2, 3.0) and motion.rest_s == 0.5
+    again = MotionConfig(kind="steps").with_motion(str(tmp_path / "motion.toml"))
+    assert again.motion(2) == Motion("triangle", 0.2, 3.0, dof=2)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("schema = 1", "schema = 7", "schema version 7"),
+        ('"triangle"', '"circle"', "is no motion"),
+        ("amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
+        ("period_s = 3.0", "", "period_s"),
+        ("period_s = 3.0", "duration_s = 3.0", "duration_s"),
+    ],
+)
+def test_a_wrong_kind_gives_one_sentence(tmp_path, before, after, sentence):
+    (tmp_path / "motion.toml").write_text(KIND_FILE.replace(before, after))
+    with pytest.raises(InputError, match=sentence):
+        MotionConfig().with_motion(str(tmp_path / "motion.toml"))
 
 
 def test_two_joints_have_their_own_series():

@@ -65,7 +65,7 @@ class GapKind(CaseKind[GapConfig]):
 
         from firmware_py.motion import Motion
         from models.gap.diagnosis import diagnose  # loads CasADi
-        from models.gap.estimation.model_discrepancy import read_patterns
+        from models.gap.estimation.own_error import read_patterns
         from models.plant.plant import read_plant
         from models.rig.protocol import TrialCase, run_case  # slow to import
         from models.trials.trial import TrialSet
@@ -84,25 +84,22 @@ class GapKind(CaseKind[GapConfig]):
         start_s = time.perf_counter()
         found = diagnose(plant, trials, leave_out=config.leave_out, patterns=patterns)
         context.parts_s["diagnosis"] = time.perf_counter() - start_s
-        values = found.improved.parameters
+        values = found.fitted.parameters
         wanted = set(config.effects) - set(config.leave_out)
         return {
             "verdict": str(found.verdict),
             "named": list(found.named),
             "right": float(set(found.named) == wanted),
             "gap_left_fraction": found.gap_left_fraction,
-            "largest_separation": max(found.screened.values(), default=0.0),
-            "residual_before": found.residual_before,
-            "residual_after": found.residual_after,
-            "unexplained_fraction": found.unexplained_fraction,
-            "separations": {"+".join(i.effects): i.separation for i in found.inclusions},
+            "largest_separation": found.naming.best.separation,
+            "probabilities": msgspec.to_builtins(found.answers),
             "look_alikes": {
-                "+".join(i.effects): ["+".join(a.effects) for a in i.look_alikes]
-                for i in found.inclusions
+                name: ["+".join(fit.candidates) for fit in alike]
+                for name, alike in found.look_alikes.items()
             },
             "strengths": {
                 name: values[name].value
-                for q in found.fit_parameters
+                for q in found.nuisance.estimator.residuals.fit_parameters
                 if q.effect in found.named
                 for name in q.parameters
                 if name in values

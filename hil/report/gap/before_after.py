@@ -110,8 +110,8 @@ def judged_part(loop: LoopRun) -> TipErrors | None:
 
 
 def named_in(found: GapDocument) -> dict[str, NamedEffect]:
-    """Return the row of gap.json for every effect that was named and kept in the plant."""
-    return {e: row for row in found.named if row.kept for e in row.effect.split(" + ")}
+    """Row of gap.json for every named effect."""
+    return {row.effect: row for row in found.named}
 
 
 def describe_before_after(data: BeforeAfter) -> str:
@@ -161,12 +161,14 @@ def _hidden_effect(inputs: GapInputs, hidden: str, strength: float) -> HiddenEff
     words = effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
     if row := named_in(inputs.found).get(effect):
         strengths = inputs.after.strengths(effect, inputs.trials[0].meta.dof)
-        q = row.parameters[strengths[(joint or 1) - 1]]  # without a joint, all joints have the same
+        # Without a joint, all joints have the same strength.
+        q = row.parameters[strengths[(row.joint or joint or 1) - 1]]
         found, error = q.value - q.before, q.error
         said = f"{words}: {strength:g} hidden, {found:.3g} ± {error or 0.0:.1g} found"
         return HiddenEffect(strength, found, error, said)
     for name, other in named_in(inputs.found).items():
-        if effect in [e for alike in other.look_alikes for e in alike.effect.split(" + ")]:
+        alike = [effect_and_joint(e)[0] for own in other.look_alikes for e in own.effects]
+        if effect in alike:
             instead = name.replace("_", " ")
             said = f"{words} was hidden; its look-alike {instead} was named"
             return HiddenEffect(strength, None, None, said)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -30,9 +29,9 @@ HEADINGS: Final = {
 }  # fmt: skip
 
 
-def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str, float]) -> str:
+def before_after_page(inputs: GapInputs, data: BeforeAfter) -> str:
     """Return the page as HTML."""
-    *own, others = gap_sections(inputs.found, inputs.before, inputs.after, inputs.trials, hidden)
+    *own, others = gap_sections(inputs.found, inputs.trials)
     sections = [
         Section("glance", "Results", [_results(data)]),
         *own,
@@ -43,7 +42,11 @@ def before_after_page(inputs: GapInputs, data: BeforeAfter, hidden: Mapping[str,
         Section("made", "Commands", [CommandList(inputs.commands, folded=True)]),
     ]
     origins = origins_of([*inputs.trials, *inputs.sealed])
-    lead = [origin_notice(origins), *gap_lead(inputs.found), Paragraph(_hidden_and_named(data))]
+    lead = [
+        origin_notice(origins),
+        Paragraph(_hidden_and_named(data)),
+        *gap_lead(inputs.found, inputs.before, inputs.after, inputs.trials),
+    ]
     return render_page("A hidden effect, from trial to robot", lead, sections)
 
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import signal_words
+from firmware_py.display_units import error_unit, signal_words
 from firmware_py.signals import tip_names
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.before_after import PART
 from hil.report.gap.gap_inputs import GapInputs
-from models.gap.report.gap_charts import BEFORE_AND_AFTER
-from models.gap.report.gap_page import residual_panel
+from models.gap.report.gap_charts import BEFORE_AND_AFTER, draw_errors
 from models.plant.identification.evaluation import TIP
 from models.plant.identification.fit import measured_signals
+from models.shared.drawing import Drawing
 from models.shared.pages import LegendEntry, Panel
 from models.shared.palette import MUTED
 
@@ -32,7 +33,7 @@ def fmu_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
     units = inputs.fmus["before"][payload_kg].units
     least = inputs.fmus.get("without", {}).get(payload_kg)
     return [
-        residual_panel(
+        _error_panel(
             signal_words(signal), trial.time_s, [measured[signal] - row[signal] for row in rows],
             units[signal], least.rms[signal] if least else None,
         )
@@ -54,8 +55,23 @@ def robot_curves(inputs: GapInputs, payload_kg: float) -> list[Panel]:
         floor = None if least is None else float(np.sqrt(np.nanmean(least[1][:, k] ** 2)))
         series = [errors[1][:shared, k] for errors in (before, after)]
         words = f"predicted {signal_words(axis)}"
-        panels.append(residual_panel(words, before[0][:shared], series, "m", floor))
+        panels.append(_error_panel(words, before[0][:shared], series, "m", floor))
     return panels
+
+
+def _error_panel(
+    signal: str, time_s: Array, series: Sequence[Array], unit: str, floor: float | None
+) -> Panel:
+    """Error of a signal over time, before and after; shapes (n,)."""
+    shown = error_unit(unit)
+    with Drawing(2.1) as (drawing, ax):
+        draw_errors(ax, time_s, series, shown, floor)
+    before, after = (shown.significant(np.sqrt(np.nanmean(values**2))) for values in series)
+    return drawing.panel(
+        f"{signal}: {before} → {after} RMS",
+        f"Error of {signal} over {time_s[-1] - time_s[0]:.1f} s: {before} RMS before, {after} RMS "
+        "after.",
+    )
 
 
 def _first_motion(loop: LoopRun) -> tuple[Array, Array] | None:

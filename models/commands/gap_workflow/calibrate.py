@@ -2,8 +2,8 @@
 
 Draws rigs of other structure, runs the motions and payloads of the trials on them, identifies a
 plant on each and changes its link: what the plants then miss without any hidden effect belongs to
-the noise floor. Writes PLANT.calibration/patterns.npz, which `gap` takes from there, and a figure.
-It can be stopped: a rerun goes on with what is missing.
+the noise floor. Writes PLANT.calibration/patterns.npz, which `gap` takes from there. It can be
+stopped: a rerun goes on with what is missing.
 """
 
 from __future__ import annotations
@@ -12,18 +12,14 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from firmware_py.console import DONE, Progress, emit
+from firmware_py.console import DONE, emit
 from firmware_py.errors import InputError
-from models.gap.calibration.calibration_files import (
-    begin_work,
-    calibration_directory,
-    patterns_file,
-)
+from models.gap.calibration.files import begin_work, patterns_file
 from models.plant.identification.doubts import SAME_SIZE_FRACTION, refuse_other_links
 from models.plant.plant import read_plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
-from models.shared.worker_pool import worker_pool
+from models.shared.missing_files import make_missing
 from models.trials.checks.trials import read_usable_trials
 from models.trials.trial import TrialSet
 
@@ -63,35 +59,27 @@ def run(args: argparse.Namespace) -> int:
     make = _make(args.link, trials)
     refuse_other_links(plant, args.plant, trials)
     # CasADi and MuJoCo are loaded here, so that a wrong option is refused at once.
-    from models.gap.calibration.left_out_rigs import draw_left_out, pattern_sentence
-    from models.gap.calibration.pattern_measurement import (
+    from models.gap.calibration.measurement import (
         PatternWork,
         learned_patterns,
         own_errors_of,
-        run_pattern_work,
+        pattern_sentence,
     )
-    from models.gap.calibration.protocol import protocol_of
-    from models.gap.estimation.curve_transfer import motion_of
-    from models.gap.estimation.model_discrepancy import write_patterns
-    from models.gap.residuals.group_words import motion_in_words
+    from models.gap.calibration.trials import protocol_of
+    from models.gap.estimation.own_error import write_patterns
+    from models.gap.estimation.transfer import motion_of
+    from models.gap.residuals.localisation import motion_in_words
 
-    cases = protocol_of(trials)
-    directory, patterns = calibration_directory(args.plant), patterns_file(args.plant)
-    work = PatternWork(cases, cases, args.links, directory, make, plant)
-    begin_work(work.fingerprint(), plant.sha256(), directory)
-    files = [work.file(k) for k in range(args.rigs)]
-    progress = Progress("calibrate", 1 + sum(not f.exists() for f in files))
-    progress.begin("drawn rigs: each takes minutes")
-    with worker_pool(args.workers, "--workers") as pool:
-        run_pattern_work(work, range(args.rigs), pool, progress.step)
-    write_patterns(learned_patterns(files), patterns)
-    measured = own_errors_of(files)
-    picture = draw_left_out(measured, directory / "patterns.svg")
-    progress.step("done")
-    motions = {motion_of(key): pattern_sentence(own) for key, own in measured.items()}
-    data = {"patterns": str(patterns), "picture": str(picture), "motions": motions}
+    cases, path = protocol_of(trials), patterns_file(args.plant)
+    work = PatternWork(cases, cases, args.links, path.parent, make, plant)
+    begin_work(work.fingerprint(), plant.sha256(), path.parent)
+    jobs = work.jobs(range(args.rigs))
+    make_missing("calibrate", jobs, args.workers)
+    measured = own_errors_of(list(jobs))
+    write_patterns(learned_patterns(measured), path)
+    motions = {motion_of(key): pattern_sentence(rigs) for key, rigs in measured.items()}
     lines = [f"{motion_in_words(motion)}: {sentence}" for motion, sentence in motions.items()]
-    emit(args, data, "\n".join([*lines, f"{patterns}; look at {picture}"]))
+    emit(args, {"patterns": str(path), "motions": motions}, "\n".join([*lines, str(path)]))
     return DONE
 
 

@@ -1,15 +1,15 @@
-"""Design of the next experiment: the motion that separates the hypotheses of a diagnosis best.
+"""Next experiment: motions ranked by how well they separate the hypotheses of a diagnosis.
 
 MOTION is a file for 'dropstitch run --motion' and 'dropstitch simulate --motion'; MOTION.html
-beside it shows goals and separation. With --repeat the motion is run on a rig with hidden effects,
-and its trial is diagnosed together with those at hand; both lie in MOTION/trials and MOTION/gap.
+beside it shows the ranking. With --repeat the motion is run on a rig with hidden effects, and its
+trial is diagnosed together with those at hand; both lie in MOTION/trials and MOTION/gap.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -17,19 +17,21 @@ from firmware_py.config import read_config
 from firmware_py.console import DONE, Progress, emit
 from firmware_py.errors import InputError
 from firmware_py.safety.limits import Limits
-from models.commands.gap_workflow.repetition import check_repetition, repeat_diagnosis
-from models.commands.output_paths import check_output_file
+from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
+from models.commands.output_paths import check_output_directory, check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import read_rig
 from models.shared.catalogue import parse_strengths
 from models.trials.checks.trials import read_usable_trials
-from models.trials.files import conditions_beside
+from models.trials.files import conditions_beside, write_trial
 from models.trials.trial import TrialSet
 
+if TYPE_CHECKING:
+    from models.gap.experiment.experiment import Experiment
+
 EXAMPLE = (
-    "dropstitch experiment --gap build/gap/gap.json --config robot.toml --seconds 10 "
-    "--out build/motion.toml"
+    "dropstitch experiment --gap build/gap/gap.json --config robot.toml --out build/motion.toml"
 )
 
 LARGEST_SEED: Final = 2**32 - 1
@@ -39,7 +41,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--gap", type=Path, required=True, metavar="GAP.json", help="document of the diagnosis")
     add("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml, for its limits")
-    add("--seconds", type=float, default=10.0, help="duration of the motion (10)")
     add("--out", type=Path, required=True, metavar="MOTION.toml", help="file to write")
     add("--plant", type=Path, metavar="PLANT", help="plant of the diagnosis, where it was moved")
     add(
@@ -48,73 +49,76 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add(
         "--payloads", type=float, nargs="+", default=[], metavar="KG",
-        help="payloads to choose from (lightest and middle of the trials)",
+        help="payloads to choose from (those of the trials, and one that swaps the payload)",
     )  # fmt: skip
-    add("--seed", type=int, default=0, help="of the random starts, and of the rig (0)")
     add("--repeat", action="store_true", help="run the motion on a rig and diagnose again")
     add("--rig", default="default", metavar="NAME|TOML", help="with --repeat: the rig (default)")
     add(
         "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
         help="with --repeat: effect that the rig has beside its defaults; repeatable",
     )  # fmt: skip
+    add("--seed", type=int, default=0, help="with --repeat: of the rig's variation and noise (0)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Design and write the motion; with --repeat also repeat the diagnosis."""
+    """Rank the motions and write the best; with --repeat also repeat the diagnosis."""
     _check_options(args)
     document = read_gap_document(args.gap)
     inputs = _inputs(document, args)
     check_output_file(args.out, [Path(inputs.plant)])
     if args.repeat:
-        check_repetition(args.out, args.gap, inputs)
+        _check_repetition(args.out, args.gap, inputs)
     plant = read_plant(Path(inputs.plant))
     if inputs.plant_sha256 and plant.sha256() != inputs.plant_sha256:
         raise InputError(inputs.plant, "is not the plant of this diagnosis", "give it with --plant")
     trials = _trials(inputs, plant)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
-    limits = _limits(args.config, trials.trials[0].meta.dof)
+    limits = _limits(args.config, trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.gap.calibration.calibration_files import patterns_beside
-    from models.gap.experiment.experiment import (
-        design_experiment,
-        experiment_in_words,
-        write_motion,
-    )
+    from models.gap.calibration.files import patterns_beside
+    from models.gap.experiment.experiment import experiment_in_words, rank_motions, write_motion
     from models.gap.experiment.experiment_page import write_experiment_page
     from models.gap.experiment.rival import rivals_of
+    from models.rig.protocol import TrialCase, run_case
 
     progress = Progress("experiment", 0)
-    found = design_experiment(
-        rivals_of(document.hypotheses), plant, trials, limits, args.seconds, args.payloads,
-        args.seed, progress.step, document.settings,
-        patterns_beside(Path(inputs.plant), plant.sha256()),
+    found = rank_motions(
+        rivals_of(document.hypotheses), plant, trials, limits, args.payloads, progress.step,
+        document.settings, patterns_beside(Path(inputs.plant), plant.sha256()),
     )  # fmt: skip
-    write_motion(found.design.document, args.out)
+    write_motion(found.best, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))
-    best, (motion, payload_kg) = found.best_fixed, found.recommended
-    result: dict[str, Any] = {
-        "motion": str(args.out),
-        "name": found.design.document.name,
-        "payload_kg": found.design.document.payload_kg,
-        "hypotheses": {r.label: round(r.probability, 4) for r in found.rivals},
-        "pairs": [
-            {"pair": found.label(k), "before": q.before, "designed": q.separation}
-            for k, q in enumerate(found.design.pairs)
-        ],
-        "least_gain": found.least_gain(found.design.pairs),
-        "least_gain_of_best_fixed": found.least_gain(best.pairs) if best else None,
-        "recommended": {"motion": motion.name, "payload_kg": payload_kg},
-        "together": found.together(),
-    }
+    result: dict[str, Any] = {"motion": str(args.out), **_result(found)}
     text = f"{experiment_in_words(found, args.out)}\n{page}"
     if rig is not None:
-        after, repeated = repeat_diagnosis(args, plant, inputs, found.recommended, rig, progress)
-        result["after"] = after
-        text = f"{text}\n{repeated}"
+        case = TrialCase(found.best.motion, found.best.payload_kg, trial=1, seed=args.seed)
+        write_trial(run_case(rig, case), args.out.with_suffix("") / "trials")
+        progress.step("motion run on the rig", 2)
+        result["after"], compared = _diagnose_again(args.out, plant, document, inputs, progress)
+        text = f"{text}\n{compared}"
     progress.step("done", 0)
     emit(args, result, text)
     return DONE
+
+
+def _result(found: Experiment) -> dict[str, Any]:
+    return {
+        "hypotheses": {r.label: round(r.probability, 4) for r in found.rivals},
+        "separation_now": dict(zip(found.pairs, found.before, strict=True)),
+        "ranking": [
+            {
+                "kind": r.motion.kind,
+                "amplitude_rad": r.motion.amplitude_rad,
+                "period_s": r.motion.period_s,
+                "payload_kg": r.payload_kg,
+                "separation": dict(zip(found.pairs, r.separations, strict=True)),
+                "least_gain": r.least_gain,
+            }
+            for r in found.ranked
+        ],
+        "together": found.together,
+    }
 
 
 def _check_options(args: argparse.Namespace) -> None:
@@ -127,6 +131,15 @@ def _check_options(args: argparse.Namespace) -> None:
         raise InputError(f"--out {args.out}", "is no TOML file", "let its name end with .toml")
     read = [args.config, args.gap, *([Path(args.rig)] if args.repeat else [])]
     check_output_file(args.out, read)
+
+
+def _check_repetition(out: Path, gap: Path, inputs: DiagnosisInputs) -> None:
+    """Refuse a place where a repetition would replace an input, or mix its trial with others."""
+    results, trials = out.with_suffix("") / "gap", out.with_suffix("") / "trials"
+    check_output_directory(results, DIAGNOSIS_FILES, [gap, Path(inputs.plant)])
+    check_output_directory(trials)
+    if trials.exists() and any(trials.iterdir()):
+        raise InputError(trials, "is not empty", "remove it, or name another --out")
 
 
 def _limits(path: Path, dof: int) -> Limits:
@@ -163,3 +176,32 @@ def _trials(inputs: DiagnosisInputs, plant: Plant) -> TrialSet:
         where = ", ".join(inputs.trials)
         raise InputError(where, "are not the trials of this diagnosis", "give them with --trials")
     return trials
+
+
+def _diagnose_again(
+    out: Path, plant: Plant, before: GapDocument, inputs: DiagnosisInputs, progress: Progress
+) -> tuple[dict[str, Any], str]:
+    """Diagnose all trials, that of the motion included; the hypotheses before and after."""
+    from models.gap.calibration.files import patterns_beside
+    from models.gap.experiment.rival import credible_set, rivals_of
+    from models.gap.report.diagnosis_files import write_diagnosis
+
+    directories = (*inputs.trials, str((out.with_suffix("") / "trials").resolve()))
+    inputs = msgspec.structs.replace(inputs, trials=directories, trials_sha256="")
+    trials = _trials(inputs, plant)
+    inputs = msgspec.structs.replace(inputs, trials_sha256=trials.content_sha256())
+    *_, after, page = write_diagnosis(
+        plant, trials, inputs, out.with_suffix("") / "gap", progress.step,
+        patterns=patterns_beside(Path(inputs.plant), plant.sha256()), settings=before.settings,
+    )  # fmt: skip
+    first, second = (
+        {r.label: round(r.probability, 4) for r in credible_set(rivals_of(d.hypotheses))}
+        for d in (before, after)
+    )
+    named = [n.effect for n in after.named]
+    words = [", ".join(f"{label} {p:.2f}" for label, p in own.items()) for own in (first, second)]
+    return (
+        {"set_before": first, "set_after": second, "named": named, "verdict": after.verdict},
+        f"hypotheses that hold 0.95 before: {words[0]}\nafter the motion: {words[1]}\n"
+        f"named now: {', '.join(named) or 'nothing'}; verdict {after.verdict}\n{page}",
+    )

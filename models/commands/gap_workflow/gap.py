@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_usable_trials(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.gap.calibration.calibration_files import patterns_beside
+    from models.gap.calibration.files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words

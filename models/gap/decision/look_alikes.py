@@ -1,45 +1,118 @@
-"""Look-alikes: effects that these trials cannot tell apart.
+"""Look-alikes of a name, and hypotheses: sets of effects that explain the trials about as well.
 
-They are what one round of the search could have included instead, by the posterior: the weights of
-all candidates that were refitted in that round, which allow for an error in the named effect's own
-equation (`models.gap.decision.set_weights`). A name and its look-alikes together hold 95 %.
+A set whose squared d′ is Δ less than the best one, S, weighs exp(−min(Δ / 2T, a √(Δ / S))). The
+first term is that of noise. The second accounts for equation errors: an equation that misses a
+fraction ε of the gap changes the difference of two squares by up to 2 ε √(S Δ), so Δ exceeds this
+by √(Δ / S) / 2ε times. A priori the number of missing effects is Poisson distributed with a mean m,
+and all sets of one size are equally probable, so each effect of a set counts m / N in a catalogue
+of N. Without that the many sets that add a useless effect to the right one would outweigh it.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from models.gap.decision.set_weights import set_weights
-from models.gap.search.candidate import SearchResult
+from models.gap.decision.certainty import Answers
+from models.gap.decision.naming import Naming
+from models.gap.search.effect_search import SetFit
 from models.plant.identification.noise_floor import Array
 
+NOISE_TEMPERATURE: Final = 1.5
+"""T: a difference of d′ = 3, below which two effects cannot be told apart (docs/sources.md, "Naming
+a missing effect"), counts 20 to 1."""
+ODDS_OF_WHOLE_GAP: Final = 12.0
+"""a: logarithm of the odds between the best set and one that explains nothing. Of values tried on
+diagnoses of rigs for tuning it is the least certain one whose loss is within a standard error of
+the least."""
+MEAN_NUMBER: Final = 0.05
+"""m: mean number of missing effects; chosen as `ODDS_OF_WHOLE_GAP`."""
 HELD_PROBABILITY: Final = 0.95
-"""Probability that a set of hypotheses holds together: a name and its look-alikes, or the
-hypotheses that remain after an experiment (requirement)."""
+"""Probability that a name and its look-alikes hold together (requirement)."""
+LISTED_PROBABILITY: Final = 1e-3
+"""Least probability of a hypothesis that is listed."""
 
 
 @dataclass(frozen=True)
-class LookAlike:
-    """Effects that explain the trials about as well as those included."""
+class Hypothesis:
+    """Set of effects that may be missing; empty where nothing is."""
 
     effects: tuple[str, ...]
-    separation: float
-    values: Array  # (p,), all fit parameters where they were fitted
+    probability: float
+    fit: SetFit
 
 
-def look_alikes_of(result: SearchResult, turn: int) -> tuple[LookAlike, ...]:
-    """Candidates that might be missing instead of the one included in a round."""
-    chosen = result.chosen[turn]
-    others = [c for c in result.rounds[turn] if c.effects != chosen.effects]
-    rows = sorted([chosen, *others], key=lambda c: c.score, reverse=True)
-    size = np.array([len(c.effects) for c in rows])
-    weights = set_weights(size, np.array([c.score for c in rows]), len(result.screened))
-    before = np.cumsum(weights) - weights
-    return tuple(
-        LookAlike(c.effects, c.separation, c.point.values)
-        for c, held in zip(rows, before / weights.sum(), strict=True)
-        if c is not chosen and held < HELD_PROBABILITY
-    )
+LookAlike = SetFit
+"""Set of effects that these trials cannot tell from the named ones."""
+
+
+def look_alikes_of(naming: Naming) -> dict[str, tuple[LookAlike, ...]]:
+    """Candidates that may be missing instead of each named effect, the likeliest first.
+
+    They were tried beside the same others, and hold 95 % together with it.
+    """
+    found: dict[str, tuple[LookAlike, ...]] = {}
+    for name in naming.names:
+        rest = set(naming.names) - {name}
+        rows = [f for f in naming.explored if rest < set(f.candidates)]
+        rows = [f for f in rows if len(f.candidates) == len(naming.names)]
+        weights = set_weights(rows, len(naming.search.of))
+        before = np.cumsum(weights) - weights
+        found[name] = tuple(
+            f for f, held in zip(rows, before / max(weights.sum(), 1e-300), strict=True)
+            if name not in f.candidates and held < HELD_PROBABILITY
+        )  # fmt: skip
+    return found
+
+
+def hypotheses_of(naming: Naming) -> tuple[Hypothesis, ...]:
+    """Sets of effects that may be missing, the most probable first; nothing is one of them.
+
+    The probability that the named effects are what is missing is shared by weight among them, their
+    look-alikes, and sets that add effects to those named. That something outside of the catalogue
+    is missing is no hypothesis: they add up to the rest.
+    """
+    names, answers = set(naming.names), naming.answers
+    rows = [f for f in naming.explored if len(f.candidates) >= len(names)]
+    if not answers or not rows:
+        rows = rows or [naming.search.nothing]
+        answers = Answers(0.0, 1.0, 0.0)
+        found = []
+    else:
+        found = [Hypothesis((), answers.nothing, naming.search.nothing)]
+    weights = set_weights(rows, len(naming.search.of))
+    share = answers.catalogue * weights / weights.sum()
+    found += [Hypothesis(f.candidates, float(p), f) for f, p in zip(rows, share, strict=True)]
+    listed = [h for h in found if h.probability >= LISTED_PROBABILITY]
+    return tuple(sorted(listed, key=lambda h: -h.probability))
+
+
+def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
+    """Probability of each effect that it is among those missing, the most probable first."""
+    found: dict[str, float] = defaultdict(float)
+    for hypothesis in hypotheses:
+        for effect in hypothesis.effects:
+            found[effect] += hypothesis.probability
+    return dict(sorted(found.items(), key=lambda row: -row[1]))
+
+
+def set_weights(
+    sets: Sequence[SetFit],
+    catalogue: int,
+    odds: float = ODDS_OF_WHOLE_GAP,
+    mean: float = MEAN_NUMBER,
+) -> Array:
+    """Weight of each of some sets, relative to the heaviest, shape (sets,)."""
+    if not sets:
+        return np.zeros(0)
+    square = np.array([2 * f.gain for f in sets])
+    less = square.max() - square
+    by_noise = less / (2 * NOISE_TEMPERATURE)
+    by_equation = odds * np.sqrt(less / max(square.max(), 1.0))
+    size = np.array([len(f.candidates) for f in sets])
+    logarithm = size * np.log(mean / max(catalogue, 1)) - np.minimum(by_noise, by_equation)
+    return np.asarray(np.exp(logarithm - logarithm.max()))

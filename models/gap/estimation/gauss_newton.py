@@ -1,8 +1,10 @@
-"""Generalised least squares over the fit parameters, in units of the noise floor.
+"""Sums of squares over groups of trials, and the scaled normal equation of least squares.
+
+Generalised least squares over the fit parameters, in units of the noise floor.
 
 The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor and by the patterns of
 the plant's own error, m is the known mean of that error, P is the prior of nuisance and of the
-variation between trials (`models.gap.residuals.prior`). Gauss-Newton steps stay within the bounds
+variation between trials (`models.gap.residuals.fit_parameters`). Steps stay within the bounds
 and are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
 they are updated by secants (Broyden 1965).
 """
@@ -12,18 +14,83 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from firmware_py.errors import InputError
-from models.gap.estimation.curve_transfer import Knowledge
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.normal_equation import NormalEquation, stacked, sum_of_squares
-from models.gap.residuals.prior import prior_matrix, prior_precision
+from models.gap.estimation.transfer import Knowledge
+from models.gap.residuals.fit_parameters import prior_matrix, prior_precision
 from models.gap.residuals.residuals import Residuals
 from models.plant.identification.noise_floor import Array
+
+FIT_STEPS: Final = 12
+"""Most steps of a fit while the noise floor is measured [assumed]."""
+CONVERGED_FALL: Final = 0.3
+"""Predicted fall of twice the cost below which a fit stops [assumed]."""
+LINE_SEARCH: Final = (1.0, 0.5, 0.2, 0.05)
+"""Fractions of a step that are tried in turn [assumed]."""
+NUISANCE_FIT_STEPS: Final = 20
+"""Most steps of the nuisance fit, and of the fit after an inclusion [assumed]."""
+RIDGE: Final = 1e-10
+"""Ridge of a scaled normal equation: keeps it regular [assumed]."""
+RELATIVE_FALL: Final = 1e-3
+"""Relative fall of the cost below which these fits compute exact derivatives [assumed]."""
+
+
+Mask = NDArray[np.bool_]
+"""Choice among all fit parameters, (p,)."""
+
+
+def stacked(rows: Sequence[Array]) -> Array:
+    """Rows (trials, signals, K[, columns]) of all groups as one matrix (all rows, columns or 1)."""
+    return np.concatenate([r.reshape(math.prod(r.shape[:3]), math.prod(r.shape[3:])) for r in rows])
+
+
+def sum_of_squares(rows: Sequence[Array]) -> float:
+    return sum(float(np.sum(r**2)) for r in rows)
+
+
+def mean_square(rows: Sequence[Array]) -> float:
+    return sum_of_squares(rows) / sum(r.size for r in rows)
+
+
+@dataclass(frozen=True)
+class NormalEquation:
+    """J'J x = J'r with rows and columns scaled to a unit diagonal."""
+
+    scaled: Array  # (k, k), J'J with a diagonal of ones
+    size: Array  # (k,), root of the diagonal of J'J
+
+    @classmethod
+    def of(cls, normal: Array, index: NDArray[np.intp] | None = None) -> NormalEquation:
+        """Equation of a matrix J'J, or of some of its rows and columns.
+
+        Shapes: `normal` (n, n), `index` (k,).
+        """
+        matrix = normal if index is None else normal[np.ix_(index, index)]
+        size = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
+        return cls(matrix / np.outer(size, size), size)
+
+    def regular(self, ridge: float) -> Array:
+        """Scaled matrix with a ridge on its diagonal."""
+        return np.asarray(self.scaled + ridge * np.eye(len(self.size)))
+
+    def solve(self, right: Array, ridge: float) -> Array:
+        """Solution x for the right-hand side J'r, shape (k,) or (k, columns).
+
+        Shapes: `right` (k,) or (k, columns).
+        """
+        size = self.size if right.ndim == 1 else self.size[:, None]
+        return np.asarray(np.linalg.solve(self.regular(ridge), right / size) / size)
+
+    def inverse(self) -> Array:
+        """Pseudo-inverse of J'J: the covariance of the solution."""
+        inverse = np.linalg.pinv(self.scaled, hermitian=True)
+        return np.asarray(inverse / np.outer(self.size, self.size))
 
 
 @dataclass
@@ -38,14 +105,14 @@ class FitPoint:
     normal: Array = field(repr=False, default_factory=lambda: np.empty(0))
     gradient: Array = field(repr=False, default_factory=lambda: np.empty(0))
     slopes: list[Array] = field(repr=False, default_factory=list)
-    derived: NDArray[np.bool_] = field(
+    derived: Mask = field(
         repr=False, default_factory=lambda: np.zeros(0, dtype=np.bool_)
     )  # (p,), fit parameters whose derivatives are known; those of the others are zero
     exact: bool = False  # Whether the derivatives are exact; secants otherwise
     # Start of the step to this point, until the derivatives here are needed
     origin: FitPoint | None = field(repr=False, default=None)
 
-    def has_derivatives(self, wanted: Array) -> bool:
+    def has_derivatives(self, wanted: Mask) -> bool:
         """Whether derivatives by these fit parameters are known here or at the origin."""
         known = bool(self.slopes) or self.origin is not None
         return known and bool(self.derived[np.flatnonzero(wanted)].all())
@@ -55,9 +122,9 @@ class GaussNewton:
     """Fit of residuals against a noise floor."""
 
     def __init__(self, residuals: Residuals, floor: NoiseFloor) -> None:
-        self.residuals, self.floor, self.settings = residuals, floor, residuals.settings
+        self.residuals, self.floor = residuals, floor
         trials, groups = residuals.trials, residuals.groups
-        self.whiteners = [floor.whitener(g, trials, self.settings) for g in groups]
+        self.whiteners = [floor.whitener(g, trials) for g in groups]
         self.basis, self.shrinkage = self._patterns()
         self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
         self.precision = prior_precision(residuals.fit_parameters)  # of each alone
@@ -111,6 +178,10 @@ class GaussNewton:
         """Residual spectra in noise floors, (trials, signals, K)."""
         return self.whiten([r - m for r, m in zip(rows, self.means, strict=True)])
 
+    def mean_square(self, point: FitPoint) -> float:
+        """Mean squared residual of a point, in noise floors."""
+        return mean_square(self.whitened(point.rows))
+
     def whiten(self, rows: Sequence[Array]) -> list[Array]:
         """Rows (trials, signals, K, …) in noise floors."""
         scaled = self._scaled(rows)
@@ -135,12 +206,12 @@ class GaussNewton:
         cost = 0.5 * (sum_of_squares(self.whitened(rows)) + float(values @ self.prior @ values))
         return FitPoint(values, cost if np.isfinite(cost) else np.inf, rows)
 
-    def linearise(self, point: FitPoint, wanted: Array | None = None) -> FitPoint:
+    def linearise(self, point: FitPoint, wanted: Mask | None = None) -> FitPoint:
         """Add derivatives to a point: H = J'J with priors, and the gradient of the fall.
 
         `wanted`, shape (p,): fit parameters to differentiate by; by default all. Fewer are faster.
         """
-        wanted = np.ones(len(point.values)) if wanted is None else wanted
+        wanted = np.ones(len(point.values), dtype=np.bool_) if wanted is None else wanted
         if not (point.exact and point.has_derivatives(wanted)):
             derived = np.asarray(wanted, dtype=np.bool_)
             slopes = self.residuals.jacobian(point.values, derived)
@@ -192,7 +263,7 @@ class GaussNewton:
         update = update + update.T + square * np.outer(along, along)
         self._set_slopes(end, slopes, start.normal + update)
 
-    def step(self, point: FitPoint, free: Array) -> tuple[Array, float]:
+    def step(self, point: FitPoint, free: Mask) -> tuple[Array, float]:
         """Bounded step of the free fit parameters (others zero), and the fall of cost it predicts.
 
         Shapes: `free` (p,).
@@ -203,7 +274,7 @@ class GaussNewton:
         index = np.flatnonzero(free)
         equation = NormalEquation.of(point.normal, index)
         size = equation.size
-        root = np.linalg.cholesky(equation.regular(self.settings.normal_ridge_fraction)).T
+        root = np.linalg.cholesky(equation.regular(RIDGE)).T
         right = np.linalg.solve(root.T, point.gradient[index] / size)
         step = np.linalg.solve(root, right)
         low = (self.low - point.values)[index] * size
@@ -217,7 +288,7 @@ class GaussNewton:
         return result, predicted
 
     def fit(
-        self, start: FitPoint, free: Array, most_steps: int | None = None, relative: float = 0.0
+        self, start: FitPoint, free: Mask, most_steps: int | None = None, relative: float = 0.0
     ) -> FitPoint:
         """Lower the cost over the free fit parameters; never returns a higher one.
 
@@ -228,10 +299,10 @@ class GaussNewton:
         Shapes: `free` (p,).
         """
         point = start
-        for _ in range(self.settings.floor_fit_steps if most_steps is None else most_steps):
+        for _ in range(FIT_STEPS if most_steps is None else most_steps):
             step, predicted = self.step(point, free)
             better = None
-            least = self.settings.converged_cost_fall / 2
+            least = CONVERGED_FALL / 2
             if predicted >= max(least, relative * (start.cost - point.cost)):
                 better = self.line_search(point, step)
             if better is not None:
@@ -250,7 +321,7 @@ class GaussNewton:
         % less stiffness: residual 18.6 noise floors together, 2.7 in this order.
         """
         kinds = np.array([q.kind for q in self.residuals.fit_parameters])
-        steps = self.settings.nuisance_fit_steps
+        steps = NUISANCE_FIT_STEPS
         point = self.fit(start, kinds == "nuisance", steps)
         return self.fit(point, kinds != "effect", steps)
 
@@ -259,14 +330,14 @@ class GaussNewton:
 
         Shapes: `step` (p,).
         """
-        for fraction in self.settings.line_search_fractions:
+        for fraction in LINE_SEARCH:
             values = np.clip(point.values + fraction * step, self.low, self.high)
             tried = self.at(values)
             if tried.cost < point.cost:
                 return self.carry(point, tried)
         return None
 
-    def covariance(self, point: FitPoint, free: Array) -> Array:
+    def covariance(self, point: FitPoint, free: Mask) -> Array:
         """Covariance of the free fit parameters, shape (free, free).
 
         Shapes: `free` (p,).

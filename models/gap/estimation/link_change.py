@@ -12,23 +12,29 @@ from typing import Final
 import numpy as np
 
 from models.gap.residuals.fit_parameters import FitParameter
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import Array
+
+LEAST_CHANGE: Final = 0.3
+"""Least change that counts: the fit estimates it with an error of some per cent [assumed]. The d′
+that an effect must reach on an unchanged link does not depend on it."""
+LARGEST_CHANGE: Final = 1.0
+"""Largest change that counts: that of the calibration. A hidden effect that stiffens or softens
+looks like a large change of the link; without this limit it would raise the d′ that it needs."""
 
 REFERENCE: Final = {"_stiffness_": 0.1, "link_mass_kg": 0.1}
 """Relative changes of the calibration's links, by a part of the parameter's name."""
 
 
 def link_change(
-    fit_parameters: Sequence[FitParameter], values: Array, settings: GapSettings = DEFAULT_SETTINGS
+    fit_parameters: Sequence[FitParameter], values: Array, same_link: bool = False
 ) -> float:
     """Root mean square of the changes, relative to those of the calibration's links.
 
-    It is limited to the least and largest change of the settings, and the least one where the link
-    is the same. Shapes: `values` (p,).
+    It is limited, and the least change where the link is known to be the same. Shapes: `values`
+    (p,).
     """
-    least, most = settings.least_link_change, settings.largest_link_change
-    if settings.same_link:
+    least, most = LEAST_CHANGE, LARGEST_CHANGE
+    if same_link:
         return least
     changes = [
         value / reference

@@ -1,238 +1,235 @@
-"""Next experiment: hypotheses of a diagnosis, the motion that separates them, and by how much."""
+"""Next experiment: the fixed motions, ranked by how well they separate a diagnosis's hypotheses."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Final
 
 import msgspec
+import numpy as np
 import tomli_w
 
 from firmware_py.errors import InputError
 from firmware_py.files.output_files import write_whole
-from firmware_py.motion import Motion
-from firmware_py.motion_document import MotionDocument
+from firmware_py.motion import KINDS, Kind, Motion
+from firmware_py.motion_config import FixedMotionDocument
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.signals import PERIOD_S
-from models.gap.estimation.model_discrepancy import ModelDiscrepancy
-from models.gap.experiment.motion_design import Design, MotionDesigner
-from models.gap.experiment.motion_limits import REST_SAMPLES
+from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.experiment.rival import Rival
-from models.gap.experiment.separation import PairSeparation, SeparationModel
-from models.gap.fixed_motions import MENU, motion_like, planned_trial
+from models.gap.experiment.separation import SeparationModel
+from models.gap.fixed_motions import REST_SAMPLES, SWAPPED_PAYLOAD_KG
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
-from models.trials.trial import TrialSet
+from models.trials.trial import Trial, TrialMeta, TrialSet
+
+SEPARATED: Final = 3.0
+"""d′ above which two hypotheses count as separated (docs/sources.md, "Naming a missing effect")."""
+VARIATIONS: Final = ((1.0, 1.0), (0.5, 1.0), (1.0, 2.0), (0.5, 0.5))
+"""Amplitudes and periods of the motions, as multiples of those of the trials [assumed]."""
+LONGEST_S: Final = 60.0
+"""Longest motion that is offered [assumed]."""
+TWIN_MARGIN: Final = 0.85
+"""Fraction of a limit of current and following error that the twin may use; the rest covers the
+difference between twin and robot [assumed]."""
+TIP_MARGIN: Final = 0.98
+"""The same for the tip, where this difference is some millimetres [assumed]."""
 
 
 @dataclass(frozen=True)
-class FixedMotion:
-    """Motion of the menu that the limits allow, and how well it separates the hypotheses."""
+class RankedMotion:
+    """Motion that the limits allow with a payload, and what its trial would add."""
 
-    label: str
-    motion: Motion  # With amplitude, period and phase
+    motion: Motion
     payload_kg: float
-    pairs: tuple[PairSeparation, ...]  # In the order of the experiment's pairs
+    separations: tuple[float, ...]  # d′ of each pair with its trial added
+    least_gain: float  # Least d′ that it adds, over the pairs that some motion separates
+
+    @property
+    def label(self) -> str:
+        return ", ".join([self.motion.kind, *_size(self.motion)])
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Designed motion, and the motions of the menu for comparison."""
+    """Motions by how well they separate the hypotheses, the best first."""
 
     rivals: tuple[Rival, ...]
-    pairs: tuple[tuple[int, int], ...]
-    design: Design
-    fixed: tuple[FixedMotion, ...]
+    pairs: tuple[str, ...]  # Pairs of rivals in words
+    before: tuple[float, ...]  # d′ of each pair on the trials at hand
+    ranked: tuple[RankedMotion, ...]
     limits: Limits
-    least_separation: float  # d′ above which two hypotheses count as separated
 
     @property
-    def separable(self) -> tuple[int, ...]:
-        """Indices of the pairs that at least one of these motions separates."""
-        every = [self.design.pairs, *(f.pairs for f in self.fixed)]
-        return tuple(
-            k for k in range(len(self.pairs))
-            if max(own[k].separation for own in every) >= self.least_separation
-        )  # fmt: skip
+    def best(self) -> RankedMotion:
+        return self.ranked[0]
 
     @property
-    def best_fixed(self) -> FixedMotion | None:
-        """Motion of the menu that separates most."""
-        return max(self.fixed, key=lambda f: self._separated(f.pairs), default=None)
-
-    @property
-    def better_fixed(self) -> FixedMotion | None:
-        """Best motion of the menu if it separates more than the designed one.
-
-        The plant's own error is known on motions that the plant was identified on, and unknown on a
-        designed one, so such a motion may separate more with another payload.
-        """
-        best = self.best_fixed
-        if best is None or self._separated(best.pairs) <= self._separated(self.design.pairs):
-            return None
-        return best
-
-    @property
-    def recommended(self) -> tuple[Motion, float]:
-        """Motion to run, and its payload in kg: the designed one unless a fixed one is better."""
-        if (fixed := self.better_fixed) is not None:
-            return fixed.motion, fixed.payload_kg
-        document = self.design.document
-        return Motion.designed(document), document.payload_kg or 0.0
-
-    def _separated(self, pairs: Sequence[PairSeparation]) -> tuple[int, float]:
-        """Rank of a motion: number of separated pairs, then the least gain."""
-        count = sum(q.separation >= self.least_separation for q in pairs)
-        return count, self.least_gain(pairs)
-
-    def least_gain(self, pairs: Sequence[PairSeparation]) -> float:
-        """Least d′ that a motion adds to the present trials, over the separable pairs."""
-        counted = self.separable or range(len(self.pairs))
-        return min(pairs[k].gained for k in counted)
-
-    def label(self, pair: int) -> str:
-        """Names of a pair."""
-        a, b = self.pairs[pair]
-        return f"{self.rivals[a].label} or {self.rivals[b].label}"
-
     def together(self) -> list[str]:
-        """Pairs that the recommended motion does not separate."""
-        fixed = self.better_fixed
-        pairs = fixed.pairs if fixed else self.design.pairs
-        return [self.label(k) for k, q in enumerate(pairs) if q.separation < self.least_separation]
+        """Pairs that the best motion does not separate."""
+        both = zip(self.pairs, self.best.separations, strict=True)
+        return [pair for pair, d in both if d < SEPARATED]
 
 
-def design_experiment(
-    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
-    payloads_kg: Sequence[float] = (), seed: int = 0,
-    report: ReportProgress = lambda text, further: None, settings: GapSettings = DEFAULT_SETTINGS,
-    patterns: Sequence[ModelDiscrepancy] = (),
+def rank_motions(
+    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits,
+    payloads_kg: Sequence[float] = (), report: ReportProgress = lambda text, further: None,
+    settings: GapSettings = DEFAULT_SETTINGS, patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Experiment:  # fmt: skip
-    """Design the motion that best separates the hypotheses of a diagnosis."""
-    _check(rivals, plant, trials, limits, seconds, payloads_kg, settings)
+    """Rank motions and payloads by the pairs that they separate, then by the least gain."""
+    _check(rivals, plant, trials, payloads_kg)
+    planned = planned_motions(trials, payloads_kg or default_payloads_kg(trials), limits)
     model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
-    report("trials at hand judged", 3)
-    payloads = tuple(payloads_kg) or default_payloads_kg(trials)
-    designer = MotionDesigner(model, limits, seconds, seed, report)
-    fixed = _fixed_motions(designer, payloads, {(t.meta.motion, t.meta.payload_kg) for t in trials})
-    report("fixed motions tried", 2)
-    design = designer.design(payloads)
-    rows = Motion.designed(design.document).table_rad(rest_samples=REST_SAMPLES)
-    check_motion(rows, limits, PERIOD_S, "the designed motion")
-    least = settings.indistinguishable_separation
-    return Experiment(tuple(rivals), tuple(model.pairs), design, fixed, limits, least)
+    report("trials at hand judged", len(planned))
+    allowed = []
+    for k, (motion, payload_kg) in enumerate(planned, 1):
+        run = model.planned_run(motion, payload_kg)
+        if all(twin_keeps(limits, run.outputs(v), run.trials[0]) for v in model.values):
+            allowed.append((motion, payload_kg, model.separations(run)))
+        report(f"{motion.kind} with {payload_kg:g} kg tried", len(planned) - k)
+    if not allowed:
+        raise InputError(
+            "--config", "its limits allow none of the motions in simulation",
+            "widen those of tip, current or following error, or choose other --payloads",
+        )  # fmt: skip
+    separations = np.array([row for _, _, row in allowed])
+    separated = separations >= SEPARATED
+    counted = separated.any(axis=0) | ~separated.any()
+    gained = np.sqrt(separations**2 - np.square(model.before))
+    least_gain = gained[:, counted].min(axis=1)
+    best_first = np.lexsort((-least_gain, -separated.sum(axis=1)))
+    ranked = [
+        RankedMotion(motion, payload_kg, row, float(gain))
+        for (motion, payload_kg, row), gain in zip(allowed, least_gain, strict=True)
+    ]
+    return Experiment(
+        tuple(rivals),
+        tuple(f"{rivals[a].label} or {rivals[b].label}" for a, b in model.pairs),
+        model.before,
+        tuple(ranked[k] for k in best_first),
+        limits,
+    )
 
 
 def _check(
-    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits, seconds: float,
-    payloads_kg: Sequence[float], settings: GapSettings,
-) -> None:  # fmt: skip
-    """Refuse inputs that no motion can be designed for."""
+    rivals: Sequence[Rival], plant: Plant, trials: TrialSet, payloads_kg: Sequence[float]
+) -> None:
+    """Refuse inputs that no motion can be ranked for."""
     if plant.load != "link":
         raise InputError(
-            f"plant {plant.name!r}", "is not the link", "motions are designed for the link alone"
+            f"plant {plant.name!r}", "is not the link", "motions are ranked for the link alone"
         )
-    if not 2.0 <= seconds <= 120.0:
-        raise InputError("--seconds", f"is {seconds:g}", "choose 2 to 120")
     if len(rivals) < 2:
         raise InputError(
             "gap.json",
             "holds no two hypotheses to separate; one that adds an effect to another counts as it",
-            "no motion is designed: where gap asks for one, record another motion or payload",
+            "where gap asks for an experiment, record another motion or payload",
         )
-    low_rad, high_rad = limits.angle_rad
-    if not low_rad < 0 < high_rad:
-        raise InputError(
-            "limits.angle_rad", f"is {low_rad:g} to {high_rad:g}, without 0",
-            "a designed motion begins and ends at 0: give limits on both sides of it",
-        )  # fmt: skip
-    most = max(2 * max(t.meta.payload_kg for t in trials), settings.swapped_payload_kg)
+    most_kg = max(2 * max(t.meta.payload_kg for t in trials), SWAPPED_PAYLOAD_KG)
     for payload_kg in payloads_kg:
-        if not 0 <= payload_kg <= most:
+        if not 0 <= payload_kg <= most_kg:
             raise InputError(
                 f"--payloads {payload_kg:g}", "is a payload that no trial comes near",
-                f"choose 0 to {most:g} kg",
+                f"choose 0 to {most_kg:g} kg",
             )  # fmt: skip
 
 
 def default_payloads_kg(trials: TrialSet) -> tuple[float, ...]:
-    """Lightest and middle payload of the trials.
-
-    On a new motion the plant's own error grows with payload. Measured on the rig with nothing
-    hidden, a designed motion of up to 1 Hz, tip: 1.7 noise floors with 1 kg, 7.6 with 2 kg.
-    """
+    """Lightest, middle and heaviest payload of the trials, and one that swaps the payload."""
     known = sorted({t.meta.payload_kg for t in trials})
-    return tuple(sorted({known[0], known[len(known) // 2]}))
+    swapped = SWAPPED_PAYLOAD_KG if known[-1] <= SWAPPED_PAYLOAD_KG / 2 else 0.0
+    return tuple(sorted({known[0], known[len(known) // 2], known[-1], swapped}))
 
 
-def _fixed_motions(
-    designer: MotionDesigner,
-    payloads_kg: Sequence[float],
-    at_hand: Collection[tuple[str, float]],
-) -> tuple[FixedMotion, ...]:
-    """Motions of the menu that the limits allow with a payload, also when the twin runs them.
+def planned_motions(
+    trials: TrialSet, payloads_kg: Sequence[float], limits: Limits
+) -> list[tuple[Motion, float]]:
+    """Motions that the limits of the goals allow, with each payload.
 
-    A motion that was already run with a payload is left out: a repetition has the same error of the
+    One that was already run with a payload is left out: a repetition has the same error of the
     plant, so it adds little, and the floor of a planned trial does not account for that.
     """
-    model, found = designer.model, []
-    meta = model.like.meta
-    for label, kind in MENU.items():
-        if label == "payload swap":  # every motion is tried with every payload
-            label = "sinusoid"
+    meta, result, refused = trials[0].meta, [], "all were run already"
+    at_hand = {(t.meta.motion, *_size(t.meta), t.meta.payload_kg) for t in trials}
+    for kind, (larger, slower) in product(KINDS, VARIATIONS):
         try:
-            motion = motion_like(meta, kind)
-            rows = motion.table_rad(rest_samples=REST_SAMPLES)
-            check_motion(rows, designer.limits, PERIOD_S, label)
-        except InputError:
+            motion = Motion(
+                kind, larger * meta.amplitude_rad, slower * meta.period_s, meta.phase_2_rad,
+                meta.dof,
+            )  # fmt: skip
+            check_motion(motion.table_rad(rest_samples=REST_SAMPLES), limits, PERIOD_S, kind)
+        except InputError as error:
+            refused = f"{error.where}: {error.what}"
             continue
-        for payload_kg in payloads_kg:
-            if (motion.name, payload_kg) in at_hand:
-                continue
-            trial = planned_trial(model.like, motion, payload_kg, meta.rest_samples)
-            if designer.excess_of(trial) > 0:
-                continue
-            found.append(FixedMotion(label, motion, payload_kg, tuple(model.separations(trial))))
-    return tuple(found)
+        if motion.duration_s <= LONGEST_S:
+            result += [(motion, p) for p in payloads_kg if (kind, *_size(motion), p) not in at_hand]
+    if not result:
+        raise InputError(
+            "--config", f"its limits leave no motion to try ({refused})",
+            "widen [limits], or choose other --payloads",
+        )  # fmt: skip
+    return result
 
 
-def experiment_in_words(found: Experiment, motion: Path) -> str:
-    """Text on what the motion separates."""
-    document, best = found.design.document, found.best_fixed
-    lines = [
-        f"{motion}: {document.duration_s:g} s, up to {document.amplitude_rad:.3f} rad, "
-        f"with {document.payload_kg:g} kg at the tip"
-    ]
-    for k, own in enumerate(found.design.pairs):
-        fixed = f", {best.pairs[k].separation:.1f} with {best.label}" if best else ""
-        lines.append(
-            f"  {found.label(k)}: d′ {own.before:.1f} now, {own.separation:.1f} with it{fixed}"
-        )
-    if best is not None:
-        gain, rival = found.least_gain(found.design.pairs), found.least_gain(best.pairs)
-        lines.append(
-            f"it adds a least d′ of {gain:.1f}; the best fixed motion within the limits "
-            f"({best.label}, {best.payload_kg:g} kg) adds {rival:.1f}"
-        )
-    lines += [f"run {better_fixed_in_words(fixed)}" for fixed in (found.better_fixed,) if fixed]
-    lines += [f"it does not separate {pair}" for pair in found.together()]
-    return "\n".join(lines)
+def _size(motion: Motion | TrialMeta) -> tuple[str, str]:
+    return f"{motion.amplitude_rad:.3g} rad", f"period {motion.period_s:.3g} s"
 
 
-def better_fixed_in_words(fixed: FixedMotion) -> str:
-    """Instruction to run a fixed motion that separates more than the designed one."""
-    motion = fixed.motion
-    return (
-        f"the {fixed.label} with {fixed.payload_kg:g} kg in its place, it separates more: [motion] "
-        f'kind = "{motion.kind}", amplitude_rad = {motion.amplitude_rad:.4f}, '
-        f"period_s = {motion.period_s:g}, phase_2_rad = {motion.phase_2_rad:g} in robot.toml"
+def twin_keeps(limits: Limits, outputs: Mapping[str, Array], trial: Trial) -> bool:
+    """Whether current, following error and tip of the twin stay within their limits with a margin.
+
+    A signal that already exceeds the margin at rest may use half of the remaining distance to its
+    limit.
+    """
+    used: list[tuple[Array, float]] = []
+    for j, goal_rad in enumerate(trial.goal_rad.T, 1):
+        error_rad = outputs[f"angle_{j}_rad"] - goal_rad
+        used.append((error_rad / limits.following_error_rad, TWIN_MARGIN))
+        used.append((outputs[f"current_{j}_a"] / limits.current_a, TWIN_MARGIN))
+    for axis, low_m, high_m in zip("xyz", limits.tip_min_m, limits.tip_max_m, strict=True):
+        middle_m, half_m = (low_m + high_m) / 2, (high_m - low_m) / 2
+        used.append(((outputs[f"tip_{axis}_m"] - middle_m) / half_m, TIP_MARGIN))
+    return all(
+        np.abs(fraction).max() <= (max(margin, (1 + rest) / 2) if rest < 1 else margin)
+        for fraction, margin in used
+        for rest in (abs(fraction[0]),)
     )
 
 
-def write_motion(document: MotionDocument, path: Path) -> None:
-    entries = {k: v for k, v in msgspec.to_builtins(document).items() if v is not None}
+MOST_PAIRS: Final = 6
+"""Pairs that the console lists [assumed]."""
+
+
+def experiment_in_words(found: Experiment, motion: Path) -> str:
+    """Text on the best motion: what it separates, and what it does not."""
+    best, count = found.best, len(found.pairs)
+    lines = [f"{motion}: {best.label}; attach {best.payload_kg:g} kg"]
+    rows = list(zip(found.pairs, found.before, best.separations, strict=True))
+    lines += [f"  {pair}: d′ {a:.1f} now, {b:.1f} with it" for pair, a, b in rows[:MOST_PAIRS]]
+    if count > MOST_PAIRS:
+        lines.append(f"  and {count - MOST_PAIRS} more pairs, see the page")
+    lines.append(
+        f"best of {len(found.ranked)} motions and payloads within the limits; "
+        f"it adds a least d′ of {best.least_gain:.1f}"
+    )
+    if found.together:
+        lines.append(f"it does not separate {len(found.together)} of {count} pairs")
+    return "\n".join(lines)
+
+
+def write_motion(best: RankedMotion, path: Path) -> None:
+    """Write the file for `dropstitch run --motion`."""
+    motion = best.motion
+    document = FixedMotionDocument(
+        schema=FixedMotionDocument.VERSION, kind=msgspec.convert(motion.kind, Kind),
+        amplitude_rad=motion.amplitude_rad, period_s=motion.period_s,
+        phase_2_rad=motion.phase_2_rad, payload_kg=best.payload_kg,
+    )  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, tomli_w.dumps(entries).encode())
+    write_whole(path, tomli_w.dumps(msgspec.to_builtins(document)).encode())

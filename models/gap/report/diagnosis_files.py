@@ -8,12 +8,10 @@ from pathlib import Path
 import msgspec
 
 from models.gap.diagnosis import Diagnosis, diagnose
-from models.gap.estimation.model_discrepancy import ModelDiscrepancy
-from models.gap.odd_trials import without_odd
+from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_document
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
-from models.gap.report.waterfall import waterfall_steps
 from models.gap.search.effect_search import ReportProgress
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
@@ -30,11 +28,15 @@ def write_diagnosis(
     Returns the diagnosis, its document, and the path of the page.
     """
     found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
-    trials = without_odd(trials, found.odd)
-    document = gap_document(found, trials, waterfall_steps(found, found.trials))
-    document = msgspec.structs.replace(document, inputs=inputs)
+    return found, *write_results(found, inputs, out)
+
+
+def write_results(found: Diagnosis, inputs: DiagnosisInputs, out: Path) -> tuple[GapDocument, Path]:
+    """Write the files of a diagnosis; returns its document and the path of the page."""
+    document = msgspec.structs.replace(gap_document(found), inputs=inputs)
     out.mkdir(parents=True, exist_ok=True)
     write_gap_document(out / "gap.json", document)
     found.improved.write(out / "plant.json")
-    page = write_gap_page(document, found.plant, found.improved, trials, out / "report.html")
-    return found, document, page
+    page = out / "report.html"
+    write_gap_page(document, found.plant, found.improved, found.trials, page)
+    return document, page

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from models.gap.decision.further_effect import FurtherEffect
-from models.gap.decision.posterior import DECIDED
-from models.gap.report.gap_json import GapDocument
+from models.gap.decision.certainty import DECIDED
+from models.gap.report.gap_json import GapDocument, RefusedEffects
+from models.shared.catalogue import effect_and_joint
 
 EFFECT_CHECKS: Final[dict[str, str]] = {
     "coulomb_friction":
@@ -70,27 +70,29 @@ EFFECT_CHECKS: Final[dict[str, str]] = {
 """Check by effect of `models.shared.catalogue.EVERY_EFFECT`. A sentence that states an observation
 describes what you see if the effect is there."""
 
+GENERAL_CHECK: Final = (
+    "Change it on the robot on purpose, or take its cause away, and record a trial again."
+)
+"""Check of an effect that has no sentence of its own, such as one in a file of the user."""
 MOST_CHECKS: Final = 5
 """Most effects that are listed."""
 
 
+def standing_out(document: GapDocument) -> list[RefusedEffects]:
+    """Effects that stand out and are not named, unless the named ones explain the gap."""
+    if document.verdict == "closed":
+        return []
+    return [row for row in document.refused if row.kind != "not written"]
+
+
 def effects_to_check(document: GapDocument) -> dict[str, str]:
-    """Check of each effect that is named, looks like a named one, or is not excluded; most probable
-    first.
+    """Check of each effect that is named, may be missing, or looks like a named one.
 
-    The effect that would absorb most of the remaining gap is included.
+    An effect that may be missing beside the named ones comes last.
     """
-    known = document.effect_probabilities
-    named = [e for row in document.named if row.kept for e in row.effect.split(" + ")]
-    alike = [c.effect for row in document.named if row.kept for c in row.look_alikes]
-    likely = [e for e, p in sorted(known.items(), key=lambda r: -r[1]) if p > 1 - DECIDED]
-    further = further_missing(document)
-    left = [further.effect] if further is not None and document.verdict == "reduced" else []
-    order = [e for e in dict.fromkeys([*named, *likely, *alike, *left]) if e in EFFECT_CHECKS]
-    return {effect: EFFECT_CHECKS[effect] for effect in order[:MOST_CHECKS]}
-
-
-def further_missing(document: GapDocument) -> FurtherEffect | None:
-    """Effect that would explain more beside the named ones than noise and their equation errors."""
-    further = document.tested[-1].further if document.tested else None
-    return further if further is not None and further.is_missing else None
+    named = [row.effect for row in document.named]
+    likely = [e for e, p in document.effect_probabilities.items() if p > 1 - DECIDED]
+    alike = [e for row in document.named for other in row.look_alikes for e in other.effects]
+    refused = [e for row in standing_out(document) for e in row.effects]
+    order = dict.fromkeys(effect_and_joint(e)[0] for e in (*named, *likely, *alike, *refused))
+    return {e: EFFECT_CHECKS.get(e, GENERAL_CHECK) for e in list(order)[:MOST_CHECKS]}

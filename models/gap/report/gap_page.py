@@ -1,4 +1,4 @@
-"""Page of a diagnosis (`OUT/report.html`): where the gap is, what is missing, before and after.
+"""Page of a diagnosis (`OUT/report.html`): what is missing, and measured against simulated.
 
 It is drawn from gap.json, the two plants and the trials alone, so it can be drawn again from these
 files. `hil.report.gap.before_after_page` adds sections about FMU and robot.
@@ -6,36 +6,42 @@ files. `hil.report.gap.before_after_page` adds sections about FMU and robot.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
-import numpy as np
 from markupsafe import Markup
 
-from firmware_py.display_units import FRACTION, LENGTH, error_unit, signal_words
+from firmware_py.display_units import error_unit, signal_words
+from firmware_py.signals import without_unit
 from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,
-    draw_traces,
-    draw_waterfall,
+    SignalCurves,
+    draw_bars,
+    draw_signal,
+    signal_curves,
 )
-from models.gap.report.gap_json import GapDocument, SignalGap
+from models.gap.report.gap_json import GapDocument
 from models.gap.report.gap_words import (
-    floor_in_words,
-    probabilities_in_words,
-    refusals_in_words,
-    verdict_in_words,
+    amount,
+    effect_in_words,
+    errors_in_order,
+    errors_of_what,
+    in_percent,
+    look_alikes_in_words,
+    most_improved_signal,
+    next_step_in_words,
+    refused_in_words,
 )
 from models.gap.report.localisation_maps import localisation_maps
-from models.gap.report.missing_effects import compared_effects, named_effects
-from models.gap.report.next_step import is_plant_as_given, next_step_in_words
 from models.gap.report.trial_notes import notes_in_words
-from models.gap.residuals.localisation import signal_in_words
-from models.plant.identification.evaluation import TIP, Comparison, compare_with_trials
-from models.plant.identification.noise_floor import Array
+from models.gap.residuals.localisation import FALSE_DISCOVERY_RATE, signal_in_words
 from models.plant.plant import Plant
+from models.shared.catalogue import EVERY_EFFECT
 from models.shared.drawing import Drawing
 from models.shared.pages import (
+    NO_VALUE,
     Cell,
     Figure,
     LegendEntry,
@@ -46,209 +52,204 @@ from models.shared.pages import (
     Table,
     render_page,
 )
-from models.shared.palette import MUTED
+from models.shared.palette import MEASURED, MUTED
 from models.trials.origin import origin_notice, origins_of
-from models.trials.trial import TrialSet
+from models.trials.trial import Trial, TrialSet
+
+MOST_COMPARED: Final = 8
+"""Most effects in the figure of d′."""
+MOST_HYPOTHESES: Final = 6
 
 
 def write_gap_page(
     document: GapDocument, before: Plant, after: Plant, trials: TrialSet, path: Path
 ) -> Path:
+    lead = gap_lead(document, before, after, trials, str(path.with_name("gap.json")))
     page = render_page(
         "The gap between plant and measurement",
-        [
-            origin_notice(origins_of(trials)),
-            *gap_lead(document, str(path.with_name("gap.json"))),
-        ],
-        gap_sections(document, before, after, trials),
+        [origin_notice(origins_of(trials)), *lead],
+        gap_sections(document, trials),
     )
     path.write_text(page, encoding="utf-8")
     return path
 
 
-def gap_lead(document: GapDocument, gap_json: str = "OUT/gap.json") -> list[Part]:
-    """Verdict, location of the gap, the plant's tip error before and after, and the next step."""
-    said = document.sentence
-    for more in notes_in_words(document):
-        said += f" {more[0].upper() + more[1:]}."
-    tip_m = [_tip_m(getattr(document, when)) for when in ("before", "after")]
-    if (document.refitted or any(row.kept for row in document.named)) and tip_m[0]:
-        before, after = (LENGTH.significant(value) for value in tip_m)
-        said += f" The tip error of the plant is {before} RMS before and {after} RMS after."
-    known = probabilities_in_words(document)
-    next_step = Markup("{} <b>Next:</b> {}").format(known, next_step_in_words(document, gap_json))
+def gap_lead(
+    document: GapDocument,
+    before: Plant,
+    after: Plant,
+    trials: Sequence[Trial],
+    gap_json: str = "OUT/gap.json",
+) -> list[Part]:
+    """What is wrong, how it shows, how much better the plant is, and what to do."""
+    curves = signal_curves(
+        before, after, trials, document.map, document.floor_rms,
+        most_improved_signal(document), document.goal_not_followed_at_row,
+    )  # fmt: skip
+    next_step = Markup("<b>Next:</b> {}").format(next_step_in_words(document, gap_json))
     return [
-        Paragraph(Markup("<b>{}</b> {}").format(verdict_in_words(document), said), "lead"),
+        Paragraph(document.headline, "lead"),
+        _signals(document, curves),
+        _errors(document),
+        *_checks(document),
         Paragraph(next_step),
     ]
 
 
-def gap_sections(
-    document: GapDocument,
-    before: Plant,
-    after: Plant,
-    trials: TrialSet,
-    hidden: Mapping[str, float] | None = None,
-) -> list[Section]:
-    """Sections of the page of a diagnosis; the last one lists the effects that were not named.
+def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
+    legend = [LegendEntry(MEASURED, "measured"), *BEFORE_AND_AFTER[: len(curves[0].simulated)]]
+    legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
+    return Figure(
+        "", f"The signals with the largest gap, on the trial in which it is largest "
+        f"({curves[0].trial.name}); below each its error, measured minus simulated.",
+        [_signal(own) for own in curves],
+        legend=legend,
+    )  # fmt: skip
 
-    `hidden` holds effects that were hidden on a rig and their strengths; it adds a column to the
-    table.
-    """
+
+def _signal(curves: SignalCurves) -> Panel:
+    unit, name = error_unit(curves.unit), signal_words(curves.signal)
+    with Drawing(3.4) as (drawing, ax):
+        upper, lower = ax.figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        ax.remove()
+        draw_signal(upper, lower, curves)
+    errors = " → ".join(unit.significant(rms) for rms in curves.rms)
+    return drawing.panel(
+        f"{name}: error {errors}",
+        f"{name} over {curves.time_s[-1]:.1f} s, measured and simulated; RMS error {errors}.",
+    )
+
+
+def _errors(document: GapDocument) -> Table:
+    floor = document.floor_rms
+    rows: list[list[Cell]] = []
+    for signal, before, after in errors_in_order(document):
+        unit, name = error_unit(before.unit), signal_in_words(signal)
+        row: list[Cell] = [
+            name[0].upper() + name[1:],
+            unit.significant(before.rms),
+            unit.significant(after.rms),
+            _change(after.rms / before.rms - 1) if before.rms else NO_VALUE,
+        ]
+        if floor:
+            row.append(unit.significant(floor[signal]) if signal in floor else NO_VALUE)
+        rows.append(row)
+    head = ["", "before", "after", "change", *(["noise floor"] if floor else [])]
+    title = errors_of_what(document)
+    note = (
+        "RMS error of the plant before, and of one fitted to the rest in the same way as the plant "
+        "that was written."
+        + (" What varies between trials counts; the floor leaves it out." if floor else "")
+    )
+    return Table(title[0].upper() + title[1:], head, rows, note)
+
+
+def _change(fraction: float) -> str:
+    return f"{fraction:+.0%}".replace("-", "−") if abs(fraction) >= 0.005 else "none"
+
+
+def _checks(document: GapDocument) -> list[Part]:
+    rows: list[list[Cell]] = [
+        [effect_in_words(e), check] for e, check in effects_to_check(document).items()
+    ]
+    return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
+
+
+def gap_sections(document: GapDocument, trials: Sequence[Trial]) -> list[Section]:
+    """Sections of the page below its lead; the last one lists the effects that were not named."""
+    where = localisation_maps(document.map, trials[0], FALSE_DISCOVERY_RATE)
     result = [
-        Section("where", "Where the gap is", [localisation_maps(
-            document.map, trials[0], document.settings.false_discovery_rate
-        )]),
-        Section(
-            "what", "What is missing",
-            [
-                *named_effects(document, hidden), *_checks(document), *compared_effects(document),
-                Paragraph(
-                    "d′ is the distance from a plant without the effect, in standard deviations "
-                    f"of the {floor_in_words(document)}. The d′ that an effect needs was "
-                    "measured on trials without a gap; the bars show the ratio of its d′ to "
-                    "that. A strength that differs much between payloads, signals and "
-                    "frequencies points to another effect.",
-                    "note",
-                ),
-            ],
-        ),
-    ]  # fmt: skip
-    if document.refused:
-        result.append(Section("refused", "What was refused", _refused(document)))
-    if document.waterfall:
-        result.append(Section("waterfall", "What each step removes", [_waterfall(document)]))
-    result.append(_compared(document, before, after, trials))
+        Section("what", "What is missing, and what else could explain it", _what(document)),
+        Section("where", "Where the gap is", [Paragraph(document.sentence), where]),
+        Section("written", "What was written to the plant", _written(document)),
+    ]
+    if notes := notes_in_words(document):
+        result.append(Section("notes", "About the trials", [Paragraph(note) for note in notes]))
     result.append(Section("others", "Effects not named", [_rejected(document)]))
     return result
 
 
-def _checks(document: GapDocument) -> list[Part]:
-    """Table of what to check on the robot; empty where nothing may be missing."""
-    rows: list[list[Cell]] = [[_words(e), check] for e, check in effects_to_check(document).items()]
-    return [Table("What to check on the robot", ["effect", "check"], rows)] if rows else []
-
-
-def _refused(document: GapDocument) -> list[Part]:
-    """Sentences on what was refused, and the held-out errors of the plant that was written."""
-    written = (
-        "The plant that was written is the plant as given, unchanged."
-        if is_plant_as_given(document)
-        else "The plant that was written is the best one without what was refused."
-    )
-    parts: list[Part] = [Paragraph(text) for text in refusals_in_words(document)]
-    parts.append(Paragraph(written))
-    if document.held_out is None:
-        return parts
-    units = {s: row.unit for s, row in document.before["fitted"].items()}
-    rows: list[list[Cell]] = []
-    for signal, row in document.held_out.signals.items():
-        unit = error_unit(units.get(signal, "1"))
-        ratio = FRACTION.text(row.improved / row.given) if row.given else ""
-        rows.append(
-            [signal_in_words(signal), unit.significant(row.given), unit.significant(row.improved),
-             ratio]
-        )  # fmt: skip
-    caption = f"Left out in turn: {', '.join(document.held_out.left_out)}."
-    head = ["held-out RMS error", "plant as given", "plant as written", "ratio"]
-    parts.append(Table("", head, rows, caption))
+def _what(document: GapDocument) -> list[Part]:
+    parts: list[Part] = []
+    if document.named:
+        head = ["named", "value", "d′ (needed)"]
+        parts.append(Table("", head, [_named_row(document, k) for k in range(len(document.named))]))
+    texts = [look_alikes_in_words(row) for row in document.named] + refused_in_words(document)
+    parts += [Paragraph(text) for text in texts if text]
+    if document.probabilities is not None:
+        parts.append(_hypotheses(document, document.probabilities.outside))
+    parts += _compared(document)
+    floor = "noise floor" if document.floor_rms else "residual of the refitted plant"
+    note = "d′ is the distance from a plant without the effect, in standard deviations of the "
+    parts.append(Paragraph(f"{note}{floor}.", "note"))
     return parts
 
 
-def _waterfall(document: GapDocument) -> Figure:
-    steps = [(step.step, step.floors) for step in document.waterfall]
-    with Drawing(0.9 + 0.3 * len(steps)) as (drawing, ax):
-        draw_waterfall(ax, steps, 1.0, "RMS in noise floors")
-    listed = ", ".join(f"{label} {value:.2f}" for label, value in steps)
-    return Figure(
-        "", "Root mean square of all signals on repetitions that no value was fitted to: the plant "
-        "as given, its nominal parameters refitted, and each effect in turn; what varies between "
-        "trials is fitted. Pale: what the step "
-        f"removed. Dashed: the {floor_in_words(document)}.",
-        [drawing.panel("Residual after each step", f"RMS in noise floors: {listed}.")],
-    )  # fmt: skip
+def _named_row(document: GapDocument, k: int) -> list[Cell]:
+    row = document.named[k]
+    known = EVERY_EFFECT.get(row.effect)
+    values = Markup("<br>").join(
+        f"{without_unit(name)}: {amount(q)}" + ("" if q.error is not None else " (not fitted)")
+        for name, q in row.parameters.items()
+    )
+    effect = Markup("<b>{}</b><br><small>{}</small>").format(
+        effect_in_words(row.candidate), known.strength if known else ""
+    )
+    return [effect, values, f"{row.evidence.separation:.1f}"]
 
 
-def _tip_m(errors: Mapping[str, Mapping[str, SignalGap]]) -> float:
-    """Root mean square distance of the tip on the held-out trials, m; zero where there
-    is no tip.
-    """
-    rows = errors.get("held_out", errors["fitted"])
-    return float(np.sqrt(sum(rows[axis].rms ** 2 for axis in TIP if axis in rows)))
+def _hypotheses(document: GapDocument, outside: float) -> Table:
+    """What may be missing, with its probability."""
+    rows: list[list[Cell]] = [
+        [" + ".join(map(effect_in_words, h.effects)) or "nothing", in_percent(h.probability)]
+        for h in document.hypotheses[:MOST_HYPOTHESES]
+    ]
+    rows.append(["something outside of the catalogue", in_percent(outside)])
+    return Table("What may be missing", ["", "probability"], rows)
 
 
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def _compared(document: GapDocument) -> list[Figure]:
+    """Bars of d′ of the first named effect and of those that explain the gap next best."""
+    named = [(effect_in_words(r.candidate), r.evidence.separation) for r in document.named[:1]]
+    rows = named + [(effect_in_words(r.effect), r.separation) for r in document.rejected]
+    rows = sorted(rows, key=lambda row: -row[1])[:MOST_COMPARED]
+    if not rows:
+        return []
+    with Drawing(0.8 + 0.26 * len(rows)) as (drawing, ax):
+        draw_bars(ax, rows, document.separation_of_nothing, [name for name, _ in named])
+    listed = ", ".join(f"{name} {value:.1f}" for name, value in rows)
+    title = "How well each effect alone explains the gap"
+    return [Figure("", "", [drawing.panel(title, f"d′: {listed}.")])]
+
+
+def _written(document: GapDocument) -> list[Part]:
+    """Effects and values of the plant that was written, and why it lacks others."""
+    written, parts = document.written, []
+    lacking = [e for r in document.refused if r.kind == "not written" for e in r.effects]
+    if lacking:
+        names = ", ".join(map(effect_in_words, lacking))
+        parts.append(Paragraph(f"Named, but not written: {names}. {_sentence(written.reason)}"))
+    elif written.reason:
+        parts.append(Paragraph(_sentence(written.reason)))
+    if not written.parameters:
+        return [*parts, Paragraph("The plant that was written is the plant as given, unchanged.")]
+    rows: list[list[Cell]] = [
+        [without_unit(name), amount(q)] for name, q in written.parameters.items()
+    ]
+    table = Table("", ["parameter", "value"], rows, "All other parameters are as before.")
+    return [*parts, table]
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def _rejected(document: GapDocument) -> Table:
     by_reason: dict[str, list[str]] = {}
     for row in document.rejected:
-        said = f"{_words(row.effect)} ({row.separation:.1f})"
-        by_reason.setdefault(row.reason, []).append(said)
-    rows = [[why, ", ".join(names)] for why, names in by_reason.items()]
+        words = f"{effect_in_words(row.effect)} ({row.separation:.1f})"
+        by_reason.setdefault(row.reason, []).append(words)
+    rows: list[list[Cell]] = [
+        [reason[0].upper() + reason[1:], ", ".join(names)] for reason, names in by_reason.items()
+    ]
     return Table("", ["reason", "effects, with their d′"], rows)
-
-
-def _compared(document: GapDocument, before: Plant, after: Plant, trials: TrialSet) -> Section:
-    """Error of both plants, by signal and on the heaviest of the held-out trials."""
-    part = "held_out" if "held_out" in document.before else "fitted"
-    rows = []
-    for signal, row in document.before[part].items():
-        unit = error_unit(row.unit)
-        rows.append(
-            [
-                signal_in_words(signal), unit.significant(row.rms),
-                unit.significant(document.after[part][signal].rms),
-                unit.significant(row.rms / row.floors) if row.floors else "",
-            ]
-        )  # fmt: skip
-    trial = max(trials.split()[1] or trials, key=lambda t: t.meta.payload_kg)
-    both = [compare_with_trials(plant, [trial])[0] for plant in (before, after)]
-    return Section(
-        "residual", "Before and after",
-        [
-            Table("", ["RMS error", "before", "after", floor_in_words(document)], rows,
-                  "Over the repetitions with every payload. What varies between trials counts "
-                  "here; the floor leaves it out."),
-            Figure(
-                "", f"Measured minus simulated in trial {trial.name}.",
-                _residuals(document, part, both),
-                legend=[*BEFORE_AND_AFTER, LegendEntry(MUTED, floor_in_words(document))],
-            ),
-        ],
-    )  # fmt: skip
-
-
-def _residuals(document: GapDocument, part: str, both: Sequence[Comparison]) -> list[Panel]:
-    panels = []
-    for signal in both[0].simulated:
-        series = [-c.error(signal) for c in both]
-        still = all(np.ptp(c.simulated[signal]) == 0 for c in both)  # across a single joint's plane
-        if still or not np.any(np.abs(series[0]) > 0) or signal not in document.before[part]:
-            continue
-        row = document.before[part][signal]
-        floor = row.rms / row.floors if row.floors else None
-        panels.append(
-            residual_panel(signal_words(signal), both[0].trial.time_s, series, row.unit, floor)
-        )
-    return panels
-
-
-def residual_panel(
-    signal: str, time_s: Array, series: Sequence[Array], unit: str, floor: float | None
-) -> Panel:
-    """Panel of the error of a signal over time, before and after.
-
-    Shapes: `time_s` (n,), each of `series` (n,).
-    """
-    shown = error_unit(unit)
-    with Drawing(2.1) as (drawing, ax):
-        draw_traces(ax, time_s, series, shown, "error", floor)
-    sizes = [float(np.sqrt(np.nanmean(values**2))) for values in series]
-    before, after = (shown.significant(size) for size in sizes)
-    return drawing.panel(
-        f"{signal}: {before} → {after} RMS",
-        f"Error of {signal} over {time_s[-1] - time_s[0]:.1f} s: {before} RMS before, {after} RMS "
-        "after.",
-    )

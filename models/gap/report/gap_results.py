@@ -9,162 +9,139 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from models.gap.decision.posterior import Hypothesis, effect_probabilities
+from models.gap.decision.look_alikes import Hypothesis, effect_probabilities
 from models.gap.diagnosis import Diagnosis
-from models.gap.improved_plant import written_values
-from models.gap.inclusion import Inclusion
-from models.gap.report.changed_conditions import changed_conditions
 from models.gap.report.gap_json import (
     FittedValue,
     GapDocument,
-    HeldOutSignal,
     HeldOutSummary,
     HypothesisRecord,
-    LocatedRegion,
     MappedRegion,
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
     OwnError,
+    RefusedEffects,
+    RejectedEffect,
     RemainingGap,
-    SeparatingMotion,
     SignalFloor,
     SignalGap,
-    SimilarEffect,
-    WaterfallStep,
+    SimilarEffects,
+    WrittenPlant,
 )
+from models.gap.report.gap_words import headline, joined
 from models.gap.report.separating_motion import separating_motion
-from models.gap.residuals.fit_parameters import plant_with_searched_effects
+from models.gap.report.trial_notes import changed_conditions
+from models.gap.residuals.fit_parameters import plant_with_searched_effects, written_values
 from models.gap.residuals.localisation import GapRegion, location_sentence
+from models.gap.search.effect_search import SetFit
 from models.plant.identification.evaluation import compare_with_trials, signal_errors
 from models.plant.identification.noise_floor import Array
-from models.plant.parameter import AT_BOUND, Parameter, bound_reached
+from models.plant.parameter import Parameter
 from models.plant.plant import Plant
-from models.trials.trial import Trial, TrialSet
-
-__all__ = ["errors_in_floors", "gap_document"]
+from models.shared.catalogue import effect_and_joint
+from models.trials.trial import Trial
 
 MOST_LOCATED: Final = 40
 MOST_REMAINING: Final = 10
 """Most significant regions that are listed before and after; `map` holds all."""
 LISTED_PROBABILITY: Final = 0.01
 """Least probability of an effect that is listed."""
+UNEXCITED: Final = "these trials hardly excite it"
 
 
-def gap_document(
-    found: Diagnosis, trials: TrialSet, waterfall: Sequence[tuple[str, float]] = ()
-) -> GapDocument:
-    """Gap document of a diagnosis.
+def gap_document(found: Diagnosis) -> GapDocument:
+    """Results of a diagnosis as the content of `gap.json`.
 
     Parameters
     ----------
     found : Diagnosis
-        Results of the diagnosis.
-    trials : TrialSet
-        Trials that were diagnosed, without the outliers.
-    waterfall : sequence of tuple
-        Steps and errors of `models.gap.report.waterfall.waterfall_steps`.
+        Results of `models.gap.diagnosis.diagnose`.
 
     Returns
     -------
     GapDocument
-        Content of `gap.json`, rounded; `inputs` is not set.
+        Document without `inputs`, which only the command knows.
     """
     floor = noise_floor_rms(found)
-    unused = found.goal_not_followed_at_row
-    fit, held_out = trials.split()
-    parts = {"fitted": fit, "held_out": held_out} if len(held_out) else {"fitted": fit}
+    residuals = found.nuisance.estimator.residuals
+    unused, held_out = residuals.goal_not_followed(), found.written.errors.rms()
     before, after = (
-        {part: errors_in_floors(plant, own, floor, unused) for part, own in parts.items()}
-        for plant in (found.plant, found.improved)
+        {
+            "fitted": errors_in_floors(plant, found.trials, floor, unused),
+            "held_out": _held_out_in_floors(plant, found.trials, rms, floor),
+        }
+        for plant, rms in ((found.plant, found.held_out_given), (found.improved, held_out))
     )
-    return GapDocument(
+    ratios = [held_out[s] / rms for s, rms in found.held_out_given.items() if rms > 0]
+    document = GapDocument(
         schema=GapDocument.VERSION,
         verdict=found.verdict,
+        probabilities=found.answers,
+        separation_of_nothing=round(found.separation_of_nothing, 2),
         gap_left_fraction=round(found.gap_left_fraction, 4),
-        noise_floor=NoiseFloorSummary(
-            found.floor.learned, floor, round(found.dispersion, 4),
-            {key: OwnError(*known) for key, known in found.own_error.items()},
-            {f"{kg:g}": round(power**0.5, 2) for kg, power in found.amplification_power.items()},
-        ),
-        nuisance_bias=found.nuisance_bias,
-        goal_not_followed_at_row=unused,
+        named=tuple(_named(found)),
+        refused=tuple(_refused(found)),
+        rejected=tuple(_rejected(found)),
+        effect_probabilities={
+            e: round(p, 4)
+            for e, p in effect_probabilities(found.hypotheses).items()
+            if p >= LISTED_PROBABILITY
+        },
+        hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
+        written=_written(found),
         sentence=_place(found, found.located),
         located=_located(found.located, MOST_LOCATED),
-        map=tuple(
-            MappedRegion(c.signal, c.factor, c.level, round(c.floors, 3), c.significant)
-            for c in found.located
-        ),
-        named=tuple(_named(found, trials, inclusion) for inclusion in found.inclusions),
-        before=before,
-        after=after,
+        map=mapped(found.located),
         remaining=RemainingGap(
             _place(found, found.remaining), _located(found.remaining, MOST_REMAINING)
         ),
-        rejected=found.rejected,
-        waterfall=tuple(WaterfallStep(step, floors) for step, floors in waterfall),
-        settings=found.settings,
-        rows_fitted=found.rows_fitted,
-        refused=found.refused,
-        refitted=_refitted(found),
-        held_out=HeldOutSummary(
-            found.left_out,
-            {
-                s: HeldOutSignal(given, found.held_out_improved[s])
-                for s, given in found.held_out_given.items()
-            },
+        noise_floor=NoiseFloorSummary(
+            found.floor.learned,
+            floor,
+            {key: OwnError(*known) for key, known in found.nuisance.measured.knowledge().items()},
+            {f"{kg:g}": round(p**0.5, 2) for kg, p in found.floor.amplification_power.items()},
         ),
-        changed_conditions=changed_conditions(found.plant.provenance, found.floor, trials),
-        unexplained_fraction=round(found.unexplained_fraction, 4),
-        hypotheses=tuple(_hypothesis(found, h) for h in found.hypotheses),
-        effect_probabilities=_listed(effect_probabilities(found.hypotheses)),
-        tested=found.tested if found.floor.learned else (),
+        before=before,
+        after=after,
+        held_out=HeldOutSummary(
+            found.left_out, round(float(np.exp(np.mean(np.log(ratios or [1.0])))), 4)
+        ),
         odd_trials=found.odd,
+        changed_conditions=changed_conditions(found.plant.provenance, found.floor, found.trials),
+        rows_fitted={
+            t.name: len(t)
+            for t, whole in zip(residuals.trials, found.trials, strict=True)
+            if len(t) < len(whole)
+        },
+        goal_not_followed_at_row=unused,
+        settings=found.settings,
+    )
+    return msgspec.structs.replace(document, headline=headline(document))
+
+
+def mapped(regions: Sequence[GapRegion]) -> tuple[MappedRegion, ...]:
+    return tuple(
+        MappedRegion(
+            c.signal, c.factor, c.level, round(c.floors, 3), round(c.mean, 3), round(c.p, 4),
+            c.significant,
+        )
+        for c in regions
     )  # fmt: skip
 
 
-def _refitted(found: Diagnosis) -> dict[str, FittedValue]:
-    """Parameters of the link that were refitted and written, where nothing is named."""
-    before = found.plant.parameters
-    return {
-        name: _fitted(q, before)
-        for name, q in found.improved.parameters.items()
-        if not found.named and name in before and q.value != before[name].value
-    }
-
-
-def _fitted(q: Parameter, before: Mapping[str, Parameter]) -> FittedValue:
-    known = before[q.name].value if q.name in before else 0.0
-    none_of_it = q.name not in before and abs(q.value) <= AT_BOUND * (q.high - q.low)
-    return FittedValue(q.value, q.unit, q.error, known, None if none_of_it else bound_reached(q))
-
-
-def _listed(probabilities: Mapping[str, float]) -> dict[str, float]:
-    return {e: round(p, 4) for e, p in probabilities.items() if p >= LISTED_PROBABILITY}
-
-
-def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
-    full = plant_with_searched_effects(found.plant, hypothesis.effects)
-    values = written_values(full, found.fit_parameters, hypothesis.values, hypothesis.free)
-    return HypothesisRecord(hypothesis.effects, round(hypothesis.probability, 4), values)
-
-
-def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:
-    """Where a gap is, in words; without a learned floor nothing can be called noise."""
-    if not found.floor.learned and not any(region.significant for region in regions):
-        return "No part of the trials stands out from the spectrum of the residual itself."
-    return location_sentence(regions, found.settings)
+def _located(regions: Sequence[GapRegion], most: int) -> tuple[MappedRegion, ...]:
+    return mapped([c for c in regions if c.significant][:most])
 
 
 def noise_floor_rms(found: Diagnosis) -> dict[str, SignalFloor]:
     """Noise floor of each signal as root mean squares over the spectrum."""
-    floor = found.floor
-    return {
-        s: SignalFloor(
-            _rms(floor.noise[s]), _rms(floor.model[s]), _rms(floor.noise[s] + floor.model[s])
-        )
-        for s in floor.noise
-    }
+
+    def rms(variance: Array) -> float:
+        return float(np.sqrt(np.mean(variance)))
+
+    noise, model = found.floor.noise, found.floor.model
+    return {s: SignalFloor(rms(n), rms(model[s]), rms(n + model[s])) for s, n in noise.items()}
 
 
 def errors_in_floors(
@@ -179,67 +156,195 @@ def errors_in_floors(
         end = goal_not_followed_at_row.get(c.trial.name, len(c.trial))
         unused = np.where(np.arange(len(c.trial)) < end, 0.0, np.nan)
         compared.append(replace(c, simulated={s: y + unused for s, y in c.simulated.items()}))
-    result = {}
-    for signal, row in signal_errors(plant, compared).items():
-        if not np.isfinite(row.rms):  # not measured in the rows that are used
-            continue
-        size = floor[signal].rms if signal in floor else np.nan
-        result[signal] = SignalGap(row.rms, row.unit, _number(row.rms / size) if size > 0 else None)
-    return result
+    return {
+        signal: _in_floors(row.rms, row.unit, floor.get(signal))
+        for signal, row in signal_errors(plant, compared).items()
+        if np.isfinite(row.rms)  # measured in the rows that are used
+    }
 
 
-def _named(found: Diagnosis, trials: TrialSet, inclusion: Inclusion) -> NamedEffect:
-    """Inclusion with its effects, values, evidence and look-alikes."""
-    consistencies = [
-        found.strength_consistency[e] for e in inclusion.effects if e in found.strength_consistency
-    ]
-    before, separated_by = found.plant.parameters, None
-    if inclusion.look_alikes:
-        motion, sizes = separating_motion(found, trials, inclusion.look_alikes)
-        separated_by = SeparatingMotion(motion, {k: round(v, 2) for k, v in sizes.items()})
-    return NamedEffect(
-        effect=" + ".join(inclusion.effects),
-        kept=inclusion.kept,
-        parameters={
-            name: _fitted(q, before)
-            for direction in found.fit_parameters if direction.effect in inclusion.effects
-            for name in direction.parameters if (q := found.fitted.parameters.get(name))
-        },
-        evidence=NamingEvidence(
-            separation=inclusion.separation,
-            least=inclusion.least,
-            held_out_gain=_number(inclusion.held_out_gain),
-            held_out_error=_number(inclusion.held_out_error),
-            strength_standard_deviation=max(
-                (c.standard_deviation for c in consistencies), default=0.0
-            ),
-            strength_holds=all(c.holds for c in consistencies),
-        ),
-        look_alikes=tuple(
-            SimilarEffect(" + ".join(c.effects), c.separation) for c in inclusion.look_alikes
-        ),
-        separated_by=separated_by,
-    )  # fmt: skip
+def _held_out_in_floors(
+    plant: Plant,
+    trials: Sequence[Trial],
+    errors: Mapping[str, float],
+    floor: Mapping[str, SignalFloor],
+) -> dict[str, SignalGap]:
+    outputs = plant.step_model(trials[0].meta.dof, "twin").outputs
+    units = {v.name: v.unit for v in outputs}
+    return {s: _in_floors(rms, units[s], floor.get(s)) for s, rms in errors.items()}
 
 
-def _located(regions: Sequence[GapRegion], most: int) -> tuple[LocatedRegion, ...]:
-    """Largest significant regions."""
-    return tuple(
-        msgspec.convert(
-            {
-                "signal": c.signal, c.factor: c.level, "size": round(c.floors, 3),
-                "mean": round(c.mean, 3), "p": round(c.p, 4),
-            },
-            LocatedRegion,
+def _in_floors(rms: float, unit: str, floor: SignalFloor | None) -> SignalGap:
+    return SignalGap(rms, unit, rms / floor.rms if floor and floor.rms > 0 else None)
+
+
+def _place(found: Diagnosis, regions: Sequence[GapRegion]) -> str:
+    """Where a gap is, in words; without a learned floor nothing can be called noise."""
+    if found.floor.learned:
+        return location_sentence(regions)
+    if not any(region.significant for region in regions):
+        return "No part of the trials stands out from the spectrum of the residual itself."
+    return location_sentence(regions).replace("noise floors", "times its mean")
+
+
+def _named(found: Diagnosis) -> list[NamedEffect]:
+    """Named effects, each with what it adds to those named before it."""
+    gain = _gains(found)
+    rows: list[NamedEffect] = []
+    for k, name in enumerate(found.named):
+        first = frozenset(found.named[:k])
+        reached = gain.get(first | {name}, found.naming.fit.gain)
+        separation = _separation(reached - gain.get(first, 0.0))
+        alike = found.look_alikes.get(name, ())
+        effect, joint = effect_and_joint(name)
+        rows.append(
+            NamedEffect(
+                effect=effect,
+                joint=joint,
+                parameters=_values_of(found, name),
+                evidence=NamingEvidence(
+                    separation,
+                    found.separation_of_nothing,
+                    found.evidence.difference,
+                    found.evidence.left,
+                ),
+                look_alikes=tuple(
+                    SimilarEffects(_beside(found, other), other.separation) for other in alike
+                ),
+                separated_by=separating_motion(found, alike) if alike else None,
+            )
         )
-        for c in [c for c in regions if c.significant][:most]
-    )  # fmt: skip
+    return rows
 
 
-def _rms(variance: Array) -> float:
-    return float(np.sqrt(np.mean(variance)))
+def _values_of(found: Diagnosis, name: str) -> dict[str, FittedValue]:
+    before, fitted = found.plant.parameters, found.fitted.parameters
+    return {
+        p: _fitted(fitted[p], before)
+        for direction in found.nuisance.estimator.residuals.fit_parameters
+        if direction.effect == name
+        for p in direction.parameters
+        if p in fitted
+    }
 
 
-def _number(value: float) -> float | None:
-    """None instead of a float that is not finite."""
-    return float(value) if np.isfinite(value) else None
+def _fitted(q: Parameter, before: Mapping[str, Parameter]) -> FittedValue:
+    return FittedValue(q.value, q.unit, q.error, before[q.name].value if q.name in before else 0.0)
+
+
+def _beside(found: Diagnosis, fit: SetFit) -> tuple[str, ...]:
+    """Effects of a fit that are not named."""
+    return tuple(c for c in fit.candidates if c not in found.named)
+
+
+def _gains(found: Diagnosis) -> dict[frozenset[str], float]:
+    """Fall of the cost by set of effects, from the fit of the nuisance."""
+    fits = [*found.naming.explored, found.naming.fit]
+    return {frozenset(f.candidates): f.gain for f in fits} | {frozenset(): 0.0}
+
+
+def _separation(gain: float) -> float:
+    return float(np.sqrt(max(2 * gain, 0.0)))
+
+
+def _written(found: Diagnosis) -> WrittenPlant:
+    before = found.plant.parameters
+    changed = {
+        name: _fitted(q, before)
+        for name, q in found.improved.parameters.items()
+        if name not in before or q.value != before[name].value
+    }
+    return WrittenPlant(found.written.candidates, changed, found.written.refused)
+
+
+def _refused(found: Diagnosis) -> list[RefusedEffects]:
+    """Named effects that are not written, and the best ones that are not named."""
+    naming, rows = found.naming, []
+    if lacking := tuple(n for n in found.named if n not in found.written.candidates):
+        reason = found.written.refused
+        rows.append(RefusedEffects(lacking, "not written", naming.fit.separation, reason))
+    best = naming.best
+    if not found.named and best.separation > found.separation_of_nothing:
+        if found.answers is None:
+            reason = f"the error on the {joined(found.left_out)} left out does not fall enough"
+            rows.append(RefusedEffects(best.candidates, "held-out error", best.separation, reason))
+        else:
+            reason = (
+                f"its probability is {found.answers.catalogue:.0%}; its strength would have to "
+                f"differ by {found.evidence.difference:.0%} between parts of the trials"
+            )
+            rows.append(RefusedEffects(best.candidates, "improbable", best.separation, reason))
+    if found.named:
+        rows += _further(found)
+    return rows
+
+
+def _further(found: Diagnosis) -> list[RefusedEffects]:
+    """Best effect beside the named ones that noise does not explain, but their equations may."""
+    fit, last = found.naming.fit, found.naming.rounds[-1]
+    best = next(iter(last), fit)
+    added = _separation(best.gain - fit.gain)
+    wrong = found.settings.equation_error_fraction * fit.separation
+    alike = [_beside(found, other) for own in found.look_alikes.values() for other in own]
+    effects = _beside(found, best)
+    if added <= found.separation_of_nothing or not effects or effects in alike:
+        return []
+    if not found.naming.is_learned:
+        reason = f"the error on the {joined(found.left_out)} left out does not fall enough"
+        return [RefusedEffects(effects, "held-out error", added, reason)]
+    if added > np.hypot(found.separation_of_nothing, wrong):
+        reason = "its strength would have to differ between payloads, signals and frequencies"
+    else:
+        reason = f"errors in the named effects' equations may look like it, up to d′ {wrong:.0f}"
+    return [RefusedEffects(effects, "further", added, reason)]
+
+
+def _rejected(found: Diagnosis) -> list[RejectedEffect]:
+    """All effects that are not named, the largest d′ first."""
+    naming, search = found.naming, found.naming.search
+    named = {effect_and_joint(n)[0] for n in found.named}
+    alike = {c for own in found.look_alikes.values() for f in own for c in _beside(found, f)}
+    alone, beside = _separations(found)
+    rows: dict[str, RejectedEffect] = {}
+    for candidate in search.of:
+        effect = effect_and_joint(candidate)[0]
+        if effect in named:
+            continue
+        refitted = alone.get(candidate)
+        separation = refitted or search.screened.get(candidate) or beside.get(candidate, 0.0)
+        if candidate in search.unexcited and separation < found.separation_of_nothing:
+            reason = UNEXCITED
+        elif candidate in alike:
+            reason = "these trials cannot tell it from what is named"
+        elif separation < found.separation_of_nothing:
+            reason = "it explains no more than noise may"
+        elif not found.named and naming.best.candidates == (candidate,):
+            reason = "it stands out, but is refused"
+        elif refitted is None:
+            reason = "others explain more, or its strength ended at a bound"
+        else:
+            reason = "others explain more"
+        row = RejectedEffect(effect, separation, reason)
+        rows[effect] = max(rows.get(effect, row), row, key=lambda r: r.separation)
+    return sorted(rows.values(), key=lambda r: -r.separation)
+
+
+def _separations(found: Diagnosis) -> tuple[dict[str, float], dict[str, float]]:
+    """d′ of refitted candidates: alone, and beside named ones."""
+    gain, alone, beside = _gains(found), {}, {}
+    for fit in found.naming.explored:
+        for candidate in fit.candidates:
+            rest = frozenset(fit.candidates) - {candidate}
+            if not rest:
+                alone[candidate] = fit.separation
+            elif rest <= set(found.named) and rest in gain:
+                beside[candidate] = _separation(fit.gain - gain[rest])
+    return alone, beside
+
+
+def _hypothesis(found: Diagnosis, hypothesis: Hypothesis) -> HypothesisRecord:
+    fit = hypothesis.fit
+    full = plant_with_searched_effects(found.plant, hypothesis.effects)
+    parameters = found.nuisance.estimator.residuals.fit_parameters
+    values = written_values(full, parameters, fit.point.values, fit.free)
+    return HypothesisRecord(hypothesis.effects, round(hypothesis.probability, 4), values)

@@ -3,208 +3,288 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+import shlex
+from collections.abc import Sequence
 from typing import Final
 
+from firmware_py.display_units import DURATION, DisplayUnit, error_unit
 from firmware_py.signals import without_unit
-from models.gap.decision.posterior import DECIDED
-from models.gap.decision.rejected_effects import UNEXCITED
-from models.gap.report.effect_checks import effects_to_check, further_missing
-from models.gap.report.gap_json import GapDocument, NamedEffect
-from models.gap.report.next_step import (
-    in_percent,
-    is_plant_as_given,
-    next_step_in_words,
-    separated_in_words,
+from models.gap.decision.certainty import DECIDED
+from models.gap.report.effect_checks import effects_to_check, standing_out
+from models.gap.report.gap_json import (
+    FittedValue,
+    GapDocument,
+    NamedEffect,
+    SignalGap,
+    largest_gaps,
 )
 from models.gap.report.trial_notes import notes_in_words
-from models.gap.settings import GapSettings
-
-MOST_TOLD: Final = 3
-"""Most effects, or sets of effects, listed where none is certain enough to be named."""
+from models.gap.residuals.localisation import signal_in_words
+from models.gap.search.far_strengths import UNDETECTED_SEPARATION
+from models.shared.catalogue import EVERY_EFFECT, effect_and_joint
 
 MOSTLY: Final = 3.0
-"""Ratio of the changes in two joints above which an effect is reported for one joint [assumed]."""
-
-TOLD_CHANGE: Final = 0.02
+"""Ratio of the changes in two joints above which an effect counts as one of a single joint
+[assumed]."""
+OTHER_STRENGTH: Final = 0.25
+"""Relative difference of the written strength from the named one that is reported [assumed]."""
+REPORTED_CHANGE: Final = 0.02
 """Least relative change of a link parameter that is reported [assumed]."""
+MOST_LISTED: Final = 4
+"""Most signals, look-alikes or effects in one place."""
 
 
-def verdict_in_words(document: GapDocument) -> str:
-    """Verdict as one or two sentences."""
-    names = ", ".join(
-        r.effect.replace("_", " ") + (f" of joint {joint}" if (joint := joint_of(r)) else "")
-        for r in document.named
-        if r.kept
-    )
-    if document.verdict == "no floor":
-        return (f"Reduced by {names}. " if names else "Nothing was named. ") + unexplained_in_words(
-            document
-        )
-    answers = document.answers
-    if answers is not None and answers.catalogue < DECIDED:
-        names += f" (probability {in_percent(answers.catalogue)})" if names else ""
-    no_gap = "These trials show nothing that is missing."
-    if answers is not None and answers.nothing < 0.5:
-        missing = in_percent(1 - answers.nothing)
-        no_gap = f"No effect can be named; that one is missing has a probability of {missing}."
-    return {
-        "no gap": no_gap + (f" {changed}" if (changed := change_in_words(document)) else ""),
-        "closed": f"Closed by {names}.",
-        "reduced": f"Reduced by {names}; {_left_in_words(document)}.",
-        "not in the catalogue": _outside_in_words(document)
-        + (f" {names.capitalize()} explains a part of it only." if names else ""),
-    }[document.verdict]
+def effect_in_words(candidate: str) -> str:
+    """Effect, with its joint where it is one of a single servo."""
+    effect, joint = effect_and_joint(candidate)
+    return effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
 
 
-def joint_of(row: NamedEffect) -> int | None:
-    """Joint that an effect changed most; None where it changed both, or has one strength."""
-    for name, first in row.parameters.items():
-        second = row.parameters.get(re.sub(r"_1(?=_|$)", "_2", name))
-        if "_1" not in name or second is None:
-            continue
-        changes = [abs(q.value - q.before) for q in (first, second)]
-        if max(changes) > MOSTLY * min(changes):
-            return 1 + changes.index(max(changes))
-        return None
-    return None
+def joined(words: Sequence[str], last: str = "and") -> str:
+    *rest, end = words or [""]
+    return f"{', '.join(rest)} {last} {end}" if rest else end
 
 
-def change_in_words(document: GapDocument) -> str:
-    """How the link changed since the plant was identified; empty where nothing was refitted."""
-    changes = {n: q.value / q.before - 1 for n, q in document.refitted.items() if q.before}
-    rows = ", ".join(
-        f"{without_unit(name)} {change:+.0%}".replace("-", "−")
-        for name, change in sorted(changes.items(), key=lambda row: -abs(row[1]))
-        if abs(change) >= TOLD_CHANGE
-    )
-    return rows and (
-        "But the link has changed since the plant was identified, and plant.json holds it as "
-        f"refitted: {rows}."
-    )
+def in_percent(probability: float) -> str:
+    """Probability in per cent, never 0 or 100 %: no finite number of trials proves either."""
+    return "<1%" if probability < 0.01 else f"{min(probability, 0.99):.0%}"
 
 
-def _outside_in_words(document: GapDocument) -> str:
-    """What is missing where no effect is named: something else, or an uncertain effect."""
-    answers, effects = document.answers, document.effect_probabilities
-    if answers is None:
-        return "The missing effect is not in the catalogue."
-    likely = [e for e, p in sorted(effects.items(), key=lambda row: -row[1]) if p > 1 - DECIDED]
-    if not likely or answers.catalogue <= answers.outside:
-        if answers.outside >= DECIDED:
-            return "The missing effect is not in the catalogue."
-        return (
-            f"An effect that is not in the catalogue is missing with a probability of "
-            f"{in_percent(answers.outside)}, nothing with {in_percent(answers.nothing)}."
-        )
-    named = ", ".join(f"{e.replace('_', ' ')} {in_percent(effects[e])}" for e in likely[:MOST_TOLD])
-    return (
-        "No effect is sure enough to be named. Effects of the catalogue are missing with a "
-        f"probability of {in_percent(answers.catalogue)} ({named}), something outside of it with "
-        f"{in_percent(answers.outside)}."
-    )
+def amount(value: FittedValue) -> str:
+    """Value with its standard error, and the value before unless that is zero."""
+    unit = _unit(value.unit)
+    error = "" if value.error is None else f" ± {unit.factor * value.error:.2g}"
+    after = f"{unit.factor * value.value:.3g}{error} {unit.name}".strip()
+    before = f"from {unit.factor * value.before:.3g} to " if value.before else ""
+    return (before + after).replace("-", "−")
 
 
-def _left_in_words(document: GapDocument) -> str:
-    """What remains beside the named effects."""
-    further = further_missing(document)
-    if further is None:
-        return _largest_error_in_words(document)
-    return (
-        "more is left than noise and errors of the named equations explain. Of the catalogue "
-        f"{further.effect.replace('_', ' ')} would take up most of it (by d′ "
-        f"{further.separation:.0f}, noise and these errors by {further.least:.0f}), which is no "
-        "proof that it is there"
-    )
+def _unit(unit: str) -> DisplayUnit:
+    return DURATION if unit == "s" else error_unit(unit)
 
 
-def _largest_error_in_words(document: GapDocument) -> str:
-    """Signal with the largest error in noise floors, with the named effects."""
-    errors = document.after.get("held_out", document.after["fitted"])
-    sizes = {signal: row.floors for signal, row in errors.items() if row.floors is not None}
-    if not sizes:
-        return "a residual above the noise floor is left"
-    signal = max(sizes, key=lambda name: sizes[name])
-    return f"more than noise is left, in {signal} {sizes[signal]:.1f} noise floors"
+def strength_of(row: NamedEffect) -> tuple[int | None, FittedValue | None]:
+    """Strength that changed most, and its joint if it is one of a single joint."""
+    if not row.parameters:
+        return row.joint, None
+    first = next(iter(row.parameters))
+    alike = {
+        joint: row.parameters[name]
+        for joint in (1, 2)
+        if (name := re.sub(r"_1(?=_|$)", f"_{joint}", first)) in row.parameters
+    }
+    change = {joint: abs(q.value - q.before) for joint, q in alike.items()}
+    most = max(change, key=lambda joint: change[joint])
+    is_single = len(change) > 1 and "_1" in first and change[most] > MOSTLY * min(change.values())
+    return row.joint or (most if is_single else None), alike[most]
 
 
-def unexplained_in_words(document: GapDocument) -> str:
-    """Unexplained fraction of the error, where no noise floor separates it from noise."""
-    left = 1.0 if document.unexplained_fraction is None else document.unexplained_fraction
-    return (
-        "There is no noise floor, because no trial of the plant was repeated: "
-        f"{left:.0%} of the plant's error is unexplained, and how much of that is noise is unknown."
-    )
+# What is wrong, how sure that is, and how much better the plant is ------------------------------
 
 
-def floor_in_words(document: GapDocument) -> str:
-    """Reference of the errors: a learned noise floor, or else the residual's spectrum."""
-    return "noise floor" if document.noise_floor.learned else "residual's own spectrum"
+def headline(document: GapDocument) -> str:
+    """Names with values and probabilities, verdict, the better signal, and what is not written."""
+    parts = [_names_in_words(document), _verdict_in_words(document)]
+    parts += [*_better(document), *_written_otherwise(document)]
+    not_written = [row for row in document.refused if row.kind == "not written"]
+    parts += [
+        f"{joined([effect_in_words(e) for e in row.effects])} is not written to the plant: "
+        f"{row.reason}."
+        for row in not_written
+    ]
+    return " ".join(p[0].upper() + p[1:] for p in parts if p)
 
 
-def refusals_in_words(document: GapDocument) -> list[str]:
-    """One sentence for each effect or value that was refused.
-
-    Where nothing is named and several sets of effects were judged, one sentence lists their
-    probabilities instead of a sentence for each refused effect.
-    """
-    judged = {} if any(row.kept for row in document.named) else _judged_sets(document)
-    result = [_judged_in_words(judged)] if len(judged) > 1 else []
-    for row in document.refused:
-        if result and row.kind in ("stand-in", "improbable"):
-            continue
-        if row.kind == "not written":
-            effect = row.effect.replace("_", " ")
-            named = "are named, but their" if " + " in effect else "is named, but its"
-            result.append(f"{effect} {named} plant is not written: {row.reason}.")
-        elif row.effect:
-            result.append(f"{row.effect.replace('_', ' ')} was refused: {row.reason}.")
-        else:
-            result.append(f"refitted, {row.reason}; {_kept_in_words(document, row.name)}.")
-    return [text[0].upper() + text[1:] for text in dict.fromkeys(result)]
-
-
-def _kept_in_words(document: GapDocument, parameter: str) -> str:
-    """Value that plant.json holds for a refitted parameter that was undone."""
-    for row in document.named:
-        if row.kept and parameter in row.parameters:
-            q = row.parameters[parameter]
-            return f"plant.json holds {q.value:.4g}{q.unit_in_words}, where the fit began"
-    return "plant.json keeps the value of the plant as given"
-
-
-def _judged_sets(document: GapDocument) -> dict[str, float]:
-    """Probability of each set of effects that was judged, the most probable first."""
-    rows = sorted(document.tested, key=lambda row: -row.answers.catalogue)
-    found: dict[str, float] = {}
-    for row in rows:
-        if row.effects:
-            found.setdefault(" + ".join(sorted(row.effects)), row.answers.catalogue)
-    return found
-
-
-def _judged_in_words(judged: Mapping[str, float]) -> str:
-    """Sentence on sets of effects none of which is certain enough."""
-    likeliest = list(judged.items())[:MOST_TOLD]
-    listed = ", ".join(f"{name.replace('_', ' ')} {in_percent(p)}" for name, p in likeliest)
-    return f"none of {len(judged)} answers is sure enough to be named; the likeliest: {listed}."
-
-
-def probabilities_in_words(document: GapDocument) -> str:
-    """Probabilities of the three answers and of each effect; empty without a noise floor."""
-    answers = document.answers
-    if answers is None:
+def _names_in_words(document: GapDocument) -> str:
+    if not document.named:
         return ""
-    rows = ", ".join(
-        f"{effect.replace('_', ' ')} {in_percent(probability)}"
-        for effect, probability in document.effect_probabilities.items()
-        if probability > 1 - DECIDED
-    )
+    return f"Missing: {'; '.join(_name_in_words(document, row) for row in document.named)}."
+
+
+def _name_in_words(document: GapDocument, row: NamedEffect) -> str:
+    joint, value = strength_of(row)
+    words = row.effect.replace("_", " ") + (f" of joint {joint}" if joint else "")
+    if value is not None:
+        words += f" {amount(value)}"
+    known = EVERY_EFFECT.get(row.effect)
+    about = [known.strength] if known and len(document.named) == 1 else []
+    if document.probabilities is not None:
+        probability = document.effect_probabilities.get(row.candidate, 0.0)
+        about.append(f"probability {in_percent(probability)}")
+    return f"{words} ({', '.join(about)})" if about else words
+
+
+def _verdict_in_words(document: GapDocument) -> str:
+    known, named = document.probabilities, document.named
+    it = "They" if len(named) > 1 else "It"
+    explain = "explain" if len(named) > 1 else "explains"
+    match document.verdict:
+        case "closed":
+            return f"{it} {explain} the gap; the rest is noise."
+        case "reduced":
+            left = document.gap_left_fraction
+            return f"{it} {explain} a part of the gap; {left:.0%} of it is left, above the noise."
+        case "no floor":
+            fraction = document.held_out.fraction
+            better = f"the held-out error falls to {fraction:.0%}, but " if named else ""
+            nothing = "" if named else "Nothing is named. "
+            return (
+                f"{nothing}There is no noise floor, because no trial of the plant was repeated: "
+                f"{better}noise and model error cannot be separated."
+            )
+        case "not in the catalogue":
+            sure = f" (probability {in_percent(known.outside)})" if known else ""
+            alone = f"{it} {explain} little of the gap. " if named else ""
+            return f"{alone}Something is missing that is not in the catalogue{sure}."
+    if named:
+        return f"{it} {explain} little of the gap, and the rest is noise."
+    if known is not None and known.nothing < 0.5:
+        missing = in_percent(1 - known.nothing)
+        return f"No effect can be named; that one is missing has a probability of {missing}."
+    sure = f" (probability {in_percent(known.nothing)})" if known else ""
+    return f"These trials show nothing that is missing{sure}."
+
+
+def _better(document: GapDocument) -> list[str]:
+    """How much better the written plant is, in the signal with the largest fall in noise floors."""
+    result = []
+    signal = most_improved_signal(document)
+    if signal is not None and document.written.parameters:
+        before, after = (rows[signal] for rows in document.best_known_errors)
+        unit = error_unit(before.unit)
+        result.append(
+            f"The error of {signal_in_words(signal)} falls from {unit.factor * before.rms:.3g} to "
+            f"{unit.significant(after.rms)}."
+        )
+    changes = {
+        without_unit(name): q.value / q.before - 1
+        for name, q in document.written.parameters.items()
+        if q.before and not document.named
+    }
+    link = [
+        f"{name} {change:+.0%}".replace("-", "−")
+        for name, change in sorted(changes.items(), key=lambda row: -abs(row[1]))
+        if abs(change) >= REPORTED_CHANGE
+    ]
+    if link:
+        result.append(f"The plant is written as refitted: {', '.join(link)}.")
+    return result
+
+
+def _written_otherwise(document: GapDocument) -> list[str]:
+    """Strengths that the written plant has with another value than the named one."""
+    others = []
+    for row in document.named:
+        _, value = strength_of(row)
+        name = next((n for n, q in row.parameters.items() if q is value), "")
+        written = document.written.parameters.get(name)
+        if value and written:
+            change = max(abs(value.value - value.before), 1e-12)
+            if abs(written.value - value.value) > OTHER_STRENGTH * change:
+                others.append(f"{effect_in_words(row.candidate)} {amount(written)}")
+    return [f"Fitted for the written plant: {', '.join(others)}."] if others else []
+
+
+def most_improved_signal(document: GapDocument) -> str | None:
+    """Signal whose error falls most in noise floors; None if none falls."""
+    before, after = document.best_known_errors
+    falls = {
+        s: row.floors - new
+        for s, row in before.items()
+        if row.floors is not None and s in after and (new := after[s].floors) is not None
+    }
+    signal = max(falls, key=lambda s: falls[s], default=None)
+    return signal if signal is not None and falls[signal] > 0 else None
+
+
+def errors_in_order(document: GapDocument) -> list[tuple[str, SignalGap, SignalGap]]:
+    """Signal, error before and after, the signal with the largest gap first."""
+    before, after = document.best_known_errors
+    gap = largest_gaps(document.map)
+    order = sorted(before, key=lambda s: (-gap.get(s, 0.0), -(before[s].floors or 0.0)))
+    return [(s, before[s], after[s]) for s in order if s in after]
+
+
+def errors_of_what(document: GapDocument) -> str:
+    if "held_out" not in document.before:
+        return "error on the trials"
+    return f"error on {joined(document.held_out.left_out)} left out"
+
+
+# What else could explain it, and what to do ------------------------------------------------------
+
+
+def look_alikes_in_words(row: NamedEffect) -> str:
+    """Effects that the trials cannot tell from a named one, and the motion that would."""
+    if not row.look_alikes:
+        return ""
+    sets = [" with ".join(map(effect_in_words, c.effects)) for c in row.look_alikes[:MOST_LISTED]]
+    words = f"These trials cannot tell {effect_in_words(row.candidate)} from {joined(sets, 'or')}; "
+    motion = row.separated_by
+    largest = max(motion.separation.values(), default=0.0) if motion else 0.0
+    if motion is None or largest < UNDETECTED_SEPARATION:
+        return f"{words}no fixed motion does either."
+    return f"{words}the motion '{motion.motion}' would (d′ {largest:.0f})."
+
+
+def refused_in_words(document: GapDocument) -> list[str]:
+    """Effects that stand out and are not named."""
+    return [
+        f"{joined([effect_in_words(e) for e in row.effects]).capitalize()} "
+        f"(d′ {row.separation:.0f}) is not named: {row.reason}."
+        for row in standing_out(document)
+    ]
+
+
+def next_step_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
+    """What to do next; outlier trials come first."""
+    step = _next_step(document, gap_json)
+    if not document.odd_trials:
+        return step
+    names = joined([o.name for o in document.odd_trials])
     return (
-        f"Probabilities: nothing is missing {in_percent(answers.nothing)}; effects of the "
-        f"catalogue are {in_percent(answers.catalogue)}{rows and f' ({rows})'}; something else is "
-        f"{in_percent(answers.outside)}."
+        f"Check payload, conditions and recording of {names} (dropstitch validate), correct or "
+        f"repeat it, and run gap again. Without it: {step}"
     )
+
+
+def _next_step(document: GapDocument, gap_json: str) -> str:
+    """Next step by what the trials show that are not outliers."""
+    record = "record another motion or payload, and run gap again"
+    known, kinds = document.probabilities, {row.kind for row in document.refused}
+    if known is None:
+        return "Identify the plant on repeated trials: only repetitions tell noise from error."
+    if document.verdict == "not in the catalogue":
+        changed = " If the link may have changed since, identify the plant again first."
+        return (
+            f"{record.capitalize()}, or describe the effect in one file (models/plant/effects)."
+            + ("" if document.settings.same_link else changed)
+        )
+    if not document.named:
+        if known.nothing < DECIDED:
+            return (
+                f"{record.capitalize()}: something may be missing that these trials show too "
+                "faintly to be named."
+            )
+        if document.written.parameters:
+            return "Use the refitted plant: train a bundle with it (dropstitch train --plant)."
+        return "Nothing: the plant explains these trials."
+    undecided = [
+        effect_in_words(e)
+        for e, p in document.effect_probabilities.items()
+        if 1 - DECIDED < p < DECIDED
+    ]
+    if undecided:
+        return (
+            f"These trials do not decide on {joined(undecided[:MOST_LISTED])}: 'dropstitch "
+            f"experiment --gap {shlex.quote(gap_json)} --config robot.toml --out MOTION.toml' "
+            "ranks motions that do."
+        )
+    if "not written" in kinds:
+        return f"Identify the plant again on these trials, or {record}."
+    if document.verdict == "reduced":
+        return f"The improved plant is the better one, but more than noise is left: {record}."
+    return "Use the improved plant: train a bundle with it (dropstitch train --plant)."
 
 
 def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
@@ -220,61 +300,19 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
     Returns
     -------
     str
-        Verdict, notes, named effects, refusals and the next step, one per line.
+        Verdict, notes, look-alikes, errors, checks and the next step, one per line.
     """
-    lines = [f"verdict: {document.verdict}", verdict_in_words(document), document.sentence]
-    lines += notes_in_words(document)
-    for row in document.named:
-        lines += _named_in_words(row, document.settings)
-    if said := probabilities_in_words(document):
-        lines.append(said)
-    lines += refusals_in_words(document)
-    if document.refused and is_plant_as_given(document):
-        lines.append("The plant that was written is the plant as given, unchanged.")
-    if document.verdict in ("reduced", "not in the catalogue"):
-        lines.append("remaining gap: " + document.remaining.sentence)
-    part = "held_out" if "held_out" in document.before else "fitted"
-    size = "in noise floors" if document.noise_floor.learned else "per residual's own spectrum"
-    lines.append(
-        f"{part.replace('_', '-')} trials, {size}, before and after (with what varies between "
-        "trials, as the mocap frame, which the floor leaves out):"
-    )
-    for signal, before in document.before[part].items():
-        after = document.after[part].get(signal, before)
-        lines.append(f"  {signal:14s}{_floors(before.floors)}{_floors(after.floors)}")
-    unexcited = [r.effect for r in document.rejected if r.reason == UNEXCITED]
-    if unexcited:
-        lines.append("not excited: " + ", ".join(unexcited))
-    for effect, check in effects_to_check(document).items():
+    lines = [f"verdict: {document.verdict}", document.headline, document.sentence]
+    lines += [f"note: {note}" for note in notes_in_words(document)]
+    lines += [words for row in document.named if (words := look_alikes_in_words(row))]
+    lines += refused_in_words(document)
+    title = f"{errors_of_what(document)}:"
+    width = max(len(title), 26) + 2
+    lines.append(f"{title:{width}s}{'before':>12s}{'after':>12s}")
+    for signal, *errors in errors_in_order(document)[:MOST_LISTED]:
+        shown = [error_unit(e.unit).significant(e.rms) for e in errors]
+        lines.append(f"{'  ' + signal:{width}s}" + "".join(f"{text:>12s}" for text in shown))
+    for effect, check in list(effects_to_check(document).items())[:2]:
         lines.append(f"check on the robot, for {effect.replace('_', ' ')}: {check}")
     lines.append("next: " + next_step_in_words(document, gap_json))
     return "\n".join(lines)
-
-
-def _named_in_words(row: NamedEffect, settings: GapSettings) -> list[str]:
-    """Lines on an effect: its values, its look-alikes and whether its strength is consistent."""
-    if not row.kept:
-        return [f"found, then refused: {row.effect} (d′ {row.evidence.separation:.1f})"]
-    values = ", ".join(
-        f"{name} = {q}{q.unit_in_words}{q.bound_in_words}"
-        + (f", before {q.before:.4g}" if q.before else "")
-        for name, q in row.parameters.items()
-    )
-    lines = [f"named: {row.effect} (d′ {row.evidence.separation:.1f}); {values}"]
-    if row.look_alikes:
-        others = ", ".join(c.effect for c in row.look_alikes)
-        lines.append(
-            f"  these trials cannot tell {row.effect} from {others}; "
-            + separated_in_words(row.separated_by, settings)
-        )
-    if not row.evidence.strength_holds:
-        differs = row.evidence.strength_standard_deviation
-        lines.append(
-            f"  its strength would have to differ by {differs:.0%} between payloads, signals "
-            "and frequencies: it may stand in for another effect, or its equation is too simple"
-        )
-    return lines
-
-
-def _floors(value: float | None) -> str:
-    return f"{'-' if value is None else format(value, '.2f'):>10s}"

@@ -1,6 +1,6 @@
-"""Motion that would separate a named effect from its look-alikes.
+"""Motion that would tell a named effect from its look-alikes.
 
-The menu's motions are simulated with the named effect, and the other is fitted to them: the motion
+Each fixed motion is simulated with the named effects, and the others are fitted to it: the motion
 with the worst fit separates best.
 """
 
@@ -18,72 +18,75 @@ from firmware_py.errors import InputError
 from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.fixed_motions import MENU, motion_like, planned_trial
+from models.gap.fixed_motions import (
+    MENU,
+    REST_SAMPLES,
+    SWAPPED_PAYLOAD_KG,
+    motion_like,
+    planned_trial,
+)
+from models.gap.report.gap_json import SeparatingMotion
 from models.gap.residuals.residuals import Residuals
-from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.trials.trial import Trial
 
 NO_MOTION: Final = "none of the menu"
-"""Recommendation for a plant that cannot run the menu."""
+"""Recommendation for a plant that cannot run the fixed motions."""
 
 
-def separating_motion(
-    found: Diagnosis, trials: Sequence[Trial], alike: Sequence[LookAlike]
-) -> tuple[str, dict[str, float]]:
-    """Motion of the menu that best tells a named effect from its look-alikes.
+def separating_motion(found: Diagnosis, alike: Sequence[LookAlike]) -> SeparatingMotion:
+    """Fixed motion with the largest least d′ between the named effects and their look-alikes.
 
-    Returns its name, and for every motion the least d′ from any look-alike. The menu is that of the
-    link; motions faster than a servo without a bus watchdog allows are left out.
+    The motions are those of the link; those faster than a servo without a bus watchdog allows are
+    left out.
     """
     if found.fitted.load != "link":
-        return NO_MOTION, {}
-    heaviest = max(t.meta.payload_kg for t in trials)
-    swapped = found.settings.swapped_payload_kg
-    result = {}
+        return SeparatingMotion(NO_MOTION, {})
+    sizes = {
+        label: round(min(_separations(found, _simulated(found.fitted, trial), alike)), 2)
+        for label, trial in _planned_trials(found.trials).items()
+    }
+    return SeparatingMotion(max(sizes, key=lambda m: sizes[m], default=NO_MOTION), sizes)
+
+
+def _planned_trials(trials: Sequence[Trial]) -> dict[str, Trial]:
+    """Trials of the fixed motions that may be run, by their displayed name."""
+    heaviest_kg = max(t.meta.payload_kg for t in trials)
+    swapped_kg = SWAPPED_PAYLOAD_KG if heaviest_kg <= SWAPPED_PAYLOAD_KG / 2 else 0.0
+    planned = {}
     for label, kind in MENU.items():
-        payload = heaviest
-        if label == "payload swap":
-            payload = swapped if heaviest <= swapped / 2 else 0.0
-        rest = found.settings.menu_rest_samples
+        payload_kg = swapped_kg if label == "payload swap" else heaviest_kg
         try:
             motion = motion_like(trials[0].meta, kind)
         except InputError:  # the trials' amplitude or period is out of range for a motion
-            return NO_MOTION, {}
-        planned = planned_trial(trials[0], motion, payload, rest)
-        if _largest_rate_rad_s(planned) > UNWATCHED_RATE_RAD_S:
-            continue
-        trial = _simulated(found.fitted, planned)
-        result[label] = min(_separation(found, trial, other) for other in alike)
-    return max(result, key=lambda label: result[label], default=NO_MOTION), result
-
-
-def _largest_rate_rad_s(trial: Trial) -> float:
-    """Largest rate of the goals of a planned trial."""
-    return float(np.abs(np.diff(trial.goal_rad, axis=0)).max() / trial.step_s)
+            return {}
+        trial = planned_trial(trials[0], motion, payload_kg, REST_SAMPLES)
+        rate_rad_s = np.abs(np.diff(trial.goal_rad, axis=0)).max() / trial.step_s
+        if rate_rad_s <= UNWATCHED_RATE_RAD_S:
+            planned[label] = trial
+    return planned
 
 
 def _simulated(plant: Plant, trial: Trial) -> Trial:
     """Planned trial with the outputs of a simulated plant."""
     compiled = CompiledModel(plant.step_model(trial.meta.dof, "twin"))
     y = run_trial(compiled, trial)
-    outputs: dict[str, Array] = {
-        name: y[:, k] for k, name in enumerate(names(compiled.model.outputs))
-    }
+    outputs = {name: y[:, k] for k, name in enumerate(names(compiled.model.outputs))}
     return replace(trial, columns=trial.columns | outputs)
 
 
-def _separation(found: Diagnosis, trial: Trial, other: LookAlike) -> float:
-    """d′ that remains after another effect is fitted to a trial, to first order."""
-    common = [k for k, q in enumerate(found.fit_parameters) if q.trial in (None, 0)]
-    parameters = [found.fit_parameters[k] for k in common]
-    residuals = Residuals(found.plant, [trial], parameters, found.settings)
+def _separations(found: Diagnosis, trial: Trial, alike: Sequence[LookAlike]) -> list[float]:
+    """d′ that remains after each look-alike is fitted to a trial, to first order."""
+    every = found.nuisance.estimator.residuals.fit_parameters
+    common = [k for k, q in enumerate(every) if q.trial in (None, 0)]
+    residuals = Residuals(found.plant, [trial], [every[k] for k in common])
     estimator = GaussNewton(residuals, replace(found.floor, curves={}))
-    point = estimator.linearise(estimator.at(other.values[common]))
-    others = [e for e in found.named if e not in other.effects]
-    kept = {*others[: len(found.named) - len(other.effects)], *other.effects}
-    free = np.array([q.kind != "effect" or q.effect in kept for q in parameters])
-    _, predicted = estimator.step(point, free)
-    return math.sqrt(max(2 * (point.cost - predicted), 0.0))
+    result = []
+    for other in alike:
+        free = other.free[common]
+        point = estimator.linearise(estimator.at(other.point.values[common]), free)
+        _, predicted = estimator.step(point, free)
+        result.append(math.sqrt(max(2 * (point.cost - predicted), 0.0)))
+    return result

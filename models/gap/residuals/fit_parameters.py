@@ -4,23 +4,60 @@ A fit parameter at zero leaves the plant unchanged. There are three kinds: `nuis
 trials and never counts as missing; `trial` varies from trial to trial with a known standard
 deviation, and so belongs to the noise floor; `effect` is searched for. All are linear in the
 plant's parameters, p = p_0 + Σ w θ, so one run with exact sensitivities serves all of them.
+
+Prior of the fit parameters: how far nuisance and the variation between trials go by chance.
+
+Each costs ½ (θ_k / s_k)², with its standard deviation s_k. A clock error common to all trials is no
+variation between them: the nuisance `synchronisation` models it, up to what counts as synchronised
+(`GapSettings.clock_limit_s`). So the mean over the trials costs as if it were known. Otherwise six
+clocks that are 8 ms late would cost little, and would hide an offset of 18 ms.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+import numpy as np
+from numpy.typing import NDArray
+
 from models.plant.components import DRIVES, LOADS
 from models.plant.effects import EFFECTS, applicable
 from models.plant.identification.evaluation import TIP
-from models.plant.identification.noise_floor import trial_variation
+from models.plant.identification.noise_floor import KNOWN_FRACTION, SHARED, Array, trial_variation
 from models.plant.parameter import Parameter
 from models.plant.plant import Plant, scope_of
+from models.shared.catalogue import effect_and_joint
 from models.trials.trial import Trial
+
+NUISANCE_PRIOR_FRACTION: Final = {
+    "_stiffness_": 0.02,
+    "root_limit_moment_nm": 0.008,
+    "_damping_": 0.04,
+    "link_mass_kg": 0.02,
+}
+"""Standard deviation of a nuisance parameter of the link, as a fraction of its value, by a part of
+its name: a fifth of 10 % for stiffness and mass, 20 % for damping [assumed] and 4 % for the limit
+moment, which stayed within 5 % on links of drawn rigs that changed. A fifth, since errors of
+equations make the cost of a large gap some 25 times too certain (docs/decisions.md, "Gap
+workflow"). The limit moment changes with the pressure, as the stiffness does: fixed, a change of
+the link went into the variation of pressure between trials."""
+BOUND_PRIOR_FRACTION: Final = 0.25
+"""Standard deviation of a nuisance parameter of other loads, as a fraction of the distance between
+its bounds [assumed]."""
+KNOWN_VALUE_FRACTION: Final = 0.05
+"""Standard deviation of a nuisance parameter of such a plant, as a fraction of its value
+[assumed]."""
+FRAME_SHIFT_PRIOR_M: Final = 0.005
+"""Standard deviation of the mocap frame's shift that is common to all trials [assumed]."""
+FRAME_TURN_PRIOR_RAD: Final = {"joint": 0.0005, "other": 0.005}
+"""Standard deviation of the mocap frame's turn, common to all trials, about a joint's axis and
+about another one [assumed]: 5 mrad as the shift over a metre; about a joint's axis 0.1 mm over the
+0.2 m of a calibration square, since a larger turn there looks like an encoder's offset."""
+CLOCK_LIMIT_S: Final = 0.010
+"""Clocks that differ by no more than this count as synchronised [assumed]."""
 
 Kind = Literal["nuisance", "trial", "effect"]
 
@@ -44,8 +81,13 @@ class FitParameter:
     low: float = -math.inf
     high: float = math.inf
     trial: int | None = None  # Index of the only trial that it acts on
-    effect: str = ""  # Effect that it belongs to; empty if none
+    effect: str = ""  # Candidate that it belongs to: EFFECT, or EFFECT:JOINT; empty if none
     fitted_last: bool = False
+
+    @property
+    def is_strength(self) -> bool:
+        """Whether it is a strength of its effect: only these have no prior."""
+        return bool(self.effect) and math.isinf(self.standard_deviation)
 
 
 def plant_with_every_effect(plant: Plant) -> Plant:
@@ -53,8 +95,9 @@ def plant_with_every_effect(plant: Plant) -> Plant:
     return plant_with_searched_effects(plant, candidate_effects(plant))
 
 
-def plant_with_searched_effects(plant: Plant, names: Sequence[str]) -> Plant:
-    """Plant with some effects at the start of a search; added effects have zero strength."""
+def plant_with_searched_effects(plant: Plant, candidates: Sequence[str]) -> Plant:
+    """Plant with the effects of some candidates; added effects have zero strength."""
+    names = list(dict.fromkeys(effect_and_joint(c)[0] for c in candidates))
     full = plant.with_effects(*names)
     added = [EFFECTS[e].search_start for e in names if e not in plant.effects]
     start = {n: v for own in added for n, v in own.items() if n in full.parameters}
@@ -74,29 +117,59 @@ def candidate_effects(plant: Plant) -> list[str]:
     return [name for name in every if name not in plant.effects]
 
 
-def nuisance_fit_parameters(
-    plant: Plant, dof: int, settings: GapSettings = DEFAULT_SETTINGS
+def all_fit_parameters(
+    plant: Plant, trials: Sequence[Trial], catalogue: Sequence[str], is_known: bool = False
 ) -> list[FitParameter]:
-    """Nominal parameters that are refitted before anything counts as missing."""
+    """Fit parameters of nuisance, trial variation and every candidate of a catalogue.
+
+    `is_known`: whether a plant of another load was identified, and on none of these trials.
+    """
+    dof = trials[0].meta.dof
+    effects = [
+        q for e in catalogue for own in effect_candidates(plant, e, dof).values() for q in own
+    ]
+    return nuisance_and_variation(plant, trials, is_known) + effects
+
+
+def is_known_elsewhere(plant: Plant, trials: Iterable[Trial]) -> bool:
+    """Whether a plant of another load than the link was identified, and on none of these trials.
+
+    A link is excluded: its values may change from day to day, within priors of their own.
+    """
+    provenance = plant.provenance
+    elsewhere = provenance.fitted_trials and not any(map(provenance.was_fitted_to, trials))
+    return bool(elsewhere) and LOADS[plant.load].kind != "link"
+
+
+def nuisance_and_variation(
+    plant: Plant, trials: Sequence[Trial], is_known: bool = False
+) -> list[FitParameter]:
+    """Fit parameters without any effect; `is_known` as in `all_fit_parameters`."""
+    nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, is_known)
+    return nuisance + trial_fit_parameters(plant, trials)
+
+
+def nuisance_fit_parameters(plant: Plant, dof: int, is_known: bool = False) -> list[FitParameter]:
+    """Nominal parameters that are refitted; `is_known` as in `all_fit_parameters`."""
     full = plant_with_every_effect(plant)
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
         return [
-            FitParameter(q.name, "nuisance", {q.name: 1.0}, {}, _deviation(q, settings),
+            FitParameter(q.name, "nuisance", {q.name: 1.0}, {}, _deviation(q, is_known),
                          q.low - q.value, q.high - q.value)
             for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
-    for part, fraction in settings.nuisance_prior_fraction.items():
+    for part, fraction in NUISANCE_PRIOR_FRACTION.items():
         for name in (n for n in names if part in n and full.parameters[n].role == "nuisance"):
             result.append(_relative(full.parameters[name], fraction))
-    shift_m, clock_s = settings.frame_shift_prior_m, settings.clock_limit_s
+    shift_m, clock_s = FRAME_SHIFT_PRIOR_M, CLOCK_LIMIT_S
     for axis in TIP:
         name = f"frame shift {axis[4]}"
         result.append(FitParameter(name, "nuisance", {}, {axis: 1.0}, shift_m))
     for turn, axis in FRAME_TURNS.items():
         name = f"frame turn {axis}"
-        prior_rad = settings.frame_turn_prior_rad["joint" if axis in "yx"[:dof] else "other"]
+        prior_rad = FRAME_TURN_PRIOR_RAD["joint" if axis in "yx"[:dof] else "other"]
         result.append(FitParameter(name, "nuisance", {turn: 1.0}, {}, prior_rad))
     clock = {"sync_offset_s": 1.0}
     result.append(
@@ -118,30 +191,39 @@ def trial_fit_parameters(plant: Plant, trials: Sequence[Trial]) -> list[FitParam
     ]
 
 
-def is_alike_in_joints(name: str) -> bool:
-    """Whether an effect first has one common strength for all joints."""
-    effect = EFFECTS[name]
-    own = effect.of_each_joint or effect.port in ("bend_torque", "stiffness")
-    return bool(effect.per_joint) and not own
+def effect_candidates(plant: Plant, effect: str, dof: int) -> dict[str, list[FitParameter]]:
+    """Fit parameters of an effect as a candidate, and as one of each servo alone.
+
+    Servos of a type have the same effects, so an effect of the servos has one strength for all
+    joints, except offsets (`Effect.of_each_joint`); a fault of one servo is the further candidate
+    `EFFECT:JOINT`. A bending effect may differ by plane and has a strength for each.
+    """
+    every = range(1, dof + 1)
+    found = {effect: effect_fit_parameters(plant, effect, effect, dof, every)}
+    own = EFFECTS[effect]
+    alike = own.per_joint and not (own.of_each_joint or own.port in ("bend_torque", "stiffness"))
+    if dof > 1 and alike:
+        for joint in every:
+            name = f"{effect}:{joint}"
+            found[name] = effect_fit_parameters(plant, effect, name, dof, [joint])
+    return found
 
 
 def effect_fit_parameters(
-    plant: Plant, name: str, dof: int, separate_joints: bool = False
+    plant: Plant, name: str, candidate: str, dof: int, joints: Sequence[int]
 ) -> list[FitParameter]:
-    """Fit parameters of one effect: its strength first, then others that may be fitted.
+    """Fit parameters of an effect in some joints: its strength first, then others that are fitted.
 
-    A servo's effect has one strength for all joints, except offsets (`Effect.of_each_joint`). A
-    bending effect may differ by plane and has a strength for each. The assumed staircase of the
-    goals (`goal shape`) may be wrong in each joint separately.
+    The assumed staircase of the goals (`goal shape`) may be wrong in each joint separately.
     """
     full = plant_with_every_effect(plant)
     effect = EFFECTS[name]()
     scope = scope_of(plant.drive, plant.load, dof)
     declared = [q.name for q in effect.parameters(scope)]
-    tied = is_alike_in_joints(name) and not separate_joints
+    tied = not (effect.of_each_joint or effect.port in ("bend_torque", "stiffness"))
     groups: list[list[str]] = []
     for q in effect.per_joint:
-        own = [scope.name(q.name, j) for j in scope.joints]
+        own = [scope.name(q.name, j) for j in scope.joints if j in joints]
         together = tied and effect.parameter_needs.get(q.name) != "goal shape"
         groups += [own] if together else [[n] for n in own]
     groups += [[scope.name(q.name)] for q in effect.shared]
@@ -159,7 +241,7 @@ def effect_fit_parameters(
                 first.prior_deviation or abs(first.value) if has_scale else math.inf,
                 max(full.parameters[n].low - full.parameters[n].value for n in group),
                 min(full.parameters[n].high - full.parameters[n].value for n in group),
-                effect=name, fitted_last=bool(last & set(group)),
+                effect=candidate, fitted_last=bool(last & set(group)),
             )
         )  # fmt: skip
     return sorted(result, key=lambda q: q.name not in strengths)
@@ -170,11 +252,11 @@ def moved_parameters(fit_parameters: Iterable[FitParameter]) -> list[str]:
     return list(dict.fromkeys(n for q in fit_parameters for n in q.parameters))
 
 
-def _deviation(q: Parameter, settings: GapSettings) -> float:
+def _deviation(q: Parameter, is_known: bool) -> float:
     """Standard deviation of a nuisance parameter of another load than the link."""
-    if settings.plant_is_known:
-        return settings.known_value_fraction * (abs(q.value) or q.high - q.low)
-    return settings.bound_prior_fraction * (q.high - q.low)
+    if is_known:
+        return KNOWN_VALUE_FRACTION * (abs(q.value) or q.high - q.low)
+    return BOUND_PRIOR_FRACTION * (q.high - q.low)
 
 
 def _relative(q: Parameter, fraction: float) -> FitParameter:
@@ -185,3 +267,49 @@ def _relative(q: Parameter, fraction: float) -> FitParameter:
 def _owned(full: Plant, dof: int) -> list[str]:
     """Parameters of the plant that a twin with `dof` joints has."""
     return [v.name for v in full.step_model(dof, "twin").parameters]
+
+
+def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:
+    """Precision of each fit parameter's own prior, shape (p,); 0 without a prior."""
+    deviation = np.array([q.standard_deviation for q in fit_parameters])
+    return np.where(np.isfinite(deviation), 1 / deviation**2, 0.0)
+
+
+def prior_matrix(fit_parameters: Sequence[FitParameter]) -> Array:
+    """Precision matrix of all fit parameters together, shape (p, p)."""
+    matrix = np.diag(prior_precision(fit_parameters))
+    own = np.array([q.kind == "trial" and q.name == SHARED for q in fit_parameters])
+    if own.any():
+        deviation = np.array([q.standard_deviation for q in fit_parameters])[own]
+        by_chance = np.sqrt(np.sum(deviation**2)) / len(deviation)
+        mean = np.where(own, 1 / own.sum(), 0.0) / (KNOWN_FRACTION * by_chance)
+        matrix += np.outer(mean, mean)
+    return matrix
+
+
+def written_values(
+    full: Plant, fit_parameters: Sequence[FitParameter], values: Array, free: NDArray[np.bool_]
+) -> dict[str, float]:
+    """Values of the plant's parameters that were fitted for all trials.
+
+    Shapes: `values` (p,), `free` (p,).
+    """
+    changed: dict[str, float] = {}
+    for k, name, weight in moved_in_plant(full, fit_parameters, free):
+        q = full.parameters[name]
+        value = changed.get(name, q.value) + weight * values[k]
+        changed[name] = float(np.clip(value, q.low, q.high))
+    return changed
+
+
+def moved_in_plant(
+    full: Plant, fit_parameters: Sequence[FitParameter], free: NDArray[np.bool_]
+) -> Iterator[tuple[int, str, float]]:
+    """Index of each free fit parameter that holds for all trials, the plant's parameter that it
+    moves, and its weight.
+    """
+    for k, q in enumerate(fit_parameters):
+        if q.trial is None and free[k]:
+            for name, weight in q.parameters.items():
+                if name in full.parameters:
+                    yield k, name, weight

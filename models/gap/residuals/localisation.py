@@ -1,4 +1,6 @@
-"""Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
+"""Groups of trials in words, from the keys that documents use.
+
+Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
 
 The residual in noise floors is transformed back to time and its power compared region by region
 with a block bootstrap: differences of repeated trials hold no common gap, so blocks of them, drawn
@@ -9,13 +11,17 @@ counts if it stays significant under a false-discovery rate (Benjamini and Hochb
 from __future__ import annotations
 
 import itertools
+import math
+import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
+from firmware_py.display_units import DURATION, TIME, symbol_of
+from firmware_py.signals import unit_of, without_unit
 from models.plant.identification.noise_floor import (
     Array,
     TrialGroup,
@@ -23,6 +29,75 @@ from models.plant.identification.noise_floor import (
     inverse_cosine_transform,
 )
 from models.trials.trial import Trial
+
+BANDS_HZ: Final = (0.0, 0.3, 0.8, 2.0, 4.0, 8.0)
+"""Edges of the frequency bands [assumed]."""
+PHASES: Final = 8
+"""Number of parts of a period [assumed]."""
+STANDING_RAD_S: Final = 0.02
+"""Joint rate below which the motion counts as standing [assumed]."""
+BOOTSTRAP_BLOCK_S: Final = 1.0
+"""Length of a block of the bootstrap [assumed]."""
+BOOTSTRAP_DRAWS: Final = 400
+"""Draws of the bootstrap [assumed]."""
+FALSE_DISCOVERY_RATE: Final = 0.05
+"""Rate of false discoveries (Benjamini and Hochberg 1995)."""
+LEAST_SAMPLES: Final = 20
+"""Fewest samples of a region that is tested: one must have more [assumed]."""
+LEAST_COEFFICIENTS: Final = 4
+"""Fewest coefficients of a band that is tested [assumed]."""
+ONE_SIDED: Final = 0.5
+"""Mean of a residual, as a fraction of its root mean square, above which its sign is reported
+[assumed]."""
+PAYLOAD_TREND: Final = 1.5
+"""Ratio of the gap at the heaviest payload to that at the lightest above which the gap is reported
+to grow with payload [assumed]."""
+
+_KEY: Final = re.compile(
+    r"(?P<dof>\d+)dof (?P<motion>.+?) (?P<amplitude>[-+.\de]+)rad (?P<period>[-+.\de]+)s "
+    r"(?P<phase>[-+.\de]+)rad( (?P<rows>\d+)x(?P<step>[-+.\de]+)s)?(?P<conditions>( \S+=\S+)*)"
+)
+"""Form of `models.plant.identification.noise_floor.trial_group_key`; length and step may lack."""
+_COUNTS: Final = {1: "one joint", 2: "two joints"}
+
+
+def motion_in_words(key: str) -> str:
+    """Motion and conditions of a group of trials; the key itself if it has another form."""
+    found = _KEY.fullmatch(key)
+    if found is None:
+        return key
+    amplitude, phase = (round(math.degrees(float(found[n])), 1) for n in ("amplitude", "phase"))
+    dof, period_s = int(found["dof"]), float(found["period"])
+    parts = [
+        found["motion"].replace("_", " ") + (f" of ±{amplitude:g}°" if amplitude else ""),
+        f"period {period_s:g} {TIME.name}" if period_s else "",
+        f"joint 2 leads by {phase:g}°" if phase else "",
+        _COUNTS.get(dof, f"{dof} joints"),
+        *(_condition(text) for text in found["conditions"].split()),
+    ]
+    return ", ".join(filter(None, parts))
+
+
+def groups_in_words(keys: Iterable[str]) -> str:
+    """Groups of trials in words, with their length where two would read the same."""
+    words = {key: motion_in_words(key) for key in keys}
+    times = Counter(words.values())
+    return "; ".join(
+        said + (_length(key) if times[said] > 1 else "") for key, said in words.items()
+    )
+
+
+def _condition(text: str) -> str:
+    """Condition such as "load_mass_kg=0.5" as "load mass 0.5 kg"."""
+    name, _, value = text.partition("=")
+    return f"{without_unit(name)} {value} {symbol_of(unit_of(name) or '1')}".rstrip()
+
+
+def _length(key: str) -> str:
+    found = _KEY.fullmatch(key)
+    if found is None or found["rows"] is None:
+        return ""
+    return f", {found['rows']} rows of {DURATION.text(float(found['step']))}"
 
 
 @dataclass(frozen=True)
@@ -42,7 +117,6 @@ def locate_gap(
     groups: Sequence[TrialGroup],
     trials: Sequence[Trial],
     white: Sequence[Array],
-    settings: GapSettings = DEFAULT_SETTINGS,
     seed: int = 0,
 ) -> list[GapRegion]:
     """Regions of all signals and factors, largest first.
@@ -57,14 +131,14 @@ def locate_gap(
         hz = coefficient_frequencies_hz(group.coefficients, samples, step_s)
         series = _series(rows, samples)
         pairs = _pairs(own, rows, samples)
-        masks = _masks(own, settings)
-        block = min(max(1, round(settings.bootstrap_block_s / step_s)), samples)
-        noise = _noise(rng, pairs, series.shape, block, settings.bootstrap_draws)
+        masks = _masks(own)
+        block = min(max(1, round(BOOTSTRAP_BLOCK_S / step_s)), samples)
+        noise = _noise(rng, pairs, series.shape, block, BOOTSTRAP_DRAWS)
         drawn = _drawn_power(noise, masks)
         for b, signal in enumerate(group.signals):
             regions += _regions(signal, series[:, b], masks, drawn)
-            regions += _bands(signal, rows[:, b], hz, rng, settings)
-    found = _significant(regions, settings.false_discovery_rate)
+            regions += _bands(signal, rows[:, b], hz, rng)
+    found = _significant(regions, FALSE_DISCOVERY_RATE)
     return sorted(found, key=lambda c: (not c.significant, -c.floors))
 
 
@@ -118,16 +192,16 @@ def _drawn_power(
     return {key: np.array(powers) for key, powers in result.items()}
 
 
-def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str], Array]:
+def _masks(own: Sequence[Trial]) -> dict[tuple[str, str], Array]:
     """Masks by factor and level, (trials, n)."""
     angle = np.array([t.joint[:, 0] for t in own])
     rate = np.gradient(angle, own[0].step_s, axis=1)
     time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
-    phases = settings.location_phases
+    phases = PHASES
     period_s = own[0].meta.period_s
     phases = phases if period_s > 0 else 0  # a motion without a period has no phases
     phase = np.floor(phases * ((time_s / (period_s or 1.0)) % 1.0)).astype(int)
-    moving, still = time_s >= 0, settings.standing_rate_rad_s
+    moving, still = time_s >= 0, STANDING_RAD_S
     third = np.max(np.abs(angle)) / 3
     masks: dict[tuple[str, str], Array] = {}
     for a, t in enumerate(own):
@@ -150,7 +224,7 @@ def _masks(own: Sequence[Trial], settings: GapSettings) -> dict[tuple[str, str],
         back = side & (rate * angle < 0) & (np.abs(rate) > still)
         masks["stroke", f"way out to {name} angles"] = out
         masks["stroke", f"return from {name} angles"] = back
-    return {key: mask for key, mask in masks.items() if mask.sum() > settings.least_region_samples}
+    return {key: mask for key, mask in masks.items() if mask.sum() > LEAST_SAMPLES}
 
 
 def _regions(
@@ -173,16 +247,14 @@ def _regions(
     return result
 
 
-def _bands(
-    signal: str, rows: Array, hz: Array, rng: np.random.Generator, settings: GapSettings
-) -> list[GapRegion]:
+def _bands(signal: str, rows: Array, hz: Array, rng: np.random.Generator) -> list[GapRegion]:
     result = []
-    for low, high in itertools.pairwise(settings.location_bands_hz):
+    for low, high in itertools.pairwise(BANDS_HZ):
         chosen = rows[:, (hz >= low) & (hz < high)].ravel()
-        if len(chosen) < settings.least_band_coefficients:
+        if len(chosen) < LEAST_COEFFICIENTS:
             continue
         power = float(np.mean(chosen**2))
-        drawn = rng.chisquare(len(chosen), settings.bootstrap_draws) / len(chosen)
+        drawn = rng.chisquare(len(chosen), BOOTSTRAP_DRAWS) / len(chosen)
         p = (1 + np.sum(drawn >= power)) / (1 + len(drawn))
         level = f"{low:g} to {high:g} Hz"
         result.append(GapRegion(signal, "band", level, float(np.sqrt(power)), 0.0, float(p)))
@@ -211,9 +283,7 @@ NOTHING_LOCATED: Final = (
 )
 
 
-def location_sentence(
-    regions: Sequence[GapRegion], settings: GapSettings = DEFAULT_SETTINGS
-) -> str:
+def location_sentence(regions: Sequence[GapRegion]) -> str:
     """Location of the gap in one sentence."""
     found = [c for c in regions if c.significant]
     if not found:
@@ -224,7 +294,7 @@ def location_sentence(
     own = [c for c in regions if c.signal == top.signal]
     where = f"on the {top.level}" if top.factor == "stroke" else f"for {top.factor} {top.level}"
     parts = [f"{signal_in_words(top.signal)} differs most {where}"]
-    if abs(top.mean) > settings.one_sided_fraction * top.floors:
+    if abs(top.mean) > ONE_SIDED * top.floors:
         side = "larger" if top.mean > 0 else "smaller"
         parts = [f"{signal_in_words(top.signal)} is measured {side} than simulated {where}"]
     parts.append(f"{top.floors:.1f} noise floors")
@@ -232,7 +302,7 @@ def location_sentence(
     if band:
         parts.append(f"mostly at {band.level}")
     payload = sorted((c for c in own if c.factor == "payload"), key=_payload)
-    ratio = settings.payload_trend_ratio
+    ratio = PAYLOAD_TREND
     several = len({c.level for c in payload}) > 1
     if several and payload[-1].floors > ratio * payload[0].floors:
         parts.append("growing with payload")

@@ -1,8 +1,13 @@
-"""Residual spectra of the twin over trials, and their exact derivatives by every fit parameter."""
+"""Simulation of many trials by a compiled model, on two threads.
+
+Residual spectra of the twin over trials, and their exact derivatives by every fit parameter.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +18,6 @@ from models.gap.residuals.fit_parameters import (
     moved_parameters,
     plant_with_every_effect,
 )
-from models.gap.residuals.trial_runs import TrialRuns
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.fit import LARGEST_DERIVATIVE, measured_signals, shortened
 from models.plant.identification.noise_floor import (
     LONGEST_SUBSTEP_S,
@@ -28,9 +31,63 @@ from models.plant.identification.noise_floor import (
     trial_groups,
 )
 from models.plant.plant import Plant
-from models.plant.simulation.runner import trial_parameters
-from models.plant.step_model import names
+from models.plant.simulation.runner import CompiledModel, trial_inputs, trial_parameters
+from models.plant.step_model import StepModel, names
 from models.trials.trial import Trial
+
+WORKERS: Final = 2
+"""Threads that simulate; ctypes releases the interpreter lock meanwhile."""
+
+Result = TypeVar("Result")
+
+
+class TrialRuns:
+    """Runs of trials, plain and with derivatives by the parameters `moved`."""
+
+    def __init__(self, model: StepModel, moved: Sequence[str], trials: Sequence[Trial]) -> None:
+        self._trials = trials
+        self._inputs = [trial_inputs(model, t) for t in trials]
+        with ThreadPoolExecutor(2) as pool:  # the compiler runs twice at once
+            self._plain, self._sensitive = pool.map(
+                lambda wrt: CompiledModel(model, wrt), ((), moved)
+            )
+
+    def outputs(self, which: Iterable[int], p: Callable[[int], Array]) -> dict[int, Array]:
+        """Outputs (n, outputs) of some trials; `p` gives the parameters by index."""
+
+        def run(k: int) -> Array:
+            first, u = self._inputs[k]
+            values = p(k)
+            start = self._plain.start(first, values)
+            return self._plain.simulate(u, self._trials[k].step_s, values, start)
+
+        return self._each(run, which)
+
+    def slopes(
+        self,
+        which: Iterable[int],
+        p: Callable[[int], Array],
+        wanted: NDArray[np.bool_],
+        use: Callable[[int, Array], Result],
+    ) -> dict[int, Result]:
+        """Results of `use` on the derivatives of the outputs of some trials.
+
+        `wanted`, shape (moved,): parameters to differentiate by; derivatives by the others are
+        zero. `use` reduces the derivatives (n, outputs, moved) of the trial with an index.
+        """
+
+        def run(k: int) -> Result:
+            first, u = self._inputs[k]
+            step_s = self._trials[k].step_s
+            return use(k, self._sensitive.derivatives(u, step_s, p(k), first, wanted)[1])
+
+        return self._each(run, which)
+
+    def _each(self, run: Callable[[int], Result], which: Iterable[int]) -> dict[int, Result]:
+        longest_first = sorted(which, key=lambda k: -len(self._trials[k]))
+        with ThreadPoolExecutor(WORKERS) as pool:
+            done = dict(zip(longest_first, pool.map(run, longest_first), strict=True))
+        return {k: done[k] for k in sorted(done)}
 
 
 class Residuals:
@@ -41,7 +98,6 @@ class Residuals:
         plant: Plant,
         trials: Sequence[Trial],
         fit_parameters: Sequence[FitParameter],
-        settings: GapSettings = DEFAULT_SETTINGS,
     ) -> None:
         dofs = {t.meta.dof for t in trials}
         if len(dofs) != 1:
@@ -52,7 +108,7 @@ class Residuals:
             model = model.with_substeps(LONGEST_SUBSTEP_S)
         self.plant, self.model = plant, model
         self.trials = shortened(trials, model)
-        self.fit_parameters, self.settings = tuple(fit_parameters), settings
+        self.fit_parameters = tuple(fit_parameters)
         trials = self.trials
         moved = [n for n in moved_parameters(fit_parameters) if n in names(model.parameters)]
         self._simulated = TrialRuns(self.model, moved, trials)

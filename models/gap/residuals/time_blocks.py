@@ -15,28 +15,31 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.plant import Plant
 from models.plant.step_model import names
 from models.trials.trial import Trial, TrialSet
+
+BLOCKS: Final = 4
+"""Blocks of time that are left out in turn where there is one trial: few enough that each holds
+several motions of the available recordings, 5 to 6 s [assumed]."""
+LEAST_ROWS: Final = 500
+"""Fewest rows of a block that begins in motion; in shorter trials rows are masked [assumed]."""
 
 BLOCK: Final = ", block "
 """Part of the motion's name of every block."""
 
 
-def in_time_blocks(
-    plant: Plant, trials: TrialSet, settings: GapSettings = DEFAULT_SETTINGS
-) -> TrialSet:
+def in_time_blocks(plant: Plant, trials: TrialSet) -> TrialSet:
     """Blocks of a single trial, if the plant can begin in motion; otherwise the trials unchanged.
 
     A plant can begin in motion if its drive declares a rate at the start.
     """
     if len(trials) != 1:
         return trials
-    trial, count = trials[0], settings.held_out_time_blocks
+    trial, count = trials[0], BLOCKS
     parameters = names(plant.step_model(trial.meta.dof, "twin").parameters)
     begins_in_motion = any(name.startswith("start_joint_rate_") for name in parameters)
-    if not begins_in_motion or len(trial) < count * settings.least_block_rows:
+    if not begins_in_motion or len(trial) < count * LEAST_ROWS:
         return trials
     edges = np.linspace(0, len(trial), count + 1).astype(int)
     return TrialSet(tuple(_block(trial, k, edges) for k in range(count)))

@@ -1,68 +1,243 @@
-"""Runs of data sets with hidden effects: one file of results for each, two at a time.
+"""Runs of data sets with hidden effects: trials of the rig, their diagnosis, one file a data set.
 
-What has a file is not run again, so a run that was stopped goes on. The files say nothing of the
-code: results of other code are deleted by hand.
+What has a file is not run again, so a run that was stopped goes on.
 """
 
 from __future__ import annotations
 
-import json
+import time
 import zlib
-from collections.abc import Iterable
-from concurrent.futures import as_completed
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Final
 
-from firmware_py.console import Progress
-from models.gap.training.case_run import run_hidden_case
-from models.gap.training.cases import HiddenCase
-from models.gap.training.rig_plants import plants_of_rigs
-from models.plant.plant import read_plant
-from models.shared.worker_pool import worker_pool
+import msgspec
+import numpy as np
+
+from firmware_py.errors import InputError
+from models.gap.calibration.measurement import plant_on_rig
+from models.gap.calibration.trials import repeated
+from models.gap.decision.certainty import Answers, Evidence, read_certainty
+from models.gap.decision.naming import evidence_of
+from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
+from models.gap.estimation.own_error import ModelDiscrepancy, read_patterns
+from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
+from models.plant.plant import Plant, read_plant
+from models.rig.drawn import rig_named
+from models.rig.parameters import RigParameters
+from models.rig.protocol import TrialCase, run_case
+from models.shared.catalogue import effect_and_joint
+from models.shared.missing_files import make_missing
+from models.trials.trial import Trial, TrialSet
+
+HANGING_RAD: Final = 0.1
+"""Following error at the start from which the arm hangs: its current limit does not hold it
+[assumed]."""
+DELAY_OF: Final = {"dead_time": "goal_delay_1_s"}
+"""Parameters in which a plant without the effect holds the rig's own."""
 
 
-def run_cases(cases: Iterable[HiddenCase], out: Path) -> int:
-    """Run the cases that have no result yet, each with a plant of its rig; return how many failed.
+class Strength(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Strength of a rightly named effect, as a change of the plant, in the catalogue's unit."""
 
-    The traceback of a case that failed stands in OUT/failures.
+    effect: str
+    fitted: float
+    chance_error: float  # Standard error without that of the equation
+    hidden: float
+
+
+class DataSetRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Result of one data set."""
+
+    case: HiddenCase
+    impossible: str = ""  # Why nobody would record these trials; nothing else is set then
+    verdict: GapVerdict = "no floor"
+    named: tuple[str, ...] = ()
+    # By name: sets of candidates that these trials cannot tell from it
+    look_alikes: dict[str, tuple[tuple[str, ...], ...]] = {}
+    best: tuple[str, ...] = ()  # Candidate with the largest d′ alone
+    separation: float = 0.0  # d′ of it
+    evidence: Evidence = Evidence(0.0, 0.0, 1.0, False)
+    answers: Answers | None = None
+    alone: dict[str, float] = {}  # d′ of each candidate alone
+    residual_before: float = 0.0  # Mean squared, in noise floors, of the nuisance fit
+    residual_after: float = 0.0  # The same with the best set, its equation's error allowed for
+    strengths: tuple[Strength, ...] = ()
+    # Whether the whole catalogue tells a denied effect from what was named instead
+    separable: bool = True
+    seconds: float = 0.0
+
+    @property
+    def best_is_right(self) -> bool:
+        """Whether all effects of the best set are hidden, or the first name's look-alike is."""
+        hidden = set(self.case.hidden)
+        alike = {e for sets in self.look_alikes.values() for s in sets for e in effects_of(s)}
+        best = effects_of(self.best)
+        return bool(best) and (best <= hidden or (len(hidden) == 1 and hidden <= alike))
+
+
+def effects_of(candidates: Iterable[str]) -> set[str]:
+    """Effects of some candidates; EFFECT:JOINT is one too."""
+    return {effect_and_joint(c)[0] for c in candidates}
+
+
+def run_cases(
+    cases: Iterable[HiddenCase],
+    out: Path,
+    patterns: Path | None = None,
+) -> int:
+    """Run the cases that have no record yet, each with a plant of its rig; return how many failed.
+
+    The cases of a rig that cannot run the identification's trials are left out.
+
+    `patterns`: file of the plant's own error, the packaged one by default. Errors stand in
+    OUT/failures.
     """
     wanted = list(cases)
-    plants = plants_of_rigs({(c.rig, c.joints, "study") for c in wanted}, out / "plants")
-    files = {case_file(out, case): case for case in wanted}
-    missing = {path: case for path, case in files.items() if not path.exists()}
-    (out / "results").mkdir(parents=True, exist_ok=True)
-    progress, failed = Progress("hidden effects", len(missing)), 0
-    with worker_pool(2) as pool:
-        begun = {
-            pool.submit(_write_result, case, plants[case.rig, case.joints, "study"], path): path
-            for path, case in missing.items()
-        }
-        for done in as_completed(begun):
-            if (error := done.exception()) is not None:
-                failed += 1
-                trace = out / "failures" / f"{begun[done].stem}.txt"
-                trace.parent.mkdir(exist_ok=True)
-                text = f"{missing[begun[done]]}\n{error!r}\n{error.__cause__}\n"
-                trace.write_text(text, encoding="utf-8")
-            progress.step(missing[begun[done]].kind)
-    return failed
+    robots = {plant_path(out / "plants", c.rig, c.joints): (c.rig, c.joints) for c in wanted}
+    failed = make_missing(
+        "plants of the rigs",
+        {path: partial(identify_on_rig, path, *robot) for path, robot in robots.items()},
+        failures=out / "failures",
+    )
+    jobs = {}
+    for case in wanted:
+        plant = plant_path(out / "plants", case.rig, case.joints)
+        if plant.exists():
+            path = record_path(out, case)
+            jobs[path] = partial(_write_record, path, case, plant, patterns)
+    return failed + make_missing("data sets", jobs, failures=out / "failures")
 
 
-def case_file(out: Path, case: HiddenCase) -> Path:
-    """File of the result of a case."""
-    key = zlib.crc32(json.dumps(asdict(case), sort_keys=True).encode())
-    return out / "results" / f"{case.rig}_{case.kind}_{case.seed}_{key:08x}.json"
+def records_of(cases: Iterable[HiddenCase], out: Path) -> list[DataSetRecord]:
+    """Records of those cases that have one."""
+    paths = (record_path(out, case) for case in cases)
+    return [msgspec.json.decode(p.read_bytes(), type=DataSetRecord) for p in paths if p.exists()]
 
 
-def case_results(out: Path) -> dict[str, dict[str, Any]]:
-    """Results of a run by the stem of their file, each with its case."""
-    files = sorted((out / "results").glob("*.json"))
-    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
+def record_path(out: Path, case: HiddenCase) -> Path:
+    key = zlib.crc32(msgspec.json.encode(case, order="deterministic"))
+    return out / "results" / f"{case.rig}_{case.kind}_{key:08x}.json"
 
 
-def _write_result(case: HiddenCase, plant: Path, path: Path) -> None:
-    result = {"case": asdict(case), **run_hidden_case(case, read_plant(plant))}
+def plant_path(directory: Path, rig: str, joints: int = 1) -> Path:
+    return directory / (f"{rig}.json" if joints == 1 else f"{rig}_{joints}dof.json")
+
+
+def identification_cases(joints: int) -> tuple[TrialCase, ...]:
+    """Conditions that a plant is identified on: motions of one joint and, if driven, of both."""
+    return tuple(
+        TrialCase(motion_named("study", dof), payload_kg, 1)
+        for dof in range(1, joints + 1)
+        for payload_kg in PAYLOADS_KG
+    )
+
+
+def identify_on_rig(path: Path, rig: str, joints: int = 1) -> None:
+    """Write the plant of a rig; where the rig cannot run the trials, the reason beside it."""
+    seed = zlib.crc32(f"identification of {rig}".encode())  # rigs share no noise
+    try:
+        plant_on_rig(rig_named(rig), repeated(identification_cases(joints), 2, seed), path)
+    except InputError as error:
+        path.with_suffix(".refused.txt").write_text(f"{error}\n", encoding="utf-8")
+
+
+def _write_record(path: Path, case: HiddenCase, plant: Path, patterns: Path | None) -> None:
+    known = () if patterns is None else read_patterns(patterns)
+    record = run_hidden_case(case, read_plant(plant), known)
     fresh = path.with_suffix(".part")
-    fresh.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    fresh.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
     fresh.replace(path)
+
+
+def run_hidden_case(
+    case: HiddenCase,
+    plant: Plant,
+    patterns: Sequence[ModelDiscrepancy] = (),
+) -> DataSetRecord:
+    """Record of a case."""
+    rig, start_s = rig_of(case), time.monotonic()
+    try:
+        trials = TrialSet(tuple(hidden_trials(rig, case)))
+    except InputError as error:
+        return DataSetRecord(case=case, impossible=str(error))
+    denied = list(case.hidden) if case.kind == "outside" else []
+    found = diagnose(plant, trials, leave_out=denied, patterns=patterns)
+    separable = True
+    if denied:
+        whole = diagnose(plant, trials, patterns=patterns)
+        separable = set(denied) <= effects_of(whole.named) and not effects_of(found.named) & {
+            e for name, sets in _look_alikes(whole).items() if effects_of([name]) <= set(denied)
+            for s in sets for e in effects_of(s)
+        }  # fmt: skip
+    search, first = found.naming.search, found.naming.rounds[0]
+    alone = {f.candidates[0]: f.separation for f in first}
+    # The candidate that explains most alone: what is named beyond it depends on the certainty.
+    best = next(iter(first), search.nothing)
+    return DataSetRecord(
+        case=case,
+        verdict=found.verdict,
+        named=found.named,
+        look_alikes=_look_alikes(found),
+        best=best.candidates,
+        separation=best.separation,
+        evidence=evidence_of(search, best, read_certainty()),
+        answers=found.answers,
+        alone=search.screened | alone,
+        residual_before=found.nuisance.mean_residual(search.nothing.point),
+        residual_after=search.estimator.mean_square(best.point),
+        strengths=tuple(_strengths(found, rig, case)),
+        separable=separable,
+        seconds=round(time.monotonic() - start_s, 1),
+    )
+
+
+def rig_of(case: HiddenCase) -> RigParameters:
+    """Rig of a case, without the hidden effects."""
+    rig = rig_named(case.rig)
+    turns = {f"sensor.frame_{name}_rad": turn for name, turn in case.frame_turn_rad.items()}
+    factors = {name: factor * rig[name] for name, factor in case.nuisance.items()}
+    return rig.changed(**factors, **turns)
+
+
+def hidden_trials(rig: RigParameters, case: HiddenCase) -> list[Trial]:
+    """Trials of a case on its rig: some payloads, each repeated once."""
+    motion = motion_named(case.motion, case.joints)
+    trials = [
+        run_case(rig.hide(case.hidden), TrialCase(motion, payload_kg, trial, case.seed))
+        for payload_kg in PAYLOAD_SETS[case.payloads]
+        for trial in (1, 2)
+    ]
+    for trial in trials:
+        off_rad = float(np.abs(trial.angle_rad[0] - trial.goal_rad[0]).max())
+        if off_rad > HANGING_RAD:
+            raise InputError(trial.name, f"starts {off_rad:.2f} rad off its goal", "use less load")
+    return trials
+
+
+def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) -> float:
+    """Change that is to be estimated.
+
+    Where the plant has no such effect, nor a parameter for it, the rig's own is added.
+    """
+    known = effect in plant.effects or DELAY_OF.get(effect) in plant.parameters
+    return hidden if known else hidden + rig[rig.effects()[effect]]
+
+
+def _look_alikes(found: Diagnosis) -> dict[str, tuple[tuple[str, ...], ...]]:
+    return {n: tuple(fit.candidates for fit in sets) for n, sets in found.look_alikes.items()}
+
+
+def _strengths(found: Diagnosis, rig: RigParameters, case: HiddenCase) -> Iterable[Strength]:
+    """Strength of each hidden effect that is named in all driven joints."""
+    every = found.naming.search.estimator.residuals.fit_parameters
+    certainty = read_certainty()
+    for effect in sorted(set(case.hidden) & set(found.named)):
+        name = next(q.name for q in every if q.effect == effect and q.is_strength)
+        given, fitted = found.plant.parameters.get(name), found.fitted.parameters[name]
+        change = fitted.value - (given.value if given else 0.0)
+        equation = certainty.error_of_strength(effect) * change
+        chance = float(np.sqrt(max((fitted.error or 0.0) ** 2 - equation**2, 0.0)))
+        hidden = true_strength(found.plant, rig, effect, case.hidden[effect])
+        yield Strength(effect, change, chance, hidden)

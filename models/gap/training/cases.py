@@ -1,33 +1,34 @@
-"""Data sets with effects hidden in the rig, drawn at random.
+"""Data sets with effects hidden in a rig, drawn at random.
 
 The rig has its own formulation of every effect. Its stiffness, mass and damping are drawn anew in
-each case, so that the plant is never nominally right: it was identified on another link. With
-`same_link` they stay: the robot is the one that the plant was identified on. Strengths are
-drawn log-uniformly within a factor of two around what would be noticed on the bench (`TYPICAL`), or
-around a fifth of it.
+each case, because the plant was identified on another link; with `same_link` they stay. Strengths
+are drawn log-uniformly within a factor of two around the catalogue's size, what would be noticed on
+the bench, or around a fraction of it.
+
+Every case draws from the seed, its rig and its effects alone. So an effect that is added to the
+catalogue leaves the other cases as they are.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal
 
 import numpy as np
 
+from firmware_py.errors import InputError
 from firmware_py.motion import Motion
-from models.rig.drawn import LINK_DEVIATION
+from models.gap.decision.certainty import Knowledge
+from models.rig.drawn import FIRST_TEST_NUMBER, LINK_DEVIATION, PREFIX, rig_named
+from models.rig.parameters import RigParameters
 from models.shared.catalogue import CATALOGUE
-
-DEFAULT_RIG: Final = "default"
 
 PAYLOADS_KG: Final = (0.0, 1.0, 2.0)
 """Payloads of the trials of a case, and of those that a plant is identified on."""
-
 PAYLOAD_SETS: Final = {"study": PAYLOADS_KG, "between": (0.5, 1.5)}
 """Payloads of the trials by name; a plant is identified on the study's."""
-
 MOTIONS: Final = {
     "study": Motion(),
     "small": Motion(amplitude_rad=0.105),
@@ -35,44 +36,29 @@ MOTIONS: Final = {
     "multisine": Motion("multisine", amplitude_rad=0.44),
     "triangle": Motion("triangle", period_s=4.0),
 }
-"""Motions of the trials by name; a plant is identified on the motion that it is diagnosed on. The
-workflow was set on the study's; the others are what a user may run [chosen before any run]."""
+"""Motions of the trials by name; a plant is identified on the study's [chosen before any run]."""
+OTHER_MOTIONS: Final = tuple(MOTIONS)[1:]
 
 Kind = Literal["single", "null", "pair", "outside"]
 
-TYPICAL: Final = {
-    name: CATALOGUE[name].size
-    for name in (
-        "coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction",
-        "backlash", "joint_elasticity", "dead_time", "current_saturation", "torque_constant_drift",
-        "unmodelled_payload", "payload_offset", "prebend", "directional_stiffness",
-        "stiffness_softening", "stiffness_hardening", "pressure_leak", "hysteresis", "creep",
-        "aerodynamic_drag", "encoder_offset", "load_offset", "current_bias", "current_scale",
-        "marker_frame_tilt", "sync_offset", "sensor_lag", "encoder_ripple", "cogging",
-        "marker_scale", "stiction", "position_gain_change",
-    )
-}  # fmt: skip
-"""Strength that matters, in the order of the draw [chosen before any run]."""
-
-TYPICAL_OF_TWO_JOINTS: Final = TYPICAL | {
-    "cross_axis_coupling": CATALOGUE["cross_axis_coupling"].size
-}  # fmt: skip
-"""The same for two joints; only these couple the planes of bending."""
-
 USUAL_SIZE: Final = 1.0
 FAINT_SIZE: Final = 0.4
-"""Sizes of the effects, as a fraction of what matters (`TYPICAL`)."""
-
-SIGNED: Final = {
-    "torque_constant_drift", "payload_offset", "prebend", "directional_stiffness",
-    "encoder_offset", "load_offset", "current_bias", "current_scale", "marker_frame_tilt",
-    "sync_offset", "encoder_ripple", "cogging", "marker_scale", "cross_axis_coupling",
-    "position_gain_change",
-}  # fmt: skip
+"""Sizes of the effects, as a fraction of the catalogue's."""
+SPREAD: Final = 2.0
+"""Factor by which a strength may be larger or smaller than its size."""
+NARROW: Final = {"current_saturation": (0.85, 1.05)}
+"""Range of the factor of effects that do nothing at all below a threshold."""
+OF_TWO_JOINTS: Final = {"cross_axis_coupling"}
+"""Effects that are hidden with two joints only."""
 
 FRAME_TURN_RAD: Final = 0.0005
 """Standard deviation of the turn of a mocap frame that is set up anew, about each axis: 0.1 mm over
 the 0.2 m of a calibration square [assumed]."""
+
+FIRST_TUNING_NUMBER: Final = 600
+"""Drawn rigs from this number on give the cases for tuning; earlier ones the patterns of the
+plant's own error."""
+TUNING_SEED: Final = 67
 
 
 @dataclass(frozen=True)
@@ -81,38 +67,25 @@ class HiddenCase:
 
     kind: Kind  # One effect, none, two, or one that the catalogue is denied
     hidden: dict[str, float]
-    nuisance: dict[str, float]  # Factors on the rig's parameters
+    nuisance: dict[str, float]  # Factors on the rig's parameters; none on an unchanged link
     seed: int  # Of trial variation and noise
-    rig: str = DEFAULT_RIG
+    rig: str
     joints: int = 1
-    # Turn of the mocap frame since the plant was identified: roll, tilt, yaw (none if empty)
+    # Turn of the mocap frame since the plant was identified: roll, tilt, yaw
     frame_turn_rad: dict[str, float] = field(default_factory=dict)
+    motion: str = "study"  # In MOTIONS
+    payloads: str = "study"  # In PAYLOAD_SETS
+
+    @property
+    def knowledge(self) -> Knowledge:
+        """What is known of the plant's own error on these trials."""
+        if self.motion != "study":
+            return "other motions"
+        return "other payloads" if self.payloads != "study" else "identified"
 
 
 def motion_named(name: str, joints: int) -> Motion:
     return replace(MOTIONS[name], dof=joints)
-
-
-def drawn_case(
-    rng: np.random.Generator,
-    kind: Kind,
-    hidden: Sequence[tuple[str, float]],
-    rig: str,
-    same_link: bool,
-    joints: int = 1,
-) -> HiddenCase:
-    """Draw one case.
-
-    `hidden`: effects, each with its size: 1 is about what matters (`TYPICAL`).
-    `same_link`: whether the link is the one that the plant was identified on.
-    """
-    nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
-    strengths = {e: _strength(rng, e, size) for e, size in hidden}
-    nuisance = {} if same_link else nuisance
-    seed = int(rng.integers(2**31))
-    turns = FRAME_TURN_RAD * np.random.default_rng([seed, 1]).standard_normal(3)
-    turn_rad = dict(zip(("roll", "tilt", "yaw"), turns.tolist(), strict=True))
-    return HiddenCase(kind, strengths, nuisance, seed, rig, joints, frame_turn_rad=turn_rad)
 
 
 def hidden_cases(
@@ -125,7 +98,6 @@ def hidden_cases(
     seed: int,
     same_link: bool,
     joints: int = 1,
-    effects: Sequence[str] = (),
 ) -> Iterator[HiddenCase]:
     """Draw the cases of one rig.
 
@@ -133,28 +105,69 @@ def hidden_cases(
     `nulls`, `pairs`, `outside`: without an effect, with two, and with one that the catalogue is
     denied.
     `same_link`: whether the link is the one that the plant was identified on.
-    `effects`: effects to draw from; all of the catalogue where it is empty.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(rig.encode())])
+    parameters = rig_named(rig)
+    catalogue = [
+        name for name, row in CATALOGUE.items()
+        if name in parameters.effects() and np.isfinite(row.size)
+        and (joints > 1 or name not in OF_TWO_JOINTS)
+    ]  # fmt: skip
 
-    def case(kind: Kind, *hidden: tuple[str, float]) -> HiddenCase:
-        return drawn_case(rng, kind, hidden, rig, same_link, joints)
+    def drawn(*purpose: str) -> list[str]:
+        """Catalogue in an order of its own for each purpose."""
+        return sorted(catalogue, key=lambda e: _generator(seed, rig, *purpose, e).random())
 
-    catalogue = list(effects or (TYPICAL_OF_TWO_JOINTS if joints == 2 else TYPICAL))
-    names = rng.permutation(catalogue).tolist()
-    yield from (case("single", (e, USUAL_SIZE)) for e in names[:usual])
-    yield from (case("single", (e, FAINT_SIZE)) for e in names[usual : usual + faint])
-    yield from (case("null") for _ in range(nulls))
-    for _ in range(pairs):
-        first, second = rng.choice(catalogue, 2, replace=False).tolist()
-        yield case("pair", (first, USUAL_SIZE), (second, USUAL_SIZE))
-    drawn = (str(rng.choice(catalogue)) for _ in range(outside))
-    yield from (case("outside", (effect, USUAL_SIZE)) for effect in drawn)
+    def case(kind: Kind, number: int, size: float, *effects: str) -> HiddenCase:
+        rng = _generator(seed, rig, kind, str(number), *effects)
+        nuisance = {n: float(np.exp(s * rng.standard_normal())) for n, s in LINK_DEVIATION.items()}
+        turns = (FRAME_TURN_RAD * rng.standard_normal(3)).tolist()
+        return HiddenCase(
+            kind, {e: _strength(rng, parameters, e, size) for e in effects},
+            {} if same_link else nuisance, int(rng.integers(2**31)), rig, joints,
+            dict(zip(("roll", "tilt", "yaw"), turns, strict=True)),
+        )  # fmt: skip
+
+    for k, effect in enumerate(drawn("single")[: usual + faint]):
+        yield case("single", 0, USUAL_SIZE if k < usual else FAINT_SIZE, effect)
+    yield from (case("null", k, 0.0) for k in range(nulls))
+    for k in range(pairs):
+        yield case("pair", k, USUAL_SIZE, *drawn("pair", str(k))[:2])
+    for k in range(outside):
+        yield case("outside", k, USUAL_SIZE, drawn("outside", str(k))[0])
 
 
-def _strength(rng: np.random.Generator, effect: str, size: float) -> float:
-    sign = rng.choice([-1.0, 1.0]) if effect in SIGNED else 1.0
-    typical = TYPICAL_OF_TWO_JOINTS[effect]
-    if effect == "current_saturation":  # below a threshold it does nothing at all
-        return float(rng.uniform(0.85, 1.05)) * typical
-    return float(sign * size * typical * 2 ** rng.uniform(-1, 1))
+def tuning_cases(number: int) -> list[HiddenCase]:
+    """Cases of the drawn rig with a number; refused if it is for testing.
+
+    Every other rig keeps its link, a quarter has two joints. Those with one joint also run another
+    motion and other payloads than their plant was identified on, without an effect.
+    """
+    if not FIRST_TUNING_NUMBER <= number < FIRST_TEST_NUMBER:
+        raise InputError(
+            f"{PREFIX}{number}", "is not for tuning",
+            f"take rigs from {FIRST_TUNING_NUMBER} to {FIRST_TEST_NUMBER - 1}",
+        )  # fmt: skip
+    rig, joints = f"{PREFIX}{number}", 2 if number // 2 % 4 == 3 else 1
+    counts = {"usual": 4, "faint": 2, "nulls": 4, "pairs": 2, "outside": 2}
+    cases = list(hidden_cases(rig, **counts, seed=TUNING_SEED, same_link=bool(number % 2),
+                              joints=joints))  # fmt: skip
+    *_, first, second = nulls = [case for case in cases if case.kind == "null"]
+    cases = [case for case in cases if case not in nulls[2:]]
+    if joints == 1:
+        motion = OTHER_MOTIONS[(number // 2 + number // 8) % len(OTHER_MOTIONS)]
+        cases += [replace(first, motion=motion), replace(second, payloads="between")]
+    return cases
+
+
+def _strength(rng: np.random.Generator, rig: RigParameters, effect: str, size: float) -> float:
+    """Strength of an effect; of either sign where the rig allows a negative one."""
+    largest = SPREAD * CATALOGUE[effect].size
+    signed = rig.entries[rig.effects()[effect]].minimum <= -largest
+    sign = rng.choice([-1.0, 1.0]) if signed else 1.0
+    if effect in NARROW:
+        return float(rng.uniform(*NARROW[effect])) * CATALOGUE[effect].size
+    return float(sign * size * CATALOGUE[effect].size * SPREAD ** rng.uniform(-1, 1))
+
+
+def _generator(seed: int, *words: str) -> np.random.Generator:
+    return np.random.default_rng([seed, *(zlib.crc32(word.encode()) for word in words)])

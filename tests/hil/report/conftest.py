@@ -123,17 +123,27 @@ def diagnosis(before, after, trials):
         "band": ("0 to 0.3 Hz", "0.3 to 0.8 Hz"),
     }
     cells = [
-        {"signal": s, "factor": factor, "level": level, "size": size, "significant": size > 1}
+        {
+            "signal": s,
+            "factor": factor,
+            "level": level,
+            "size": size,
+            "mean": 0.0,
+            "p": 0.0,
+            "significant": size > 1,
+        }
         for factor, pair in levels.items()
         for s in floor
         for level, size in zip(pair, (0.8, 12.3), strict=True)
     ]
-    steps = (("plant as given", 4.0), ("noise floor", 1.0))
-    rival = {"effect": "load_dependent_friction", "separation": 7.0, "least": 5.0, "reason": "none"}
+    rival = {
+        "effect": "load_dependent_friction",
+        "separation": 7.0,
+        "reason": "noise",
+    }
     value = {"value": 0.19, "unit": "1", "error": 0.01, "before": 0.0}
     evidence = {
-        "separation": 40.0, "least": 5.0, "held_out_gain": 100.0, "held_out_error": 10.0,
-        "strength_standard_deviation": 0.07, "strength_holds": True,
+        "separation": 40.0, "separation_of_nothing": 25.0, "difference": 0.05, "left": 0.1,
     }  # fmt: skip
     errors = {
         when: {
@@ -144,15 +154,20 @@ def diagnosis(before, after, trials):
     }
     return msgspec.to_builtins({
         "schema": GapDocument.VERSION, "verdict": "closed", "gap_left_fraction": 0.1,
-        "noise_floor": {"learned": True, "signals": floor, "dispersion": 1.0},
-        "nuisance_bias": {}, "goal_not_followed_at_row": {},
+        "separation_of_nothing": 25.0,
+        "headline": "Missing: stiffness softening 19 ± 1 %.",
+        "probabilities": {"nothing": 0.0, "catalogue": 0.98, "outside": 0.02},
+        "noise_floor": {"learned": True, "signals": floor},
         "sentence": "The tip (x) differs most.", "located": [], "map": cells,
         "named": [{
-            "effect": "stiffness_softening", "kept": True, "look_alikes": [],
+            "effect": "stiffness_softening", "joint": None, "look_alikes": [],
             "parameters": {"softening_share": value}, "evidence": evidence,
         }],
         "remaining": {"sentence": "", "located": []}, "rejected": [rival],
-        "waterfall": [{"step": step, "floors": floors} for step, floors in steps],
+        "written": {
+            "effects": ["stiffness_softening"], "parameters": {"softening_share": value},
+        },
+        "held_out": {"left_out": ["repetitions"], "fraction": 0.2},
         "settings": DEFAULT_SETTINGS, **errors,
     })  # fmt: skip
 

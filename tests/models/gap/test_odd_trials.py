@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 from models.gap.diagnosis import diagnose
+from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import noise_floor_for, nuisance_and_variation
-from models.gap.odd_repetitions import differing_repetitions, odd_repetitions
-from models.gap.odd_trials import odd_trials, without_odd
+from models.gap.outliers import odd_trials
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
-from models.gap.residuals.fit_parameters import candidate_effects
+from models.gap.residuals.fit_parameters import candidate_effects, nuisance_and_variation
 from models.gap.residuals.residuals import Residuals
-from models.gap.settings import DEFAULT_SETTINGS
 from models.trials.trial import TrialSet
 
 FEW = ("backlash", "creep", "viscous_friction", "unmodelled_payload")
@@ -59,9 +57,9 @@ def test_the_trial_is_left_out_and_told_and_nothing_is_named(plant, hidden, chan
     found = found_in(plant, trials)
     assert [o.name for o in found.odd] == [odd]
     assert (found.named, found.verdict) == ((), "no gap")
-    words = gap_in_words(gap_document(found, without_odd(trials, found.odd)))
-    assert f"left out: {odd}" in words
-    assert f"recording of {odd}" in words.splitlines()[-1]
+    document = gap_document(found)
+    assert [o.name for o in document.odd_trials] == [odd]
+    assert odd in gap_in_words(document)
 
 
 def test_an_effect_is_found_beside_a_disturbed_trial(plant, hidden):
@@ -96,73 +94,15 @@ def test_an_effect_makes_no_trial_odd(plant, hidden, strengths):
 def test_a_trial_is_odd_by_its_repetition_else_by_trials_of_less_and_more_load(
     monkeypatch, payloads_kg, levels, odd
 ):
-    monkeypatch.setattr("models.gap.odd_trials._levels", lambda *_: np.array(levels))
-    monkeypatch.setattr("models.gap.odd_trials.group_frequencies_hz", lambda *_: np.zeros(1))
+    monkeypatch.setattr("models.gap.outliers._levels", lambda *_: np.array(levels))
+    monkeypatch.setattr("models.gap.outliers.group_frequencies_hz", lambda *_: np.zeros(1))
     trials = [
         SimpleNamespace(name=str(k), path="", meta=SimpleNamespace(payload_kg=kg))
         for k, kg in enumerate(payloads_kg)
     ]
     group = SimpleNamespace(trials=range(len(trials)), signals=())
     estimator = SimpleNamespace(
-        residuals=SimpleNamespace(trials=trials, groups=[group]), settings=DEFAULT_SETTINGS,
-        means=[np.zeros(1)], floor=None,
-    )  # fmt: skip
+        residuals=SimpleNamespace(trials=trials, groups=[group]), means=[np.zeros(1)], floor=None
+    )
     found = odd_trials(estimator, SimpleNamespace(rows=[np.zeros(1)]))
     assert [int(o.name) for o in found] == odd
-
-
-@pytest.mark.parametrize("repetition", [1, 2])
-def test_of_two_repetitions_that_differ_the_disturbed_one_is_left_out(plant, hidden, repetition):
-    trials, rougher = hidden(), hidden(coulomb_friction_1_nm=1.2 * friction_nm(plant))
-    own = [(t.meta.payload_kg, t.meta.trial) for t in trials]
-    k = own.index((1.0, repetition))
-    mixed = (*trials[:k], rougher[k], *trials[k + 1 :])
-    residuals = Residuals(plant, mixed, nuisance_and_variation(plant, mixed))
-    floor = noise_floor_for(residuals)
-    estimator = GaussNewton(residuals, floor)
-    point = estimator.fit_nuisance(estimator.start())
-    (odd,) = odd_repetitions(residuals, point.values, floor)
-    assert (odd.name, odd.variation) == (trials[k].name, "friction")
-    assert odd.standard_deviations > DEFAULT_SETTINGS.odd_variation_sd
-
-
-def friction_nm(plant):
-    return plant.parameters["coulomb_friction_1_nm"].value
-
-
-def varying(friction, payloads_kg=(0.0, 0.0, 1.0, 1.0)):
-    """Residuals of trials of one motion with that friction, in standard deviations."""
-    parameters = [
-        SimpleNamespace(name=kind, trial=k, standard_deviation=0.05)
-        for k in range(len(friction))
-        for kind in ("friction", "sync_s")
-    ]
-    values = [0.05 * z for f in friction for z in (f, 0.0)]
-    residuals = SimpleNamespace(
-        fit_parameters=[SimpleNamespace(name="mass", trial=None), *parameters],
-        groups=[SimpleNamespace(trials=tuple(range(len(friction))))],
-        trials=[SimpleNamespace(meta=SimpleNamespace(payload_kg=kg)) for kg in payloads_kg],
-    )
-    return residuals, np.array([9.0, *values])
-
-
-def test_only_repetitions_are_compared_and_the_largest_difference_comes_first():
-    first, second = differing_repetitions(*varying((0.0, 2.0, 5.0, 11.0)))
-    assert (first.trials, first.variation) == ((2, 3), "friction")
-    shared = 1 + 0.05 * 3.5  # friction that all have: a fraction of more varies
-    assert first.standard_deviations == pytest.approx(6 / shared / np.sqrt(2))
-    assert second.trials == (0, 1)
-
-
-def test_of_two_trials_none_is_left_out():
-    assert differing_repetitions(*varying((0.0, 20.0), (1.0, 1.0))) == []
-
-
-def test_an_effect_that_all_trials_have_makes_none_odd():
-    assert odd_repetitions(*with_limit(varying((9.0, 9.5, 12.0, 11.0))), None) == ()
-
-
-def with_limit(own):
-    residuals, values = own
-    residuals.settings = DEFAULT_SETTINGS
-    return residuals, values

@@ -7,7 +7,6 @@ import pytest
 
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
-from models.gap.settings import GapSettings
 from models.trials.trial import TrialSet
 
 SCATTER_M = 0.004
@@ -28,22 +27,16 @@ def scattering(trials):
     return TrialSet(tuple(result))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def diagnosis(plant, hidden):
-    """Function (settings) -> diagnosis of such trials over a few effects."""
+    """Function () -> diagnosis of such trials over a few effects."""
     trials = scattering(hidden().trials)
     few = ("backlash", "creep", "viscous_friction", "unmodelled_payload")
     others = [e for e in candidate_effects(plant) if e not in few]
-    return lambda settings: diagnose(plant, trials, leave_out=others, settings=settings)
+    return lambda: diagnose(plant, trials, leave_out=others)
 
 
 def test_the_floor_grows_at_that_payload_and_nothing_is_named(diagnosis):
-    found = diagnosis(GapSettings())
-    assert set(found.amplification_power) == {1.0}
+    found = diagnosis()
+    assert set(found.floor.amplification_power) == {1.0}
     assert (found.named, found.verdict) == ((), "no gap")
-
-
-def test_with_the_floor_of_the_plant_file_the_scatter_passes_for_a_gap(diagnosis):
-    found = diagnosis(GapSettings(amplified_scatter_limit=np.inf))
-    assert not found.amplification_power
-    assert found.verdict != "no gap"

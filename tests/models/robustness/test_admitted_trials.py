@@ -13,9 +13,10 @@ import re
 import pytest
 
 from dropstitch.__main__ import main
-from models.gap import diagnosis
+from models.gap.estimation import fitted_floor, gauss_newton, nuisance_fit
+from models.gap.residuals import localisation
 from models.gap.residuals.fit_parameters import candidate_effects
-from models.gap.settings import GapSettings
+from models.gap.search import effect_search, far_strengths
 from models.plant.identification import identify as identification
 from models.plant.identification import noise_floor
 from models.trials.files import write_trial
@@ -27,12 +28,14 @@ CONSIDERED = {
     "pendulum": ("coulomb_friction", "current_saturation"),
     "guide": ("coulomb_friction", "load_offset"),
 }
-FEW_STEPS = GapSettings(
-    nuisance_floor_rounds=1, widening_rounds=1, floor_fit_steps=2,
-    nuisance_fit_steps=2, candidate_start_steps=1, candidate_fit_steps=1, refitted_candidates=1,
-    refitted_pairs=1, restart_bound_fractions=(0.25,), restart_steps=1, deletion_steps=1,
-    ladder_bound_fractions=(0.5,), ladder_refinements=1, bootstrap_draws=20, waterfall_steps=1,
-)  # fmt: skip
+FEW_STEPS = {
+    fitted_floor: {"FLOOR_ROUNDS": 1},
+    nuisance_fit: {"ROUNDS": 1},
+    gauss_newton: {"NUISANCE_FIT_STEPS": 2, "FIT_STEPS": 2},
+    effect_search: {"REFITTED": 1, "REFITTED_PAIRS": 1, "START_STEPS": 1, "FIT_STEPS": 1},
+    far_strengths: {"LADDER_BOUND_FRACTIONS": (0.5,), "LADDER_REFINEMENTS": 1, "FIT_STEPS": 1},
+    localisation: {"BOOTSTRAP_DRAWS": 20},
+}
 ONE_SENTENCE = re.compile(r"dropstitch: .+; .+\.")
 QUICK = {
     ("link", "50 rows"), ("link", "markers mostly occluded"),
@@ -59,16 +62,16 @@ def made():
 @pytest.fixture
 def few_steps(monkeypatch):
     """Fits end after a few steps: the figures do not matter here."""
-    fit, diagnose = identification.fit_objective, diagnosis.diagnose
+    fit = identification.fit_objective
     monkeypatch.setattr(
         identification, "fit_objective",
         lambda objective, start=None, **o: fit(objective, start, **o | {"evaluations": 2}),
     )  # fmt: skip
     monkeypatch.setattr(identification, "DRAWS", 3)
     monkeypatch.setattr(identification, "STIFFNESS_SCAN", (1.0,))
-    monkeypatch.setattr(
-        diagnosis, "diagnose", lambda *a, **o: diagnose(*a, **o | {"settings": FEW_STEPS})
-    )
+    for module, constants in FEW_STEPS.items():
+        for name, value in constants.items():
+            monkeypatch.setattr(module, name, value)
     monkeypatch.setattr(noise_floor, "FLOOR_ROUNDS", 1)
     monkeypatch.setattr(noise_floor, "FIT_STEPS", 2)
 

@@ -7,15 +7,15 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.motion import Motion
-from models.gap.calibration.calibration_files import (
+from models.gap.calibration.files import (
     begin_work,
     calibration_directory,
     patterns_beside,
     patterns_file,
 )
-from models.gap.calibration.pattern_measurement import PatternWork
-from models.gap.estimation.curve_transfer import motion_of
-from models.gap.estimation.model_discrepancy import write_patterns
+from models.gap.calibration.measurement import PatternWork
+from models.gap.estimation.own_error import write_patterns
+from models.gap.estimation.transfer import motion_of
 from models.plant.plant import read_plant
 from models.rig.protocol import TrialCase
 from models.trials.files import write_trial

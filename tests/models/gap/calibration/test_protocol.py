@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_py.motion import Motion
-from models.gap.calibration.protocol import MOST_PAYLOADS, protocol_of, repeated
+from models.gap.calibration.trials import MOST_PAYLOADS, protocol_of, repeated
 from models.plant.identification.noise_floor import trial_group_key
 from models.rig.parameters import read_rig
 from models.rig.protocol import TrialCase, run_case

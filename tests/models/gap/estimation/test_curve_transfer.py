@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.curve_transfer import transferred
-from models.gap.estimation.model_discrepancy import ModelDiscrepancy
 from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.own_error import ModelDiscrepancy
+from models.gap.estimation.transfer import transferred
 from models.plant.identification.noise_floor import (
     TrialGroup,
     coefficient_count,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.gap.diagnosis import all_fit_parameters
+from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import noise_floor_for
+from models.gap.residuals.fit_parameters import all_fit_parameters
 from models.gap.residuals.residuals import Residuals
 
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.link_change import link_change
+from models.gap.estimation.link_change import LARGEST_CHANGE, LEAST_CHANGE, link_change
 from models.gap.residuals.fit_parameters import FitParameter
-from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 
 PARAMETERS = [
     FitParameter("root_stiffness_1_nm_rad", "nuisance"),
@@ -26,18 +25,17 @@ def test_a_tenth_in_stiffness_and_mass_counts_one():
 def test_more_than_the_calibration_saw_counts_no_more():
     """A hidden effect may look like a change of the link."""
     values = np.array([0.5, 0.4, 0.0, 0.0, 0.0, 0.0])
-    assert link_change(PARAMETERS, values) == DEFAULT_SETTINGS.largest_link_change
+    assert link_change(PARAMETERS, values) == LARGEST_CHANGE
 
 
 def test_damping_variation_and_effects_do_not_count():
     values = np.array([0, 0, 0, 0.5, 3.0, 0.9])
-    assert link_change(PARAMETERS, values) == DEFAULT_SETTINGS.least_link_change
+    assert link_change(PARAMETERS, values) == LEAST_CHANGE
 
 
 def test_a_link_that_is_known_to_be_the_same_has_changed_least_whatever_the_fit_says():
-    same = GapSettings(same_link=True)
     values = np.array([0.5, 0.4, 0.1, 0.0, 0.0, 0.0])
-    assert link_change(PARAMETERS, values, same) == same.least_link_change
+    assert link_change(PARAMETERS, values, same_link=True) == LEAST_CHANGE
 
 
 def test_without_a_link_the_measured_amount_holds():

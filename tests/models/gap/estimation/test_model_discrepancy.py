@@ -4,26 +4,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from firmware_py.errors import InputError
+from models.gap.calibration.measurement import PATTERNS
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.model_discrepancy import (
+from models.gap.estimation.noise_floor import NoiseFloor
+from models.gap.estimation.own_error import (
     ModelDiscrepancy,
     patterns_for,
     patterns_of,
     read_patterns,
     write_patterns,
 )
-from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.search.null_distribution import calibrated_null_distribution
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import TrialGroup, coefficient_count, trial_group_key
 from models.plant.plant import read_plant
 
 COUNT, STEP_S = 200, 0.017
 SIZE = coefficient_count(COUNT, STEP_S)
-MOST = DEFAULT_SETTINGS.discrepancy_patterns
+MOST = PATTERNS
 PAYLOADS_KG = np.array([0.0, 1.0])
 
 
@@ -154,58 +153,6 @@ def test_a_damaged_file_of_patterns_is_told_with_a_remedy(tmp_path):
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(InputError, match="dropstitch calibrate"):
         read_patterns(path)
-
-
-def test_the_least_separation_grows_with_that_of_rigs_without_an_effect():
-    rng = np.random.default_rng(2)
-    rows = [{"quiet": abs(q), "loud": 6 * abs(s)} for q, s in rng.standard_normal((400, 2))]
-    null = calibrated_null_distribution(rows, [1.0] * 400, [1.0] * 400)
-    assert null.standard_deviation["quiet"] == pytest.approx(1.0, abs=0.1)
-    assert null.standard_deviation["loud"] == pytest.approx(6.0, rel=0.1)
-    least = DEFAULT_SETTINGS.least_threshold
-    assert null.threshold == least
-    assert null.least(["loud"]) == pytest.approx(6 * least, rel=0.1)
-    assert null.least(["quiet", "loud"]) ** 2 == pytest.approx(
-        null.least(["quiet"]) ** 2 + null.least(["loud"]) ** 2
-    )
-    passed = sum(any(d > null.least([e]) for e, d in row.items()) for row in rows)
-    assert passed <= 0.02 * len(rows)
-
-
-def test_the_least_separation_shrinks_on_a_link_that_changed_less():
-    rng = np.random.default_rng(3)
-    changes = rng.uniform(0.3, 2.0, 4000)
-    rows = [
-        {"loud": abs(np.hypot(5 * c, 1.0) * s)}
-        for c, s in zip(changes, rng.standard_normal(4000), strict=True)
-    ]
-    null = calibrated_null_distribution(rows, [1.0] * 4000, changes.tolist())
-    assert null.standard_deviation["loud"] == pytest.approx(np.hypot(5.0, 1.0), rel=0.1)
-    for change in (0.3, 0.5, 2.0):
-        least = null.for_link_change(change).least(["loud"])
-        assert least == pytest.approx(null.threshold * np.hypot(5 * change, 1.0), rel=0.1)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_what_differs_on_an_unchanged_link_too_needs_as_large_a_separation_there(seed):
-    rng = np.random.default_rng(seed)
-    changes = rng.uniform(0.3, 1.0, 400)
-    rows = [{"friction": abs(3 * x)} for x in rng.standard_normal(400)]
-    null = calibrated_null_distribution(rows, [1.0] * 400, changes.tolist())
-    for change in (0.3, 1.0):
-        least = null.for_link_change(change).least(["friction"])
-        assert least == pytest.approx(3 * null.threshold, rel=0.2)
-
-
-def test_the_residual_without_an_effect_scatters_more_on_links_that_changed_more():
-    rng = np.random.default_rng(5)
-    changes = rng.uniform(0.3, 1.0, 4000)
-    left = np.exp(-0.2 + 0.3 * changes + (0.1 + 0.3 * changes) * rng.standard_normal(4000))
-    null = calibrated_null_distribution([{}] * 4000, left.tolist(), changes.tolist())
-    for change in (0.3, 1.0):
-        beyond = norm.ppf(DEFAULT_SETTINGS.null_quantile)
-        largest = np.exp(-0.2 + 0.3 * change + beyond * (0.1 + 0.3 * change))
-        assert null.for_link_change(change).explained == pytest.approx(largest, rel=0.05)
 
 
 def test_patterns_grow_with_the_change_of_the_link(trials, group):

@@ -8,7 +8,7 @@ import pytest
 
 from firmware_py.errors import InputError
 from models.gap.estimation import noise_floor
-from models.gap.estimation.noise_floor_fit import noise_floor_of
+from models.gap.estimation.fitted_floor import noise_floor_of
 from models.plant.document import FloorRecord
 from models.plant.identification.noise_floor import (
     TrialGroup,

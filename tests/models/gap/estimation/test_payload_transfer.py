@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.gap.estimation.payload_transfer import transfer_weights, unknown_fraction
+from models.gap.estimation.transfer import transfer_weights, unknown_fraction
 
 REACH_KG = 1.0
 

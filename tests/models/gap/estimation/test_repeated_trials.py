@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.gap.estimation.measured_floor import with_amplified_scatter, with_repeated_trials
+from models.gap.estimation.fitted_floor import with_amplified_scatter, with_repeated_trials
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.noise_floor import (
     TrialGroup,
     floor_from_residuals,
@@ -47,7 +46,7 @@ def floor_and_residuals(rng, trials, kept):
     floor = NoiseFloor.of(floor_from_residuals([group], trials, [rows]))
     own = [trials[k] for k in kept]
     group = replace(group, trials=tuple(range(len(own))))
-    return floor, SimpleNamespace(groups=[group], trials=own, settings=DEFAULT_SETTINGS)
+    return floor, SimpleNamespace(groups=[group], trials=own)
 
 
 def noise_power(floor, payload_kg, hz):

@@ -3,9 +3,9 @@
 import pytest
 
 from firmware_py.errors import InputError
-from models.gap.experiment.rival import credible_set, fitted_values_of, rivals_of
+from models.gap.experiment.rival import Rival, credible_set, fitted_values_of, rivals_of
 from models.gap.report.gap_json import HypothesisRecord
-from models.gap.residuals.fit_parameters import effect_fit_parameters
+from models.gap.residuals.fit_parameters import effect_candidates
 from models.plant.plant import read_plant
 
 
@@ -43,29 +43,29 @@ def test_the_set_that_holds_95_percent_is_the_smallest():
     assert [r.effects for r in credible_set(rivals)] == [("creep",), ("cogging",)]
 
 
-def test_the_values_of_a_hypothesis_become_fit_parameters():
-    plant = read_plant()
-    own = effect_fit_parameters(plant, "encoder_offset", 1)
-    record = HypothesisRecord(("encoder_offset",), 1.0, {own[0].name: 0.02})
-    (rival,) = rivals_of([record])
-    assert fitted_values_of(rival, plant, own)[0] == pytest.approx(0.02)
-
-
-def test_a_value_beyond_its_bounds_is_refused():
-    plant = read_plant()
-    own = effect_fit_parameters(plant, "encoder_offset", 1)
-    (rival,) = rivals_of([HypothesisRecord(("encoder_offset",), 1.0, {own[0].name: 1.1e3})])
-    with pytest.raises(InputError, match="beyond its bounds"):
-        fitted_values_of(rival, plant, own)
-
-
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("effects", "changes", "values"),
     [
-        ([hypothesis(0.6, "creep"), hypothesis(0.4, "slip")], "'slip'"),
-        ([hypothesis(0.0, "creep"), hypothesis(0.0, "cogging")], "no hypothesis a probability"),
+        (("coulomb_friction",), (2.0, 2.0), {"coulomb_friction": 2.0}),
+        (("coulomb_friction:2",), (0.0, 3.0), {"coulomb_friction:2": 3.0}),
+        (
+            ("coulomb_friction", "coulomb_friction:1"), (5.0, 2.0),
+            {"coulomb_friction": 2.0, "coulomb_friction:1": 3.0},
+        ),
     ],
-)
-def test_an_edited_document_is_refused(wrong, said):
-    with pytest.raises(InputError, match=said):
-        rivals_of(wrong)
+)  # fmt: skip
+def test_the_values_of_a_hypothesis_become_those_of_its_candidates(effects, changes, values):
+    plant = read_plant()
+    fit_parameters = [
+        q for own in effect_candidates(plant, "coulomb_friction", 2).values() for q in own
+    ]
+    names = ("coulomb_friction_1_nm", "coulomb_friction_2_nm")
+    parameters = {n: plant.parameters[n].value + c for n, c in zip(names, changes, strict=True)}
+    fitted = fitted_values_of(Rival(effects, 1.0, parameters), plant, fit_parameters)
+    named = {q.effect: v for q, v in zip(fit_parameters, fitted, strict=True) if v}
+    assert named == pytest.approx(values)
+
+
+def test_a_document_without_probabilities_is_refused():
+    with pytest.raises(InputError, match="no hypothesis a probability"):
+        rivals_of([hypothesis(0.0, "creep"), hypothesis(0.0, "cogging")])

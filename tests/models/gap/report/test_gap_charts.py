@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 
 from firmware_py.display_units import LENGTH
-from models.gap.report.gap_charts import draw_bars, draw_heat_map, draw_traces, draw_waterfall
+from models.gap.report.gap_charts import draw_bars, draw_errors
+from models.gap.report.gap_json import MappedRegion, largest_gaps
+from models.gap.report.localisation_maps import draw_heat_map
 from models.shared.drawing import Drawing
 from models.shared.palette import HEAT, MUTED
 
@@ -23,23 +25,34 @@ def test_a_heat_map_writes_every_value_and_leaves_missing_cells_empty():
         assert darkest == pytest.approx([int(HEAT[-1][k : k + 2], 16) / 255 for k in (1, 3, 5)])
 
 
-@pytest.mark.parametrize("draw", [draw_bars, draw_waterfall])
-def test_bars_and_waterfall_show_their_values_and_the_limit(draw):
+def test_bars_show_their_values_and_the_least_separation():
     with Drawing() as (_, ax):
-        draw(ax, [("first", 4.0), ("last", 1.0)], 1.0, "RMS")
-        assert [float(t) for t in texts(ax)] == [4.0, 1.0]
+        draw_bars(ax, [("creep", 14.0), ("prebend", 3.0)], 9.0, ["creep"])
+        assert [float(t) for t in texts(ax)] == [14.0, 3.0]
         (limit,) = ax.lines
-        assert list(limit.get_xdata()) == [1.0, 1.0]
-        assert ax.get_xlim()[1] > 4.0
+        assert list(limit.get_xdata()) == [9.0, 9.0]
+        assert ax.get_xlim()[1] > 14.0
 
 
-def test_traces_are_shown_in_their_unit_around_zero():
+def test_errors_are_shown_in_their_unit_around_zero():
     time_s = np.arange(1000) * 0.01 + 5.0
     before = 2e-3 * np.sin(time_s)
     with Drawing() as (_, ax):
-        draw_traces(ax, time_s, [before, 0.5 * before], LENGTH, "error", 1e-4)
+        draw_errors(ax, time_s, [before, 0.5 * before], LENGTH, 1e-4)
         first, _ = ax.lines
         assert np.max(np.abs(first.get_ydata())) == pytest.approx(2.0, rel=1e-3)
         assert first.get_xdata()[0] == 0.0
         low, high = ax.get_ylim()
         assert low == -high and ax.get_ylabel() == "error in mm"
+
+
+def test_signals_are_ranked_by_their_largest_significant_gap_over_a_trial():
+    rows = [
+        MappedRegion("di", "trial", "one", 3.0, 0, 0, True),
+        MappedRegion("tip_x_m", "trial", "one", 2.0, 0, 0, True),
+        MappedRegion("tip_x_m", "trial", "two", 5.0, 0, 0, True),
+        MappedRegion("current_1_a", "trial", "one", 9.0, 0, 0, False),
+        MappedRegion("di", "band", "0 to 0.3 Hz", 20.0, 0, 0, True),
+    ]
+    assert largest_gaps(rows) == {"tip_x_m": 5.0, "di": 3.0}
+    assert list(largest_gaps(rows[3:])) == ["current_1_a"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.gap.residuals.fit_parameters import effect_fit_parameters, nuisance_fit_parameters
+from models.gap.residuals.fit_parameters import effect_candidates, nuisance_fit_parameters
 
 
 def test_a_frame_that_was_set_up_anew_is_no_gap(plant, hidden, diagnosed):
@@ -18,7 +18,7 @@ def test_a_frame_that_was_set_up_anew_is_no_gap(plant, hidden, diagnosed):
 def test_a_turn_about_a_joints_axis_is_an_effect(plant):
     """It looks like an offset of the joint's encoder, so the session's turn is small there."""
     for dof, strengths in ((1, ["tilt"]), (2, ["tilt", "roll"])):
-        effect = effect_fit_parameters(plant, "marker_frame_tilt", dof)
+        effect = effect_candidates(plant, "marker_frame_tilt", dof)["marker_frame_tilt"]
         assert [q.name for q in effect] == [f"marker_frame_{n}_rad" for n in strengths]
         turns = {
             name: q.standard_deviation

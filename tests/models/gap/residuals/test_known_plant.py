@@ -6,9 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.gap.diagnosis import plant_is_known
-from models.gap.residuals.fit_parameters import nuisance_fit_parameters
-from models.gap.settings import GapSettings
+from models.gap.residuals.fit_parameters import (
+    KNOWN_VALUE_FRACTION,
+    is_known_elsewhere,
+    nuisance_fit_parameters,
+)
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
@@ -33,26 +35,25 @@ def pendulum():
 
 def test_only_a_plant_of_other_trials_is_known(pendulum):
     one, other = trial(0.5), trial(0.6)
-    assert not plant_is_known(pendulum, TrialSet((one,)))
+    assert not is_known_elsewhere(pendulum, TrialSet((one,)))
     identified = replace(pendulum, provenance=fitted_to(pendulum, [one]))
-    assert plant_is_known(identified, TrialSet((other,)))
-    assert not plant_is_known(identified, TrialSet((one,)))
-    assert not plant_is_known(identified, TrialSet((one, other)))
+    assert is_known_elsewhere(identified, TrialSet((other,)))
+    assert not is_known_elsewhere(identified, TrialSet((one,)))
+    assert not is_known_elsewhere(identified, TrialSet((one, other)))
 
 
 def test_the_link_has_priors_of_its_own_for_what_changes_from_day_to_day():
     link = read_plant()
     identified = replace(link, provenance=fitted_to(link, [trial(0.5)]))
-    assert not plant_is_known(identified, TrialSet((trial(0.6),)))
+    assert not is_known_elsewhere(identified, TrialSet((trial(0.6),)))
 
 
 def test_values_of_a_known_plant_stay_within_some_per_cent(pendulum):
-    known = GapSettings(plant_is_known=True)
     free = {q.name: q for q in nuisance_fit_parameters(pendulum, 1)}
-    held = {q.name: q for q in nuisance_fit_parameters(pendulum, 1, known)}
-    assert free.keys() == held.keys() and len(held) > 3
-    for name, q in held.items():
+    known = {q.name: q for q in nuisance_fit_parameters(pendulum, 1, True)}
+    assert free.keys() == known.keys() and len(known) > 3
+    for name, q in known.items():
         value = abs(pendulum.parameters[name].value)
-        assert q.standard_deviation == pytest.approx(known.known_value_fraction * value)
+        assert q.standard_deviation == pytest.approx(KNOWN_VALUE_FRACTION * value)
         assert q.standard_deviation < free[name].standard_deviation
         assert (q.low, q.high) == (free[name].low, free[name].high)

@@ -4,8 +4,12 @@ import numpy as np
 import pytest
 
 from models.gap.diagnosis import diagnose
-from models.gap.residuals.fit_parameters import FitParameter, candidate_effects
-from models.gap.residuals.prior import prior_matrix, prior_precision
+from models.gap.residuals.fit_parameters import (
+    FitParameter,
+    candidate_effects,
+    prior_matrix,
+    prior_precision,
+)
 
 TRIALS = 6
 PARAMETERS = [

@@ -6,9 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.gap.residuals.time_blocks import in_time_blocks, is_time_block
-from models.gap.search.held_out_errors import held_out_folds
-from models.gap.settings import DEFAULT_SETTINGS
+from models.gap.residuals.time_blocks import BLOCKS, in_time_blocks, is_time_block
+from models.gap.search.held_out import held_out_folds
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.trial import Trial, TrialMeta, TrialSet
 
@@ -28,7 +27,7 @@ def recording():
 
 def test_the_blocks_are_the_recording_in_order_and_each_is_left_out_once(recording):
     blocks = in_time_blocks(read_plant(EXAMPLES / "emps.toml"), TrialSet((recording,)))
-    assert len(blocks) == DEFAULT_SETTINGS.held_out_time_blocks
+    assert len(blocks) == BLOCKS
     for name, column in recording.columns.items():
         assert np.array_equal(np.concatenate([b.columns[name] for b in blocks]), column)
     assert all(is_time_block(b) for b in blocks) and not is_time_block(recording)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from models.gap.diagnosis import all_fit_parameters
+from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import noise_floor_for
+from models.gap.residuals.fit_parameters import all_fit_parameters
 from models.gap.residuals.residuals import Residuals
-from models.gap.search.dead_zone_effects import strengths_far_from_zero
+from models.gap.search.far_strengths import strengths_far_from_zero
 
 DEAD_TIME_S = 0.06
 LAG_S = 0.03
@@ -23,9 +23,9 @@ def search_of(plant, hidden):
         estimator = GaussNewton(residuals, noise_floor_for(residuals))
         here = estimator.linearise(estimator.at(np.zeros(len(estimator.low))))
         own = np.array([q.effect == effect for q in residuals.fit_parameters])
-        start = here, [here] if from_given else [], cost
+        starts = [here, here] if from_given else [here]
         free = np.ones(len(own), dtype=bool)
-        found = strengths_far_from_zero(estimator, *start, effect, own, free, False)
+        found = strengths_far_from_zero(estimator, starts, cost, effect, own, free, False)
         return found, here, own
 
     return run

@@ -4,10 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from models.gap.diagnosis import all_fit_parameters, diagnose
+from models.gap.diagnosis import diagnose
+from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.estimation.noise_floor_fit import noise_floor_for
-from models.gap.residuals.fit_parameters import candidate_effects, effect_fit_parameters
+from models.gap.estimation.nuisance_fit import NuisanceFit
+from models.gap.residuals.fit_parameters import (
+    all_fit_parameters,
+    candidate_effects,
+    effect_candidates,
+)
 from models.gap.residuals.residuals import Residuals
 from models.gap.search.effect_search import EffectSearch
 from models.plant.document import Provenance
@@ -39,7 +44,7 @@ def test_what_is_fitted_last_is_no_strength(plant):
     late = {
         q.name: q.effect
         for name in candidate_effects(plant)
-        for q in effect_fit_parameters(plant, name, 1)
+        for q in effect_candidates(plant, name, 1)[name]
         if q.fitted_last
     }
     assert late == {"stribeck_tail_1": "stribeck_friction"}
@@ -53,10 +58,11 @@ def test_the_tail_is_fitted_only_where_the_noise_floor_is_learned(plant, hidden,
     given = plant if learned else replace(plant, provenance=Provenance())
     trials, effect = hidden(stribeck_friction_1_nm=4.0).trials, "stribeck_friction"
     residuals = Residuals(given, trials, all_fit_parameters(given, trials, [effect]))
-    search = EffectSearch(GaussNewton(residuals, noise_floor_for(residuals)), [effect])
+    estimator = GaussNewton(residuals, noise_floor_for(residuals))
+    search = EffectSearch(NuisanceFit(estimator, estimator, estimator.start()))
     fitted = [
-        q.name for q, own in zip(search.fit_parameters, search.of[effect], strict=True) if own
+        q.name for q, own in zip(residuals.fit_parameters, search.of[effect], strict=True) if own
     ]
-    assert search.learned is learned
+    assert estimator.floor.learned is learned
     assert ("stribeck_tail_1" in fitted) is learned
     assert {"stribeck_friction_1_nm", "stribeck_speed_1_rad_s"} <= set(fitted)

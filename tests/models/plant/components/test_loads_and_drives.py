@@ -9,7 +9,7 @@ from scipy import signal
 from scipy.special import ellipk
 
 from firmware_py.errors import InputError
-from models.gap.residuals.fit_parameters import effect_fit_parameters
+from models.gap.residuals.fit_parameters import effect_candidates
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import read_plant
 from models.plant.step_model import names
@@ -174,7 +174,9 @@ def test_a_file_may_set_parameters_of_an_effect_that_the_plant_lacks(plant_with,
         freed = known.with_effects("stribeck_friction").parameters["stribeck_load_1"]
         assert (freed.high, freed.role) == (0.4, "effect")
     for known, free in ((read, True), (plant, False)):
-        fitted = [k.name for k in effect_fit_parameters(known, "stribeck_friction", 1)]
+        fitted = [
+            k.name for k in effect_candidates(known, "stribeck_friction", 1)["stribeck_friction"]
+        ]
         assert ("stribeck_load_1" in fitted) == free
 
 

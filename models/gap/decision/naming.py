@@ -1,0 +1,195 @@
+"""Naming: the set of effects that explains the trials, from the rounds of the search.
+
+With a learned noise floor the first name is the candidate with the largest d′ after its refit, if
+it is more probably what is missing than not (`models.gap.decision.certainty`). Where it is not, it
+may stand for two effects: then the pair is tried that explains most. A larger set takes the place
+of a smaller one if the d′ that it adds exceeds what is reached where nothing is missing and a
+fraction of the d′ so far, the error of an equation, and if every strength is the same in all parts
+of the trials.
+
+Without one the spectrum of the residual takes its place, which holds the gap itself. Then every
+effect that stands out from it competes by the error on what was left out
+(`models.gap.search.held_out`), and further ones are fitted in SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from models.gap.decision.certainty import Answers, Certainty, Evidence
+from models.gap.estimation.gauss_newton import GaussNewton
+from models.gap.estimation.nuisance_fit import NuisanceFit
+from models.gap.search.effect_search import EffectSearch, SetFit
+from models.gap.search.held_out import HeldOut, flattened, lowers_held_out_error
+from models.gap.search.strength_consistency import strength_difference
+
+MOST_NAMED: Final = 3
+"""Most effects of one diagnosis [assumed]."""
+NAMED_PROBABILITY: Final = 0.5
+"""Probability from which an effect is named."""
+LARGEST_DIFFERENCE: Final = 0.2
+"""Fraction by which the strengths of several effects may differ between parts of the trials. Of the
+right names on rigs for tuning nearly all stay below, of stand-ins nearly none."""
+LEAST_WITHOUT_FLOOR: Final = 5.0
+"""Least d′ of a named effect where the residual's own spectrum is the floor [assumed]."""
+
+
+@dataclass(frozen=True)
+class Naming:
+    """Named set, and the sets that it was chosen from."""
+
+    fit: SetFit  # Named set; the fit of the nuisance where none is named
+    best: SetFit  # Named set, or the one that would have been named
+    rounds: tuple[tuple[SetFit, ...], ...]  # Sets of each round, the largest d′ first
+    search: EffectSearch  # Search of the last round, with its estimator
+    evidence: Evidence  # Of `best`
+    answers: Answers | None  # None without a learned noise floor
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.fit.candidates
+
+    @property
+    def is_learned(self) -> bool:
+        """Whether the noise floor was measured on repetitions."""
+        return self.search.estimator.floor.learned
+
+    @property
+    def explored(self) -> list[SetFit]:
+        """Best fit of each set against the floor of the last round, the largest d′ first."""
+        found: dict[frozenset[str], SetFit] = {}
+        every = [f for r in self.rounds for f in r] + [self.best]
+        for fit in sorted(every, key=lambda f: f.gain):
+            found[frozenset(fit.candidates)] = fit
+        found.pop(frozenset(), None)
+        return sorted(found.values(), key=lambda f: -f.gain)
+
+
+def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: float) -> Naming:
+    """Set that is named against a learned noise floor.
+
+    `equation_error`: fraction of its d′ that the equation of an effect may miss.
+    """
+    scale = certainty.scale_for(search.estimator)
+    least = scale * certainty.separation_of_nothing
+
+    def needed(fit: SetFit) -> float:
+        return float(np.hypot(least, equation_error * fit.separation))
+
+    def probability(fit: SetFit) -> float:
+        return certainty.answers_for(evidence_of(search, fit, certainty, scale)).catalogue
+
+    rounds = [search.beside(search.nothing)]
+    best = search.settled(next(iter(rounds[0]), search.nothing))
+    named, pairs = search.nothing, None
+    if best.candidates and probability(best) >= NAMED_PROBABILITY:
+        named = best
+    elif best.separation > least:
+        pairs = search.pairs()
+        more = next((p for p in pairs if _replaces(search, p, best, needed(best))), None)
+        if more is not None and probability(more) >= NAMED_PROBABILITY:
+            best = named = search.settled(more)
+    while 0 < len(named.candidates) < MOST_NAMED:
+        rounds.append(search.beside(named, needed(named)))
+        if len(named.candidates) == 1:
+            rounds[-1] = ranked(rounds[-1] + (pairs or search.pairs()))
+        more = next((f for f in rounds[-1] if _replaces(search, f, named, needed(named))), None)
+        if more is None:
+            break
+        best = named = search.settled(more)
+    evidence = evidence_of(search, best, certainty, scale)
+    answers = certainty.answers_for(evidence)
+    return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)
+
+
+def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
+    """Set that is named by the errors on what was left out."""
+    held_out = HeldOut(search.estimator)
+    fit, rounds = search.nothing, []
+    while len(fit.candidates) < MOST_NAMED:
+        found = search.beside(fit)
+        better = _least_held_out(search, held_out, fit, found)
+        if better is None and not fit.candidates:
+            found = ranked(found + search.pairs())
+            better = _least_held_out(search, held_out, fit, found)
+        rounds.append(tuple(found))
+        if better is None:
+            break
+        if not fit.candidates:
+            search, better = _in_si_units(search, better)
+            held_out, rounds = HeldOut(search.estimator), [(better,)]
+        fit = better
+    best = fit if fit.candidates else next(iter(rounds[0]), fit)
+    return Naming(fit, best, tuple(rounds), search, evidence_of(search, best, certainty), None)
+
+
+def evidence_of(
+    search: EffectSearch, fit: SetFit, certainty: Certainty, scale: float = 1.0
+) -> Evidence:
+    """Numbers of a fit that its probability follows from; `scale` as in `Certainty.scale_for`."""
+    residual = search.estimator.mean_square(fit.point)
+    return Evidence(
+        separation=fit.separation / scale,
+        difference=_difference(search, fit),
+        left=search.nuisance.left_fraction(fit.point),
+        is_open=residual > certainty.residual_of_nothing,
+    )
+
+
+def ranked(sets: Sequence[SetFit]) -> list[SetFit]:
+    return sorted(sets, key=lambda f: -f.gain)
+
+
+def _replaces(search: EffectSearch, larger: SetFit, fit: SetFit, needed: float) -> bool:
+    """Whether a larger set adds the d′ that is needed and its strengths are the same everywhere."""
+    if 2 * (larger.gain - fit.gain) <= needed**2:
+        return False
+    if set(fit.candidates) < set(larger.candidates):
+        nested = search.settled(fit, larger)
+        if 2 * (larger.gain - nested.gain) <= needed**2:
+            return False
+    return _difference(search, larger) <= LARGEST_DIFFERENCE
+
+
+def _difference(search: EffectSearch, fit: SetFit) -> float:
+    """Largest difference of the strength of one of the effects."""
+    return max(
+        (
+            strength_difference(search.estimator, fit.point, fit.free, search.of[name])
+            for name in fit.candidates
+        ),
+        default=0.0,
+    )
+
+
+def _least_held_out(
+    search: EffectSearch, held_out: HeldOut, fit: SetFit, found: Sequence[SetFit]
+) -> SetFit | None:
+    """Set of the least held-out error, of those that stand out and lower it by more than chance."""
+    without = held_out.errors(fit.point, fit.free)
+    passed: list[tuple[float, SetFit]] = []
+    for larger in found:
+        left = 1.0 if fit.candidates else max(search.estimator.mean_square(larger.point), 1.0)
+        if 2 * (larger.gain - fit.gain) > left * LEAST_WITHOUT_FLOOR**2:
+            errors = held_out.errors(larger.point, larger.free)
+            if lowers_held_out_error(errors, without):
+                passed.append((errors.fraction_of(held_out.given), larger))
+    return min(passed, key=lambda row: row[0])[1] if passed else None
+
+
+def _in_si_units(search: EffectSearch, fit: SetFit) -> tuple[EffectSearch, SetFit]:
+    """Search and fit against a floor that is equal at all frequencies.
+
+    The spectrum of the residual would discount slow errors, which are the largest.
+    """
+    given = search.estimator
+    floor = flattened(given.floor, given.residuals.groups, fit.point.rows)
+    estimator = GaussNewton(given.residuals, floor)
+    nothing = estimator.at(search.nothing.point.values)
+    every = len(search.of) == search.refitted
+    flat = EffectSearch(NuisanceFit(estimator, estimator, nothing), every, search.report)
+    return flat, flat.settled(fit)

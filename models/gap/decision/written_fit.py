@@ -1,0 +1,124 @@
+"""What is written to the improved plant: the best fit that also errs less on what was left out.
+
+Naming is a question of evidence. The plant that is written must in addition be better in SI units
+on trials that no value was fitted to: its held-out error is lower than that of the plant as given,
+and no signal's rises by more than a limit. Where the named effects together fail that, the last one
+is left out, and so on; the plant as given passes always. A failed check takes back no name.
+
+The effects are the cause of the gap; a nuisance refitted beside them may only fit the motion of
+these trials. It is written as refitted if the held-out error falls by as much as would count as
+harm if it rose, and the worst signal does not get worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.gap.estimation.gauss_newton import NUISANCE_FIT_STEPS, RELATIVE_FALL, FitPoint, Mask
+from models.gap.search.bounds import is_at_bound
+from models.gap.search.effect_search import EffectSearch, SetFit
+from models.gap.search.held_out import HeldOut, HeldOutErrors, is_written
+from models.plant.identification.noise_floor import Array
+
+
+@dataclass(frozen=True)
+class WrittenFit:
+    """Fit that the improved plant is written from."""
+
+    candidates: tuple[str, ...]  # Effects that it adds
+    point: FitPoint
+    free: Mask  # (p,), fit parameters that were fitted; none for the plant as given
+    errors: HeldOutErrors
+    refused: str  # Why something named is not among the candidates; empty if all is
+
+
+class PlantWriter:
+    """Fits of a search that may be written, judged on what was left out.
+
+    `harm_fraction`: rise of a signal's held-out error above which a plant is refused.
+    """
+
+    def __init__(self, search: EffectSearch, harm_fraction: float) -> None:
+        self.search, self.harm_fraction = search, harm_fraction
+        self.estimator = search.estimator
+        self.held_out = HeldOut(search.estimator)
+        parameters = search.estimator.residuals.fit_parameters
+        self.nuisance = np.array([q.kind == "nuisance" for q in parameters])
+
+    def as_given(self, refused: str = "") -> WrittenFit:
+        nothing = np.zeros_like(self.nuisance)
+        return WrittenFit((), self.estimator.start(), nothing, self.held_out.given, refused)
+
+    def best(self, fit: SetFit) -> WrittenFit:
+        """The named set, or as much of it as passes."""
+        refused = ""
+        for count in range(len(fit.candidates), -1, -1):
+            kept = fit.candidates[:count]
+            given = self._fit(kept, fit, refits=False, refused=refused) if kept else None
+            given = given or self.as_given(refused)
+            refitted = self._fit(kept, fit, refits=True, refused=refused)
+            order = [given, refitted]
+            if self._is_earned(given, refitted):
+                order.reverse()
+            for tried in order if kept else order[:1]:
+                said = self._failure(tried)
+                if not said or not tried.free.any():
+                    return tried
+                refused = refused or said
+        return self.as_given(refused)
+
+    def _failure(self, fit: WrittenFit) -> str:
+        """Why a fit may not be written, as a clause; empty if it may."""
+        given = self.held_out.given
+        if (fraction := fit.errors.fraction_of(given)) >= 1:
+            return f"the error on what was left out would be {fraction:.1%} of that as given"
+        for signal, ratio in fit.errors.ratios(given).items():
+            if ratio > 1 + self.harm_fraction:
+                return f"the held-out error of {signal} would be {ratio:.1%} of that as given"
+        return ""
+
+    def _is_earned(self, given: WrittenFit, refitted: WrittenFit) -> bool:
+        """Whether a refitted nuisance is better than that of the plant as given."""
+        before, after = (
+            max(fit.errors.ratios(self.held_out.given).values()) for fit in (given, refitted)
+        )
+        falls = refitted.errors.fraction_of(given.errors) < 1 - self.harm_fraction
+        return falls and after <= max(before, 1.0)
+
+    def _fit(
+        self, candidates: Sequence[str], fit: SetFit, refits: bool, refused: str
+    ) -> WrittenFit:
+        """Fit of some candidates, with the nuisance refitted or as given.
+
+        A nuisance that ended at a bound keeps the plant's value. What belongs to the trials stays
+        free: a shift of the mocap frame, and the clock.
+        """
+        added = np.logical_or.reduce([self.search.base, *(self.search.of[c] for c in candidates)])
+        free: Mask = added & (fit.free | self.search.base)
+        if not refits:
+            residuals = self.estimator.residuals
+            written = [is_written(residuals.plant, residuals, k, free) for k in range(len(free))]
+            free &= ~(self.nuisance & np.array(written))
+        point = self._refitted(fit.point.values, free)
+        bounds = [is_at_bound(self.estimator, point, k) for k in range(len(free))]
+        if np.any(stuck := self.nuisance & free & bounds):
+            free &= ~stuck
+            point = self._refitted(point.values, free)
+        errors = self.held_out.errors(point, free)
+        return WrittenFit(tuple(candidates), point, free, errors, refused)
+
+    def _refitted(self, values: Array, free: Mask) -> FitPoint:
+        """Fit in which all common parameters that are not free are zero.
+
+        Removing an effect leaves the rest where it compensated for that effect, so the fit starts
+        from the better of these values and the same without nuisance.
+        """
+        parameters = self.estimator.residuals.fit_parameters
+        fixed = np.array([q.trial is None for q in parameters]) & ~free
+        rows = [values, np.where(self.nuisance, 0.0, values)]
+        starts = [self.estimator.at(np.where(fixed, 0.0, row)) for row in rows]
+        best = min(starts, key=lambda p: p.cost)
+        return self.estimator.fit(best, free, NUISANCE_FIT_STEPS, RELATIVE_FALL)

@@ -1,0 +1,217 @@
+"""Certainty of a name, fitted to records of data sets on rigs for tuning.
+
+Every number that is printed was predicted with the rig of its data set left out.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Final, NamedTuple
+
+import msgspec
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.stats import t as student
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import log_loss
+from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from firmware_py.errors import InputError
+from models.gap.decision.certainty import Certainty, Knowledge
+from models.gap.decision.naming import NAMED_PROBABILITY
+from models.gap.training.case_runs import DataSetRecord, Strength
+from models.plant.identification.noise_floor import Array
+
+ANSWERS: Final = ("catalogue", "nothing", "outside")  # In the order of scikit-learn's classes
+EXCEEDED: Final = 0.1
+"""Fraction of data sets without an effect that may exceed a limit. The strengths of a further
+effect must be the same everywhere too, which few of these pass."""
+NAMED_FRACTION: Final = 0.03
+"""Fraction of data sets without an effect that may be given a name (requirement)."""
+SCALES: Final = tuple(float(s) for s in np.arange(1.0, 10.1, 0.5))
+"""Factors on d′ that are tried."""
+REGULARISATIONS: Final = tuple(10.0 ** np.arange(-2, 3.5, 0.5))
+"""C of the regression; the one that predicts the rigs left out best is taken."""
+BINS: Final = (0.0, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
+
+DEGREES_OF_FREEDOM: Final = 4.0
+"""Of Student's distribution, which the errors of strengths follow: they have more far outliers than
+a normal one [assumed]."""
+LOG_DEVIATION: Final = 0.5
+"""Standard deviation of the logarithm of an effect's equation error about that of all [assumed]."""
+LEAST_ERROR, MOST_ERROR = 0.003, 1.0
+"""Range of the equation errors, as fractions of the strength."""
+
+
+class FittedCertainty(NamedTuple):
+    certainty: Certainty
+    report: str
+
+
+def fitted_certainty(
+    records: Sequence[DataSetRecord], made_with: Mapping[str, str]
+) -> FittedCertainty:
+    """Certainty from records, and how well it predicts rigs left out."""
+    possible = [r for r in records if not r.impossible]
+    nulls = _by_knowledge(r for r in possible if r.case.kind == "null")
+    reached = {key: limit([r.separation for r in own]) for key, own in nulls.items()}
+    least = reached["identified"]
+    noise = limit([r.residual_after for r in nulls["identified"]])
+    labelled = [
+        (r, answer) for r in possible
+        if r.case.knowledge == "identified" and (answer := true_answer(r, least))
+    ]  # fmt: skip
+    x = np.array([r.evidence.terms[1:] for r, _ in labelled])
+    y = np.array([answer for _, answer in labelled])
+    rigs = [r.case.rig for r, _ in labelled]
+    if lacking := set(ANSWERS) - set(y):
+        raise InputError(
+            "the data sets", f"have none with the answer {sorted(lacking)[0]!r}", "take more rigs"
+        )
+    predicted = {c: _left_out(c, x, y, rigs) for c in REGULARISATIONS}
+    loss = {c: log_loss(y, p, labels=ANSWERS) for c, p in predicted.items()}
+    best = min(loss, key=lambda c: loss[c])
+    model = _regression(best).fit(x, y)
+    errors = equation_errors([s for r in possible for s in r.strengths])
+    certainty = Certainty(
+        made_with=dict(made_with),
+        data_sets=len(labelled),
+        separation_of_nothing=round(least, 1),
+        residual_of_nothing=round(noise, 3),
+        separation_scale={"identified": 1.0, "other motions": 1.0, "other payloads": 1.0},
+        answers=_coefficients(model),
+        equation_error=_rounded(errors),
+    )  # fmt: skip
+    scales = {key: _separation_scale(certainty, own) for key, own in nulls.items()}
+    certainty = msgspec.structs.replace(
+        certainty, separation_scale=certainty.separation_scale | scales
+    )
+    in_catalogue = predicted[best][:, ANSWERS.index("catalogue")]
+    counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
+    report = [
+        f"{len(labelled)} data sets of {len(set(rigs))} rigs: {counts}",
+        *(f"{key}: d′ up to {reached[key]:.1f} in {len(own)} data sets without an effect, "
+          f"scale {scales[key]:g}" for key, own in nulls.items()),
+        f"residual up to {noise:.2f} noise floors there",
+        f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
+        calibration_table(in_catalogue, y == "catalogue"),
+        "error of the equations: " + ", ".join(f"{e} {v:.1%}" for e, v in sorted(errors.items())),
+    ]  # fmt: skip
+    return FittedCertainty(certainty, "\n".join(report))
+
+
+def _separation_scale(certainty: Certainty, nulls: Sequence[DataSetRecord]) -> float:
+    """Least factor on d′ with which few data sets without an effect are given a name."""
+    for scale in SCALES:
+        named = 0
+        for record in nulls:
+            evidence = msgspec.structs.replace(
+                record.evidence, separation=record.separation / scale
+            )
+            named += certainty.answers_for(evidence).catalogue >= NAMED_PROBABILITY
+        if named <= NAMED_FRACTION * len(nulls):
+            break
+    return scale
+
+
+def limit(values: Sequence[float]) -> float:
+    """Value that a fraction `EXCEEDED` of the data sets exceeds."""
+    return float(np.quantile(values, 1 - EXCEEDED))
+
+
+def true_answer(record: DataSetRecord, least: float) -> str | None:
+    """Answer that would be right; None where the trials cannot tell it.
+
+    A wrong name has the answer "outside": what is missing is none of what was named. A wrong effect
+    below the least d′ says that the hidden one does not show in these trials.
+    """
+    kind = record.case.kind
+    if kind == "null":
+        return "nothing"
+    if kind == "outside":
+        return "outside" if record.separable else None
+    if record.best_is_right:
+        return "catalogue"
+    return "outside" if record.separation > least else None
+
+
+def calibration_table(probability: Array, right: Sequence[bool]) -> str:
+    """Fraction that is right by bins of the probability, as lines of text.
+
+    Shapes: `probability` (n,).
+    """
+    at = np.clip(np.digitize(probability, BINS) - 1, 0, len(BINS) - 2)
+    lines = ["probability that the names are right, and fraction that is:"]
+    for k in range(len(BINS) - 1):
+        if (own := np.asarray(right)[at == k]).size:
+            mean = float(np.mean(np.asarray(probability)[at == k]))
+            lines.append(
+                f"  {BINS[k]:.2f} to {BINS[k + 1]:.2f}: {mean:.2f} {own.mean():.2f} of {own.size}"
+            )
+    return "\n".join(lines)
+
+
+def equation_errors(strengths: Collection[Strength]) -> dict[str, float]:
+    """Error of each effect's equation as a fraction of the strength, beyond chance.
+
+    The scale of Student's distribution by maximum likelihood, that of an effect drawn towards that
+    of all. It is given as the standard error of which 1.96 hold 95 % of the distribution.
+    """
+    general = _scale(list(strengths)) if strengths else MOST_ERROR
+    widening = float(student.ppf(0.975, DEGREES_OF_FREEDOM)) / 1.96
+    effects = sorted({s.effect for s in strengths})
+    by_effect = {e: [s for s in strengths if s.effect == e] for e in effects}
+    errors = {e: widening * _scale(own, general) for e, own in by_effect.items()}
+    return errors or {"coulomb_friction": MOST_ERROR}
+
+
+def _scale(strengths: Sequence[Strength], general: float | None = None) -> float:
+    difference = np.array([(s.fitted - s.hidden) / s.fitted for s in strengths])
+    chance = np.array([s.chance_error / abs(s.fitted) for s in strengths])
+
+    def loss(logarithm: float) -> float:
+        scale = np.hypot(chance, np.exp(logarithm))
+        prior = ((logarithm - np.log(general)) / LOG_DEVIATION) ** 2 / 2 if general else 0.0
+        return float(prior - student.logpdf(difference, DEGREES_OF_FREEDOM, scale=scale).sum())
+
+    bounds = float(np.log(LEAST_ERROR)), float(np.log(MOST_ERROR))
+    return float(np.exp(minimize_scalar(loss, bounds=bounds, method="bounded").x))
+
+
+def _regression(c: float) -> Pipeline:
+    return make_pipeline(StandardScaler(), LogisticRegression(C=c, max_iter=2000))
+
+
+def _coefficients(model: Pipeline) -> dict[str, list[float]]:
+    """Intercept and coefficients of the terms as they are, for each answer."""
+    scaler, regression = model
+    slopes = regression.coef_ / scaler.scale_
+    rows = np.column_stack([regression.intercept_ - slopes @ scaler.mean_, slopes])
+    return {
+        str(name): [round(float(v), 4) for v in row]
+        for name, row in zip(model.classes_, rows, strict=True)
+    }
+
+
+def _left_out(c: float, x: Array, y: Array, rigs: Sequence[str]) -> Array:
+    """Probability of each answer, predicted with the rig left out, (n, answers)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a rig alone may lack an answer
+        found = cross_val_predict(
+            _regression(c), x, y, groups=rigs, cv=LeaveOneGroupOut(), method="predict_proba"
+        )
+    return np.asarray(np.clip(found, 1e-6, 1.0) / np.clip(found, 1e-6, 1.0).sum(1, keepdims=True))
+
+
+def _by_knowledge(records: Iterable[DataSetRecord]) -> dict[Knowledge, list[DataSetRecord]]:
+    result: dict[Knowledge, list[DataSetRecord]] = {}
+    for record in records:
+        result.setdefault(record.case.knowledge, []).append(record)
+    return result
+
+
+def _rounded(values: Mapping[str, float]) -> dict[str, float]:
+    return {key: round(value, 3) for key, value in values.items()}
