@@ -113,9 +113,6 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
     while len(fit.candidates) < MOST_NAMED:
         found = search.beside(fit)
         better = _least_held_out(search, held_out, fit, found)
-        if better is None and not fit.candidates:
-            found = ranked(found + search.pairs())
-            better = _least_held_out(search, held_out, fit, found)
         rounds.append(tuple(found))
         if better is None:
             break
@@ -174,9 +171,11 @@ def _least_held_out(
     passed: list[tuple[float, SetFit]] = []
     for larger in found:
         left = 1.0 if fit.candidates else max(search.estimator.mean_square(larger.point), 1.0)
-        if 2 * (larger.gain - fit.gain) > left * LEAST_WITHOUT_FLOOR**2:
+        if 2 * (larger.gain - fit.gain) > left * LEAST_WITHOUT_FLOOR**2 and (
+            not fit.candidates or _difference(search, larger) <= LARGEST_DIFFERENCE
+        ):
             errors = held_out.errors(larger.point, larger.free)
-            if lowers_held_out_error(errors, without):
+            if lowers_held_out_error(errors, without, bool(fit.candidates)):
                 passed.append((errors.fraction_of(held_out.given), larger))
     return min(passed, key=lambda row: row[0])[1] if passed else None
 

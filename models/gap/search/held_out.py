@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t as student
 
 from models.gap.estimation.gauss_newton import CONVERGED_FALL, FitPoint, GaussNewton, Mask
 from models.gap.estimation.noise_floor import NoiseFloor
@@ -253,16 +254,20 @@ def is_written(plant: Plant, residuals: Residuals, k: int, free: Mask) -> bool:
     return any(name in plant.parameters or name in added for name in q.parameters)
 
 
-def lowers_held_out_error(with_: HeldOutErrors, without: HeldOutErrors) -> bool:
-    """Whether an effect lowers the held-out errors by more than chance.
+def lowers_held_out_error(with_: HeldOutErrors, without: HeldOutErrors, is_further: bool) -> bool:
+    """Whether an effect lowers the held-out errors by more than chance, and by a least fraction.
 
     The mean fall over the folds must exceed its standard error (the one-standard-error rule of
-    Breiman et al. 1984) and a least fraction.
+    Breiman et al. 1984). A further effect, one of many that are tried beside the first, must pass
+    Student's t-test at 2.5 %.
     """
     falls = with_.falls_from(without)
-    error = float(np.std(falls, ddof=1) / np.sqrt(len(falls))) if len(falls) > 1 else 0.0
+    count, error, times = len(falls), 0.0, 1.0
+    if count > 1:
+        error = float(np.std(falls, ddof=1) / np.sqrt(count))
+        times = float(student.ppf(0.975, count - 1)) if is_further else 1.0
     fraction = with_.fraction_of(without)
-    return fraction < 1 - LEAST_FALL_FRACTION and float(np.mean(falls)) > error
+    return fraction < 1 - LEAST_FALL_FRACTION and float(np.mean(falls)) > times * error
 
 
 def flattened(floor: NoiseFloor, groups: Sequence[TrialGroup], rows: Sequence[Array]) -> NoiseFloor:
