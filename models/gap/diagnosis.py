@@ -279,8 +279,8 @@ def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OddTrial, ...]:
     found = odd_trials(nuisance.measured, nuisance.point)
     if not found or not naming.is_learned:
         return found
-    still = {o.path for o in odd_trials(nuisance.measured, naming.best.point)}
-    return tuple(o for o in found if o.path in still)
+    still = {(o.name, o.path) for o in odd_trials(nuisance.measured, naming.best.point)}
+    return tuple(o for o in found if (o.name, o.path) in still)
 
 
 def _written(

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
-from typing import Protocol
 
 import msgspec
 import numpy as np
 
 from models.gap.decision.certainty import read_certainty
+from models.gap.decision.written_fit import WrittenFit
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton, Mask
 from models.gap.residuals.fit_parameters import (
     moved_in_plant,
     plant_with_searched_effects,
     written_values,
 )
-from models.gap.search.effect_search import EffectSearch
+from models.gap.search.effect_search import EffectSearch, SetFit
 from models.plant.document import Provenance
 from models.plant.identification.noise_floor import Array
 from models.plant.plant import Plant
@@ -24,20 +24,9 @@ from models.shared.catalogue import effect_and_joint
 from models.trials.trial import TrialSet
 
 
-class FittedSet(Protocol):
-    """Fit of a set of candidates, as named or as written."""
-
-    @property
-    def candidates(self) -> tuple[str, ...]: ...
-
-    @property
-    def point(self) -> FitPoint: ...
-
-    @property
-    def free(self) -> Mask: ...
-
-
-def improved_plant(plant: Plant, search: EffectSearch, fit: FittedSet, trials: TrialSet) -> Plant:
+def improved_plant(
+    plant: Plant, search: EffectSearch, fit: SetFit | WrittenFit, trials: TrialSet
+) -> Plant:
     """Plant with the effects of a fit and its nuisance; its provenance names its parent.
 
     The values do not change where nothing is free in the fit.

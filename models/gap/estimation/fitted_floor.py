@@ -1,10 +1,9 @@
-"""Noise floor of the diagnosed trials: from their residual, or enlarged by their scatter.
+"""Noise floor of a diagnosis: that of the plant file, completed or enlarged by the trials.
 
-Repeated trials with a gap contain information on noise too: near its limit no two trials of a link
-are alike, and a difference between repetitions is no missing effect. With two joints and 2 kg
-repetitions differed by up to 350 times the power that those of the identification had shown.
-
-Noise floor of a diagnosis: that of the plant file, completed by that of the nuisance fit.
+Signals that the plant file has no floor of get that of the nuisance fit's residual. Repeated trials
+with a gap contain information on noise too: near its limit no two trials of a link are alike, and a
+difference between repetitions is no missing effect. With two joints and 2 kg repetitions differed
+by up to 350 times the power that those of the identification had shown.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ def with_amplified_scatter(
     Near the moment that folds the link every small difference is amplified: friction and pressure
     between trials, and the plant's own error alike. The ratio of the scatter of repetitions to that
     of the floor gives the factor. Floor and repetitions are two estimates; their mean counts, and
-    only beyond `GapSettings.amplified_scatter_limit`, because ratios of so few trials scatter.
+    only beyond `AMPLIFIED_SCATTER_LIMIT`, because ratios of so few trials scatter.
 
     Shapes: `rows` (trials, signals, K).
     """

@@ -1,6 +1,4 @@
-"""Sums of squares over groups of trials, and the scaled normal equation of least squares.
-
-Generalised least squares over the fit parameters, in units of the noise floor.
+"""Generalised least squares over the fit parameters, in units of the noise floor.
 
 The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor and by the patterns of
 the plant's own error, m is the known mean of that error, P is the prior of nuisance and of the
@@ -293,7 +291,7 @@ class GaussNewton:
         """Lower the cost over the free fit parameters; never returns a higher one.
 
         The derivatives are computed exactly again if secants predict less than
-        `GapSettings.converged_cost_fall`, or than a fraction `relative` of the fall so far, or do
+        `CONVERGED_FALL`, or than a fraction `relative` of the fall so far, or do
         not lower the cost. If exact ones do not either, the fit ends.
 
         Shapes: `free` (p,).

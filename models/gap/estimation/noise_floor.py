@@ -10,10 +10,10 @@ effect, which repeats whenever a trial is repeated::
 so ten repetitions of one error weigh no more than one. Both grow with the payload of trial i
 (`MeasuredFloor.ratios`), and by `amplification_power` where repetitions differ far more; the
 spectra are means over payloads. e is the error of the equations named so far, of which a
-fraction ρ = `GapSettings.equation_error_repeated_fraction` repeats. The plant file
+fraction ρ = `EQUATION_ERROR_REPEATED` repeats. The plant file
 carries them, and the mean curve over R repetitions of the error for every motion that `identify`
 used; where a trial repeats such a motion the curve is subtracted: of the model's part only a
-fraction s = `GapSettings.model_error_left_fraction`² remains, and the curve's own noise is added.
+fraction s = `MODEL_ERROR_LEFT`² remains, and the curve's own noise is added.
 At a payload without a curve a larger part remains (`models.gap.estimation.transfer`). On
 another motion s = 1 and the last term is absent. Variation between trials (pressure, friction, …)
 is not part of the floor: it is fitted, within its prior.

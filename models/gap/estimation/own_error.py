@@ -122,7 +122,7 @@ def patterns_of(residuals: Array, noise: Array, count: int) -> Array:
     """Largest patterns in the residuals of many links, in units of the noise.
 
     `residuals`: spectra of the nuisance fit's residual on each link, without noise. `count`: number
-    of patterns M (`GapSettings.discrepancy_patterns`), at most the number of links.
+    of patterns M, at most the number of links.
 
     Shapes: `residuals` (links, P, signals, K), `noise` (signals, K). Returns principal components,
     each with its standard deviation, (M, P, signals, K).

@@ -1,17 +1,16 @@
-"""Transfer of spectra of an error from one trial to another of the same motion.
+"""Transfer of the plant's own error to trials on which it was not measured.
 
-The plant's own error is a curve in time that begins with the motion. For a trial of that motion
-with another length, step or rest before it, the curve is transformed back to time, aligned with the
-start of the motion, interpolated and transformed again. At rest it keeps its first value. Beyond
-its end it repeats with the motion, if the goals do; otherwise the error of the trial is unknown.
+To another trial of the same motion: the error is a curve in time that begins with the motion. For a
+trial of that motion with another length, step or rest before it, the curve is transformed back to
+time, aligned with the start of the motion, interpolated and transformed again. At rest it keeps its
+first value. Beyond its end it repeats with the motion, if the goals do; otherwise the error of the
+trial is unknown.
 
-Transfer of the plant's own error to payloads at which it was not measured.
-
-The noise floor treats the error as alike at neighbouring payloads, with the correlation exp(−|Δ
-payload| / reach) of `PAYLOAD_REACH_KG`. A Gaussian process with it (Rasmussen and
-Williams 2006, section 2.2) gives, from the errors at the measured payloads, the expected error at
-any other one and its variance: zero at a measured payload, 46 % of the prior variance in the middle
-of two that are one reach apart, 63 % one half of a reach beyond the last one.
+To another payload: the noise floor treats the error as alike at neighbouring payloads, with the
+correlation exp(−|Δ payload| / reach) of `PAYLOAD_REACH_KG`. A Gaussian process with it (Rasmussen
+and Williams 2006, section 2.2) gives, from the errors at the measured payloads, the expected error
+at any other one and its variance: zero at a measured payload, 46 % of the prior variance in the
+middle of two that are one reach apart, 63 % one half of a reach beyond the last one.
 """
 
 from __future__ import annotations

@@ -73,7 +73,6 @@ def gap_document(found: Diagnosis) -> GapDocument:
         }
         for plant, rms in ((found.plant, found.held_out_given), (found.improved, held_out))
     )
-    ratios = [held_out[s] / rms for s, rms in found.held_out_given.items() if rms > 0]
     document = GapDocument(
         schema=GapDocument.VERSION,
         verdict=found.verdict,
@@ -104,9 +103,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
         ),
         before=before,
         after=after,
-        held_out=HeldOutSummary(
-            found.left_out, round(float(np.exp(np.mean(np.log(ratios or [1.0])))), 4)
-        ),
+        held_out=HeldOutSummary(found.left_out, round(found.unexplained_fraction, 4)),
         odd_trials=found.odd,
         changed_conditions=changed_conditions(found.plant.provenance, found.floor, found.trials),
         rows_fitted={

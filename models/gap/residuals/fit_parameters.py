@@ -5,11 +5,10 @@ trials and never counts as missing; `trial` varies from trial to trial with a kn
 deviation, and so belongs to the noise floor; `effect` is searched for. All are linear in the
 plant's parameters, p = p_0 + Σ w θ, so one run with exact sensitivities serves all of them.
 
-Prior of the fit parameters: how far nuisance and the variation between trials go by chance.
-
-Each costs ½ (θ_k / s_k)², with its standard deviation s_k. A clock error common to all trials is no
+By chance nuisance and variation go only so far: each costs ½ (θ_k / s_k)², with its standard
+deviation s_k. A clock error common to all trials is no
 variation between them: the nuisance `synchronisation` models it, up to what counts as synchronised
-(`GapSettings.clock_limit_s`). So the mean over the trials costs as if it were known. Otherwise six
+(`CLOCK_LIMIT_S`). So the mean over the trials costs as if it were known. Otherwise six
 clocks that are 8 ms late would cost little, and would hide an offset of 18 ms.
 """
 

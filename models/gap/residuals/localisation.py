@@ -1,11 +1,10 @@
-"""Groups of trials in words, from the keys that documents use.
-
-Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
+"""Location of the gap: by signal, trial, phase, direction, stroke, region and frequency band.
 
 The residual in noise floors is transformed back to time and its power compared region by region
 with a block bootstrap: differences of repeated trials hold no common gap, so blocks of them, drawn
 with random signs, show the effect of noise alone (without repetitions, white noise does). A region
-counts if it stays significant under a false-discovery rate (Benjamini and Hochberg 1995).
+counts if it stays significant under a false-discovery rate (Benjamini and Hochberg 1995). Groups of
+trials are put into words from the keys that documents use.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.stats import false_discovery_control
 
 from firmware_py.display_units import DURATION, TIME, symbol_of
 from firmware_py.signals import unit_of, without_unit
@@ -263,13 +263,8 @@ def _bands(signal: str, rows: Array, hz: Array, rng: np.random.Generator) -> lis
 
 def _significant(regions: list[GapRegion], rate: float) -> list[GapRegion]:
     """Regions with those marked that pass the false-discovery rate."""
-    order = sorted(range(len(regions)), key=lambda k: regions[k].p)
-    limit = 0
-    for rank, k in enumerate(order, start=1):
-        if regions[k].p <= rate * rank / len(regions):
-            limit = rank
-    passed = set(order[:limit])
-    return [replace(c, significant=k in passed) for k, c in enumerate(regions)]
+    adjusted = false_discovery_control([c.p for c in regions]) if regions else []
+    return [replace(c, significant=bool(p <= rate)) for c, p in zip(regions, adjusted, strict=True)]
 
 
 IN_WORDS: Final = {

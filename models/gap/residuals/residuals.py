@@ -1,6 +1,6 @@
-"""Simulation of many trials by a compiled model, on two threads.
+"""Residual spectra of the twin over trials, and their exact derivatives by every fit parameter.
 
-Residual spectra of the twin over trials, and their exact derivatives by every fit parameter.
+Many trials are simulated by one compiled model, on two threads.
 """
 
 from __future__ import annotations
