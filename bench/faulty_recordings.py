@@ -25,7 +25,7 @@ import numpy as np
 
 from bench.rates import rate
 from bench.real import EXAMPLES, SYSTEMS, gain_of, import_recordings
-from firmware_py.console import DONE, Progress
+from firmware_py.core.console import DONE, Progress
 from models.gap.diagnosis import diagnose
 from models.plant.identification.identify import identify
 from models.plant.plant import read_plant

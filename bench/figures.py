@@ -29,8 +29,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from firmware_py.console import DONE, NEGATIVE, Progress
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, Progress
+from firmware_py.core.errors import InputError
 
 ROOT: Final = Path(__file__).parents[1]
 BUILD: Final = Path("build")

@@ -21,9 +21,9 @@ from typing import Any, Final
 import fmpy
 import numpy as np
 
-from firmware_py.console import DONE
-from firmware_py.motion import Motion
-from firmware_py.signals import PERIOD_S, tip_names
+from firmware_py.core.console import DONE
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S, tip_names
 from fmu.fmu_builder import HEADERS, WRAPPER, build_fmu, core_sources
 from fmu.generated_c import write_equations, write_variables
 from fmu.interface import interface_of

@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 from bench.rates import rate
-from firmware_py.console import DONE, NEGATIVE
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE
+from firmware_py.core.errors import InputError
 from models.gap.training.case_runs import DataSetRecord, effects_of, records_of, run_cases
 from models.gap.training.cases import hidden_cases
 from models.gap.training.fit import calibration_table

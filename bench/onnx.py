@@ -30,7 +30,7 @@ import onnxruntime as ort
 from skl2onnx import convert_sklearn
 from skl2onnx.common.data_types import DoubleTensorType
 
-from firmware_py.console import DONE, Progress
+from firmware_py.core.console import DONE, Progress
 from firmware_py.inference.predictor import OnnxGraph, OnnxPredictor
 from models.predictor.onnx_graphs import to_onnx
 from models.predictor.polynomials import DEGREES, GuardedPredictor, Polynomial

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.console import DONE, Progress
+from firmware_py.core.console import DONE, Progress
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.manifest import read_bundle_files

@@ -27,7 +27,7 @@ from typing import Any, Final
 import numpy as np
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.console import DONE, NEGATIVE, Progress
+from firmware_py.core.console import DONE, NEGATIVE, Progress
 from models.gap.report.gap_json import read_gap_document
 from models.gap.residuals.time_blocks import in_time_blocks
 from models.plant.identification.evaluation import compare_with_trials

@@ -31,13 +31,13 @@ import numpy as np
 
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import Model, model_named
-from firmware_py.console import DONE, NEGATIVE, Progress
+from firmware_py.core.console import DONE, NEGATIVE, Progress
+from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
-from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 from hil.emulator.emulator import Emulator, EmulatorSpecification
 from hil.sil import LineKind, SilOptions, run_sil
-from hil.timing.processors import assign_processors, cpu_load, pinned_to
+from hil.sil.processors import assign_processors, cpu_load, pinned_to
 
 BAUD: Final = 1_000_000
 MODEL: Final = "PH54-200-S500-R"

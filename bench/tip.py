@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.console import DONE, Progress
+from firmware_py.core.console import DONE, Progress
+from firmware_py.core.motion import Motion
+from firmware_py.core.motion_config import MotionConfig
 from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR, ModelBundle
 from firmware_py.inference.predictor import OnnxPredictor
-from firmware_py.motion import Motion
-from firmware_py.motion_config import MotionConfig
 from firmware_py.safety.states import SafetyState
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil

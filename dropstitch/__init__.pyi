@@ -1,13 +1,13 @@
 # The library of dropstitch: every public name, once. __init__.py imports a name from the module
 # listed here on first access; docs/library.md explains each name.
 
-from firmware_py.errors import DropstitchError as DropstitchError
-from firmware_py.errors import InputError as InputError
+from firmware_py.core.errors import DropstitchError as DropstitchError
+from firmware_py.core.errors import InputError as InputError
 from firmware_py.inference.batch_prediction import Predictions as Predictions
 from firmware_py.inference.bundle import ModelBundle as ModelBundle
 from firmware_py.log.recording import Recording as Recording
 from firmware_py.log.recording import read_recording as read_recording
-from firmware_py.motion import Motion as Motion
+from firmware_py.core.motion import Motion as Motion
 
 from models.trials.trial import Trial as Trial
 from models.trials.trial import TrialMeta as TrialMeta

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.console import DONE, emit
+from firmware_py.core.console import DONE, emit
 
 EXAMPLE = "dropstitch list effects"
 

@@ -17,20 +17,20 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup, check_assumed, check_ids
 from firmware_py.bus.transport import BAUD_RATES
-from firmware_py.display_units import symbol_of
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_toml
+from firmware_py.core.motion import GLIDE_S
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.signals import PERIOD_S, unit_of
+from firmware_py.core.units import symbol_of
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
 from firmware_py.inference.compiled_observer import Runtime
 from firmware_py.link.link_limits import limits_with_link
 from firmware_py.log.live_config import LiveConfig
-from firmware_py.motion import GLIDE_S
-from firmware_py.motion_config import MotionConfig
-from firmware_py.realtime.clock import RealTimeOptions
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
-from firmware_py.signals import PERIOD_S, unit_of
+from firmware_py.system.clock import RealTimeOptions
 
 __all__ = [
     "BusConfig", "RobotConfig", "ServoConfig", "check_config", "read_config",

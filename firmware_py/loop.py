@@ -10,7 +10,7 @@ clock differ.
   and no two ticks run in one slot.
 - The remaining time of the tick bounds every wait for the bus.
 - A tick allocates no net memory and touches no disk; the garbage collector is disabled
-  (`firmware_py.realtime.clock.real_time`).
+  (`firmware_py.system.clock.real_time`).
 - `run` always ends with torque off. If a disconnected port comes back within `replug_s`, the robot
   repeats every check and starts again from its measured position.
 """
@@ -26,22 +26,22 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.servo_bus import BusStatus, ServoBus
-from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.core.errors import InputError, SafetyTrip
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_source import GoalSource, OwnGoals
 from firmware_py.goals.tip_feedback import Correction, NoCorrection
 from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
-from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.kernel_counters import Counters, NoCounters
-from firmware_py.realtime.service import NoService, Service
-from firmware_py.realtime.stop_signals import signals_to
 from firmware_py.safety.away_ticks import AwayTicks
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor
-from firmware_py.signals import PERIOD_S
 from firmware_py.summary import Ended, RunSummary
+from firmware_py.system.clock import Clock
+from firmware_py.system.kernel_counters import Counters, NoCounters
+from firmware_py.system.service import NoService, Service
+from firmware_py.system.stop_signals import signals_to
 from firmware_py.tick_log import LONGEST_STEP_SLOTS, Tick, TickLog
 
 __all__ = ["ControlLoop"]

@@ -7,7 +7,7 @@ A run in simulated time against a servo in memory, without models:
 >>> from firmware_py.bus.loopback import LoopbackTransport
 >>> from firmware_py.config import BusConfig, ServoConfig
 >>> from firmware_py.inference.no_models import NoModels
->>> from firmware_py.realtime.clock import SimClock
+>>> from firmware_py.system.clock import SimClock
 >>> config = RobotConfig(
 ...     bundle="",
 ...     bus=BusConfig(port="memory"),
@@ -37,7 +37,7 @@ from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.bus.servo_settings import GAINS, ServoGains
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig, check_config
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.bundle import ModelBundle
@@ -48,10 +48,10 @@ from firmware_py.link.bundle_shape import shape_of_bundle
 from firmware_py.log.scene import SHAPE_KEY
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
-from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.kernel_counters import Counters
-from firmware_py.realtime.service import Service
 from firmware_py.safety.supervisor import SafetySupervisor
+from firmware_py.system.clock import Clock
+from firmware_py.system.kernel_counters import Counters
+from firmware_py.system.service import Service
 
 __all__ = [
     "LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus",

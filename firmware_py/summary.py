@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import LENGTH, SMALL_CURRENT, signal_unit, signal_words
-from firmware_py.documents import Document, read_document, write_document
-from firmware_py.realtime.timing import Timing, TimingSummary
+from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.units import LENGTH, SMALL_CURRENT, signal_unit, signal_words
 from firmware_py.safety.stop_reason import Fault
+from firmware_py.system.timing import Timing, TimingSummary
 
 __all__ = [
     "Ended", "FeedbackUse", "InputBeyond", "RangeReasons", "RunDocument", "RunSummary",

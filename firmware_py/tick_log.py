@@ -15,11 +15,11 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.log.tick_ring import TickRing
-from firmware_py.realtime.kernel_counters import Counters
-from firmware_py.realtime.timing import Timing, cause_of_miss
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import FeedbackUse
+from firmware_py.system.kernel_counters import Counters
+from firmware_py.system.timing import Timing, cause_of_miss
 
 Array = NDArray[np.float64]
 LONGEST_STEP_SLOTS: Final = 100

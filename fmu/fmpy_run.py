@@ -9,9 +9,9 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
-from firmware_py.signals import DI, PAYLOAD, tip_names
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import DI, PAYLOAD, tip_names
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import embedded_parts
 from fmu.stimulus import (

@@ -20,9 +20,9 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 
-from firmware_py.motion import Motion
-from firmware_py.realtime.targets import FMU_PARITY
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.system.targets import FMU_PARITY
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_builder import HEADERS
 from fmu.fmu_models import FmuParts

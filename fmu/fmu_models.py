@@ -20,9 +20,9 @@ from typing import Final, Literal, NamedTuple
 
 import casadi as ca
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_json
-from firmware_py.signals import AGE, IN_RANGE, observer_signals, tick_signals, tip_names
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_json
+from firmware_py.core.signals import AGE, IN_RANGE, observer_signals, tick_signals, tip_names
 from models.plant.document import plant_json
 from models.plant.plant import Plant, read_plant
 from models.plant.step_model import StepModel, Variable, names

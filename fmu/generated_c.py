@@ -6,7 +6,7 @@ import math
 from itertools import accumulate
 from pathlib import Path
 
-from firmware_py.motion import STUDY_PERIOD_S
+from firmware_py.core.motion import STUDY_PERIOD_S
 from fmu.interface import Interface
 from fmu.relations import SAMPLE_S, Relations
 from models.plant.simulation.model_c import FUNCTIONS, without_null_tests, write_model_c

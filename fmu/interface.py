@@ -15,7 +15,7 @@ from typing import Literal
 
 import casadi as ca
 
-from firmware_py import signals
+from firmware_py.core import signals
 from fmu.relations import Derivatives, Relations, relations_of
 from models.plant.step_model import StepModel, Variable
 

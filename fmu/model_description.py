@@ -7,8 +7,8 @@ from typing import Literal
 from xml.etree import ElementTree as ET
 
 from firmware_py import __version__
-from firmware_py.display_units import VALUE_UNITS
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import VALUE_UNITS
 from fmu.interface import FmiVariable, Interface, finite_bounds
 from fmu.packaging.source_code import add_source_files
 from models.trials.units import base_exponents

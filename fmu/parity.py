@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.core.signals import AGE, DI, IN_RANGE, PERIOD_S, feature_names, tip_names
 from firmware_py.inference.predictor import OnnxPredictor, Prediction
-from firmware_py.realtime.targets import FMU_PARITY
-from firmware_py.signals import AGE, DI, IN_RANGE, PERIOD_S, feature_names, tip_names
+from firmware_py.system.targets import FMU_PARITY
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmu_models import FmuParts
 from fmu.packaging.reference_run import ReferenceRun

@@ -25,7 +25,7 @@ from typing import Any, Final, Literal
 
 import casadi as ca
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from models.plant.step_model import StepModel
 
 Derivatives = Literal["none", "forward", "both"]

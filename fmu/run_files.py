@@ -7,8 +7,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from firmware_py import display_units
-from firmware_py.signals import TIME
+from firmware_py.core import units as display_units
+from firmware_py.core.signals import TIME
 from fmu.fmpy_run import FmuRun
 from models.shared.drawing import FILE_STYLE
 from models.shared.palette import SERIES

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.motion import Motion
-from firmware_py.signals import AGE, DI, PAYLOAD, PERIOD_S, observer_signals
 from fmu.fmu_models import FmuParts
 from models.plant.identification.doubts import ALIKE_M_S2, SAME_SIZE_FRACTION
 from models.plant.simulation.runner import model_inputs

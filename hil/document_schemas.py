@@ -19,18 +19,18 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.documents import Document
-from firmware_py.goals.outside.goal_map import GoalMap
+from firmware_py.core.documents import Document
+from firmware_py.core.motion_config import FixedMotionDocument
+from firmware_py.core.motion_document import MotionDocument
+from firmware_py.goals.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature, NewestBundle
-from firmware_py.motion_config import FixedMotionDocument
-from firmware_py.motion_document import MotionDocument
 from firmware_py.summary import RunDocument
 from hil.campaign.campaign_document import CampaignDocument
 from hil.campaign.cost_plan import CostPlan
 from hil.campaign.result_store import CaseRecord, FailureRecord
 from hil.faults.faults_document import FaultsDocument
-from hil.timing.timing_document import TimingDocument
+from hil.sil.timing_document import TimingDocument
 from models.gap.report.gap_json import GapDocument
 from models.plant.document import PlantDocument
 from models.predictor.document import PredictorsDocument

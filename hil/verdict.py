@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
 
-from firmware_py.console import DONE, INCONCLUSIVE, NEGATIVE
+from firmware_py.core.console import DONE, INCONCLUSIVE, NEGATIVE
 
 
 class Verdict(StrEnum):

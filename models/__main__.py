@@ -9,7 +9,7 @@ from firmware_py.commands.early_interrupt import quiet_interrupt
 
 quiet_interrupt("dropstitch")  # before the imports that take time
 
-from firmware_py.command_table import run_alias  # noqa: E402
+from firmware_py.commands.command_table import run_alias  # noqa: E402
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.command_table import COMMANDS
-from firmware_py.console import Command
+from firmware_py.commands.command_table import COMMANDS
+from firmware_py.core.console import Command
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKSHOP_ONLY = ("sklearn", "casadi", "mujoco", "fmpy", "scipy", "skl2onnx", "models", "fmu", "hil")

@@ -48,8 +48,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from firmware_py.bus.registers import Block, ControlTable
-from firmware_py.display_units import BAUD_RATE, DURATION
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import BAUD_RATE, DURATION
 
 BITS_PER_BYTE: Final = 10
 """Eight data bits between start and stop bit."""

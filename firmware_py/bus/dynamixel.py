@@ -26,9 +26,9 @@ from firmware_py.bus.registers import (
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_setup import ServoPreparation, ServoSetup
 from firmware_py.bus.transport import Transport
-from firmware_py.display_units import DURATION, TICK_TIME
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import Clock
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import DURATION, TICK_TIME
+from firmware_py.system.clock import Clock
 
 __all__ = ["DynamixelBus", "watchdog_steps"]
 

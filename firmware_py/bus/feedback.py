@@ -33,7 +33,7 @@ from firmware_py.bus.registers import (
 )
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import Model
-from firmware_py.realtime.clock import Clock
+from firmware_py.system.clock import Clock
 
 ID, ERROR, DATA = 4, 8, 9
 """Offsets in a status packet."""

@@ -37,7 +37,7 @@ from dynamixel_sdk.robotis_def import (
 )
 
 from firmware_py.bus.transport import Transport
-from firmware_py.realtime.clock import Clock
+from firmware_py.system.clock import Clock
 
 EXCHANGE_BYTES: Final = 4096
 """Most bytes of one exchange; a line of 4 Mbaud delivers 3200 in the 8 ms of a tick."""

@@ -10,7 +10,7 @@ from firmware_py.bus.bus_plan import STATUS_OVERHEAD
 from firmware_py.bus.feedback import ALERT_BIT, DATA, ERROR, ERROR_NUMBER, ID
 from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.registers import RegisterField
-from firmware_py.realtime.clock import Clock
+from firmware_py.system.clock import Clock
 
 SETUP_TIMEOUT_NS: Final = 50_000_000
 """Longest wait for one answer outside the loop."""

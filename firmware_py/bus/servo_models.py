@@ -17,7 +17,7 @@ from firmware_py.bus.registers import (
     Register,
     RegisterField,
 )
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 __all__ = ["MODELS", "Model", "model_named"]
 

@@ -18,7 +18,7 @@ from firmware_py.bus.registers import (
 )
 from firmware_py.bus.servo_models import MODELS, Model, round_half_away
 from firmware_py.bus.servo_settings import DRIVE_REVERSE, GAINS, AssumedSettings
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 __all__ = ["ServoPreparation", "ServoSetup", "check_assumed", "check_ids"]
 

@@ -13,8 +13,8 @@ from typing import Final, Protocol
 
 import serial
 
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import Clock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import Clock
 
 if sys.platform != "win32":  # Windows reads configurations, too
     import fcntl

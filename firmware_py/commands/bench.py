@@ -15,17 +15,17 @@ import msgspec
 
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.display_units import CPU_TIME
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.signals import STAGES
+from firmware_py.core.units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.no_models import NoModels
-from firmware_py.motion_config import MotionConfig
-from firmware_py.realtime.clock import DeadlineClock, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
-from firmware_py.realtime.targets import OWN_COST_P99_NS
 from firmware_py.robot import LoopModels, build_bus, build_loop
-from firmware_py.signals import STAGES
+from firmware_py.system.clock import DeadlineClock, real_time
+from firmware_py.system.kernel_counters import KernelCounters
+from firmware_py.system.targets import OWN_COST_P99_NS
 
 EXAMPLE = "dropstitch bench --bundle build/bundle_2dof --seconds 20"
 

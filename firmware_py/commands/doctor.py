@@ -17,12 +17,12 @@ from pathlib import Path
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.commands.joint_check import turn_joints
 from firmware_py.config import RobotConfig, read_config
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.display_units import DELAY, DURATION
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import DeadlineClock
-from firmware_py.realtime.doctor_checks import Severity, examine
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import DELAY, DURATION
 from firmware_py.robot import open_bus
+from firmware_py.system.clock import DeadlineClock
+from firmware_py.system.doctor_checks import Severity, examine
 
 EXAMPLE = "dropstitch doctor --bus --config robot.toml"
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from firmware_py.config import RobotConfig, read_config
-from firmware_py.console import DONE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
 
 if sys.platform != "win32":  # --help works on Windows
     import pwd

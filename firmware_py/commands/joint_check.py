@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import ServoBus
-from firmware_py.display_units import ANGLE
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import Clock
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import ANGLE
+from firmware_py.system.clock import Clock
 
 __all__ = ["JointTurn", "turn_joints"]
 

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import OBSERVER, ModelBundle
 from firmware_py.inference.estimator import ObserverEstimator
 from firmware_py.inference.file_content import FileContent, content_of

@@ -18,12 +18,12 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import model_named
 from firmware_py.bus.servo_setup import ServoSetup, check_ids
 from firmware_py.bus.transport import BAUD_RATES, open_transport
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
-from firmware_py.realtime.clock import DeadlineClock
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_toml
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.stop_reason import UNRELEASED
-from firmware_py.signals import PERIOD_S
+from firmware_py.system.clock import DeadlineClock
 
 EXAMPLE = "dropstitch release --config robot.toml"
 

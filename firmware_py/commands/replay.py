@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import DI, PAYLOAD, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
 from firmware_py.log.logged_run import LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import DI, PAYLOAD, tip_names
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
 
 EXAMPLE = "dropstitch replay logs/20261121T093000Z_sinusoid.mcap --bundle build/bundle_1dof"

@@ -29,30 +29,30 @@ import msgspec
 
 from firmware_py.bus.servo_settings import GAINS
 from firmware_py.commands.payload_check import contradicted_payload, unused_payload
-from firmware_py.commands.range_check import RangeWatch
 from firmware_py.config import RobotConfig, check_config, read_config
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.display_units import CPU_TIME, DURATION
-from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError, SafetyTrip
+from firmware_py.core.motion import KINDS
+from firmware_py.core.units import CPU_TIME, DURATION
+from firmware_py.goals.for_robot import outside_facts, outside_goals
 from firmware_py.goals.goal_source import GoalSource, GoalTable
-from firmware_py.goals.outside.for_robot import outside_facts, outside_goals
 from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
+from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_facts import facts_of_bundle
 from firmware_py.link.servo_presets import PRESETS
 from firmware_py.log.logged_run import OUTSIDE, SLOTS_KEY
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
-from firmware_py.motion import KINDS
-from firmware_py.realtime.clock import DeadlineClock, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
-from firmware_py.realtime.service import SystemdService
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
+from firmware_py.system.clock import DeadlineClock, real_time
+from firmware_py.system.kernel_counters import KernelCounters
+from firmware_py.system.service import SystemdService
 
 Settings = tuple[dict[str, int], ...]
 EXAMPLE = "dropstitch run --config robot.toml --seconds 30"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import msgspec
 
 from firmware_py.config import RobotConfig
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
 from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.goals.tip_feedback import TipFeedback

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.goal_source import OwnGoals
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.estimator import Estimate

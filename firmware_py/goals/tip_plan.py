@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.documents import Document, read_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import Document, read_document
+from firmware_py.core.errors import InputError
 from firmware_py.goals.feedback_design import (
     FeedbackDesign,
     StiffnessSlopes,

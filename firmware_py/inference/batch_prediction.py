@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import DI, IN_RANGE, PAYLOAD, tip_names
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import NO_SIGNALS, OnnxPredictor, Predictor
-from firmware_py.signals import DI, IN_RANGE, PAYLOAD, tip_names
 
 __all__ = ["Predictions", "predict_rows", "predict_run"]
 

@@ -29,7 +29,7 @@ from typing import Final
 
 from numpy.typing import ArrayLike
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.batch_prediction import Predictions, predict_rows, predict_run
 from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.inference.compiled_observer import CompiledObserver, Runtime

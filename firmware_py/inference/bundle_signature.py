@@ -18,9 +18,9 @@ from typing import Annotated, ClassVar, Final
 
 import msgspec
 
-from firmware_py.documents import Document, check_version, read_document, write_document
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert
+from firmware_py.core.documents import Document, check_version, read_document, write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert
 from firmware_py.inference.file_content import FileContent, content_of
 
 __all__ = [

@@ -8,11 +8,11 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.core.errors import FmuRefusal, InputError
+from firmware_py.core.signals import AGE, IN_RANGE, tip_names
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction
-from firmware_py.signals import AGE, IN_RANGE, tip_names
 
 __all__ = ["CompiledObserver", "Runtime"]
 

@@ -6,7 +6,7 @@ import hashlib
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from firmware_py.files.input_files import read_bytes
+from firmware_py.core.input_files import read_bytes
 
 __all__ = ["FileContent", "Source", "content_of"]
 

@@ -12,8 +12,8 @@ from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 from xml.etree import ElementTree as ET
 
-from firmware_py.errors import InputError
-from firmware_py.files.archive_limits import ARCHIVE_DAMAGE, check_archive
+from firmware_py.core.archive_limits import ARCHIVE_DAMAGE, check_archive
+from firmware_py.core.errors import InputError
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.fmi_platform import platform_here
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.core.errors import FmuRefusal, InputError
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.fmu_file import InstanceVariable, open_fmu
 

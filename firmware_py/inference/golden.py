@@ -14,8 +14,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.archive_limits import check_archive
+from firmware_py.core.archive_limits import check_archive
+from firmware_py.core.errors import InputError
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.predictor import Predictor

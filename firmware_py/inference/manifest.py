@@ -13,9 +13,9 @@ from typing import Any, Final
 import msgspec
 
 from firmware_py.bus.servo_settings import ServoGains
-from firmware_py.documents import check_version
-from firmware_py.errors import InputError
-from firmware_py.files.output_files import replacing
+from firmware_py.core.documents import check_version
+from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, BundleSignature, check_signature
 from firmware_py.inference.file_content import FileContent, content_of
 

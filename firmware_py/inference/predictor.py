@@ -12,10 +12,10 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.memory_limit import limited_memory
+from firmware_py.core.errors import InputError
+from firmware_py.core.memory_limit import limited_memory
+from firmware_py.core.signals import AGE, feature_names, observer_signals
 from firmware_py.inference.file_content import Source, content_of
-from firmware_py.signals import AGE, feature_names, observer_signals
 
 __all__ = [
     "NO_SIGNALS", "TRUSTED_M", "InputRange", "OnnxGraph", "OnnxPredictor", "Prediction",

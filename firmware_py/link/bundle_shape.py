@@ -7,7 +7,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.files.input_files import read_json
+from firmware_py.core.input_files import read_json
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from firmware_py.log.link_shape import LinkShape
 

@@ -13,8 +13,8 @@ from typing import Any, Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from firmware_py.link.servo_presets import PRESETS, ServoPreset, check_servo, preset_named
 

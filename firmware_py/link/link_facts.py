@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.files.input_files import read_json
+from firmware_py.core.input_files import read_json
 from firmware_py.link.link_description import STANDARD_GRAVITY_M_S2, STUDY_LINK, LinkDescription
 
 __all__ = ["LinkFacts", "facts_of_bundle", "facts_of_plant", "other_link"]

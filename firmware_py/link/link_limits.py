@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import LinkDescription, read_link
 from firmware_py.safety.limits import Limits
 

@@ -8,7 +8,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 __all__ = ["MarkerLayout", "square_corners_m", "square_layout"]
 

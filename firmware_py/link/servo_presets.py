@@ -13,7 +13,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 __all__ = ["PRESETS", "ServoPreset", "check_servo", "preset_named"]
 

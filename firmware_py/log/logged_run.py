@@ -7,9 +7,9 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion_document import MotionDocument, check_motion_document
 from firmware_py.log.recording import Recording
-from firmware_py.motion_document import MotionDocument, check_motion_document
 
 __all__ = ["OUTSIDE", "SLOTS_KEY", "LoggedMotion", "LoggedRun", "logged_run"]
 

@@ -28,8 +28,8 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.files.standard_streams import lasting_streams
+from firmware_py.core.errors import InputError
+from firmware_py.core.standard_streams import lasting_streams
 from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import require_packages
 from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in

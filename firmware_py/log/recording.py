@@ -23,9 +23,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_bytes
-from firmware_py.signals import tick_dtype, tick_signals
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_bytes
+from firmware_py.core.signals import tick_dtype, tick_signals
 
 __all__ = ["Recording", "read_recording"]
 
@@ -49,8 +49,8 @@ class Recording:
     Attributes
     ----------
     columns : dict of str to ndarray, shape (n,)
-        Exact values by name of the signal (`firmware_py.signals.tick_signals`) in SI units, one per
-        tick; NaN where the log has null. Integer signals have an integer type.
+        Exact values by name of the signal (`firmware_py.core.signals.tick_signals`) in SI units,
+        one per tick; NaN where the log has null. Integer signals have an integer type.
     metadata : dict of str to str
         Facts about the run, see `firmware_py.robot.log_metadata`, and `dof`.
     complete : bool

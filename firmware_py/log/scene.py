@@ -17,8 +17,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.core.signals import tick_dtype, tip_names
 from firmware_py.log.link_shape import LinkPose, LinkShape, pose_link
-from firmware_py.signals import tick_dtype, tip_names
 
 __all__ = ["SCENE_SCHEMA", "SCENE_TOPIC", "SHAPE_KEY", "SceneEncoder", "scene_schema", "shape_in"]
 

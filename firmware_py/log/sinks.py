@@ -16,11 +16,11 @@ from typing import Any, Final, Protocol
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tick_dtype
 from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
 from firmware_py.log.scene import SCENE_SCHEMA, SCENE_TOPIC, SHAPE_KEY, scene_schema
-from firmware_py.signals import tick_dtype
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
 _VIEWER_BACKLOG: Final = 256

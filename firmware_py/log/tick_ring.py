@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.signals import tick_dtype
+from firmware_py.core.signals import tick_dtype
 
 _FORMATS: Final = {"i": "q", "f": "d"}
 _FIELD_BYTES: Final = 8

@@ -1,1 +1,1 @@
-"""Commands of the FMI export, one module each (see `firmware_py.console`)."""
+"""Commands of the FMI export, one module each (see `firmware_py.core.console`)."""

@@ -11,9 +11,9 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_py.console import DONE, Progress, emit
-from firmware_py.display_units import FILE_SIZE
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, Progress, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import FILE_SIZE
 
 if TYPE_CHECKING:
     from fmu.fmu_models import Kind

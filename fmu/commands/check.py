@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
 
 EXAMPLE = "dropstitch fmu check build/twin_1dof.fmu"
 

@@ -10,10 +10,10 @@ import argparse
 import math
 from pathlib import Path
 
-from firmware_py.console import DONE, emit
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS, STUDY_PERIOD_S, Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, Motion
+from firmware_py.core.signals import PERIOD_S
 
 EXAMPLE = "dropstitch fmu simulate build/twin_1dof.fmu --payload-kg 1 --out build/twin_run"
 

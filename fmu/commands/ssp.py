@@ -8,9 +8,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, emit
-from firmware_py.display_units import FILE_SIZE
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import FILE_SIZE
 
 EXAMPLE = "dropstitch fmu ssp build/bundle_1dof --plant build/plant.json --out build/link_1dof.ssp"
 

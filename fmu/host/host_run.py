@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import DropstitchError, InputError
+from firmware_py.core.errors import DropstitchError, InputError
 from fmu.fmu_builder import HEADERS
 from fmu.packaging.platforms import HOST, PLATFORMS
 from models.shared.c_compiler import compile_program

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from firmware_py.display_units import symbol_of
+from firmware_py.core.units import symbol_of
 from fmu.interface import FmiVariable, Interface, finite_bounds
 from models.shared.pages import Paragraph, Section, Table, render_page
 

@@ -7,8 +7,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.motion import Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmu_models import FmuParts
 from fmu.interface import interface_of
 from fmu.packaging.plant_pages import plant_sections

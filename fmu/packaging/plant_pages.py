@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from markupsafe import Markup, escape
 
-from firmware_py.display_units import LENGTH, symbol_of
-from firmware_py.realtime.targets import FMU_PARITY
+from firmware_py.core.units import LENGTH, symbol_of
+from firmware_py.system.targets import FMU_PARITY
 from fmu.fmu_models import FmuParts, Kind
 from fmu.interface import Interface
 from models.plant import observer

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.shared.c_compiler import TARGETS
 
 __all__ = ["HOST", "PLATFORMS", "SOURCE_CODE", "Platform", "binary_files", "platform_names"]

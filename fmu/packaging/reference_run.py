@@ -18,8 +18,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_text
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_text
 from models.plant.step_model import StepModel, names
 
 __all__ = ["FOLDER", "ReferenceRun", "read_reference_run", "reference_files", "reference_run"]

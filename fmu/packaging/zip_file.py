@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
-from firmware_py.files.output_files import replacing
+from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import replacing
 
 __all__ = ["build_time_s", "date_and_time", "write_zip"]
 

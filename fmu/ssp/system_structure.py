@@ -10,7 +10,7 @@ from collections.abc import Container, Mapping, Sequence
 from typing import Final
 from xml.etree import ElementTree as ET
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from models.plant.step_model import StepModel, Variable, names
 
 __all__ = ["PATHS", "system_structure"]

@@ -12,8 +12,8 @@ from typing import Final
 
 import casadi as ca
 
-from firmware_py.motion import STUDY_PERIOD_S
-from firmware_py.signals import tip_names
+from firmware_py.core.motion import STUDY_PERIOD_S
+from firmware_py.core.signals import tip_names
 from models.plant.step_model import StepModel, Variable
 
 __all__ = ["tip_controller"]

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.case_task import CaseTask, canonical_json
 from hil.campaign.code_version import code_version, content_sha256
 from hil.campaign.kinds.case_kind import CaseKind, kind_module

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
-from firmware_py.documents import Document, write_document
+from firmware_py.core.documents import Document, write_document
 from hil.campaign.campaign_cases import CampaignCase, CaseMaker
 from hil.campaign.campaign_run import RunCounts
 from hil.campaign.campaign_spec import CampaignSpec, axis_names

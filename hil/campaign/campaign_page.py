@@ -10,7 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import (
+from firmware_py.core.signals import unit_of
+from firmware_py.core.units import (
     DATA_SIZE,
     PRESSURE,
     DisplayUnit,
@@ -18,7 +19,6 @@ from firmware_py.display_units import (
     signal_unit,
     signal_words,
 )
-from firmware_py.signals import unit_of
 from hil.campaign.campaign_cases import CampaignCase
 from hil.campaign.campaign_document import CampaignDocument
 from hil.campaign.campaign_spec import CampaignSpec, axis_names, draw_axes, flat, grid_axes

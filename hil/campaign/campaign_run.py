@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, overload
 
-from firmware_py.console import Progress, terminations_raised
-from firmware_py.errors import InputError
+from firmware_py.core.console import Progress, terminations_raised
+from firmware_py.core.errors import InputError
 from hil.campaign.campaign_cases import CampaignCase, CaseMaker
 from hil.campaign.case_task import CaseTask
 from hil.campaign.engines.engine import Engine

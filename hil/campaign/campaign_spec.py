@@ -16,8 +16,8 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_toml
 
 MOST_CASES: Final = 1_000_000
 """Largest number of cases: their keys alone take 300 MB [assumed]."""

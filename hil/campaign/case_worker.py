@@ -20,12 +20,12 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.case_task import CaseCost, CaseTask, TaskOutcome, canonical_json
 from hil.campaign.code_version import code_version, content_sha256
 from hil.campaign.kinds.case_kind import CaseContext, load_kind
 
-if sys.platform != "win32":  # is imported there, see `firmware_py.console`
+if sys.platform != "win32":  # is imported there, see `firmware_py.core.console`
     import resource
 
 MOST_LOG: Final = 20_000

@@ -17,8 +17,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_bytes
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_bytes
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 NOT_COMPUTING: Final = frozenset({"commands", "report", "scores", "__pycache__"})

@@ -15,9 +15,9 @@ from typing import Any, ClassVar, Final
 
 import numpy as np
 
-from firmware_py.display_units import DATA_SIZE, LARGE_DATA_SIZE
-from firmware_py.documents import Document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import Document
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import DATA_SIZE, LARGE_DATA_SIZE
 from hil.campaign.code_version import ROOT
 
 SAMPLE: Final = 5

@@ -25,8 +25,8 @@ from typing import Any, ClassVar, Final
 
 import msgspec
 
-from firmware_py.documents import Document, read_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import Document, read_document
+from firmware_py.core.errors import InputError
 from hil.campaign.case_task import State, TaskOutcome, canonical_json
 
 if sys.platform != "win32":  # --help, the schemas and the report work there

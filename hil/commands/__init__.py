@@ -1,1 +1,1 @@
-"""Commands of `hil`, one module each (see `firmware_py.console`)."""
+"""Commands of `hil`, one module each (see `firmware_py.core.console`)."""

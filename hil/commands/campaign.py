@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from firmware_py.console import DONE, NEGATIVE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.errors import InputError
 
 if TYPE_CHECKING:
     from hil.campaign.campaign_cases import CampaignCase, CaseMaker

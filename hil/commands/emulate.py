@@ -16,9 +16,9 @@ from tempfile import TemporaryDirectory, gettempdir
 from typing import Final
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.console import DONE, Terminated, emit, terminations_raised
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import RealTimeOptions, real_time
+from firmware_py.core.console import DONE, Terminated, emit, terminations_raised
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import RealTimeOptions, real_time
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import parse_rates

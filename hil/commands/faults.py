@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from firmware_py.console import emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import emit
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -> None:
-    from firmware_py.files.output_files import write_whole
+    from firmware_py.core.output_files import write_whole
     from hil.faults.fault_verdict import faults_junit
     from hil.faults.faults_document import write_faults
     from hil.report import write_fault_report

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, emit
+from firmware_py.core.console import DONE, emit
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (

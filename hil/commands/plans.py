@@ -11,8 +11,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, emit
-from firmware_py.display_units import LENGTH
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.units import LENGTH
 
 EXAMPLE = "dropstitch report plans build/plans --plant build/plant.json"
 

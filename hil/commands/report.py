@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, emit
-from firmware_py.display_units import FILE_SIZE
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.units import FILE_SIZE
 
 EXAMPLE = "dropstitch report build build --out build/report.html"
 

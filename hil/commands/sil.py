@@ -22,24 +22,24 @@ from typing import Final, get_args
 import msgspec
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.console import emit
-from firmware_py.display_units import LENGTH, TIME
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_toml
-from firmware_py.goals.outside.for_robot import outside_goals
+from firmware_py.core.console import emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_toml
+from firmware_py.core.motion import KINDS, STUDY_PERIOD_S
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.units import LENGTH, TIME
+from firmware_py.goals.for_robot import outside_goals
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import describes_link
-from firmware_py.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.motion_config import MotionConfig
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
 from hil.sil.sil_options import LONGEST_S, sil_config
-from hil.timing.tick_budget import describe_budget
-from hil.timing.timing_document import PredictionError, TimingDocument
-from hil.timing.timing_verdict import MISS_RATE, slots_needed
+from hil.sil.tick_budget import describe_budget
+from hil.sil.timing_document import PredictionError, TimingDocument
+from hil.sil.timing_verdict import MISS_RATE, slots_needed
 from models.predictor.validation import coverage_text
 from models.shared.catalogue import parse_strengths
 

@@ -22,22 +22,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.display_units import DURATION
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import RealTimeOptions, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import DURATION
+from firmware_py.system.clock import RealTimeOptions, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
 from hil.emulator.line_faults import FaultPlan
 from hil.emulator.physics import Physics, RigSource
-from hil.timing.cpu_accounts import Releases
 
 __all__ = [
     "Emulator",
     "EmulatorOutcome",
     "EmulatorSpecification",
+    "Releases",
     "Truth",
     "TruthLog",
     "build_line",
@@ -52,6 +52,25 @@ MAX_PAYLOAD_KG: Final = 20.0
 MAX_LATENCY_S: Final = 0.255
 """The latency timer of an FTDI adapter is one byte of milliseconds."""
 _SPAWN = multiprocessing.get_context("spawn")
+
+
+def _no_times() -> NDArray[np.int64]:
+    return np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Releases:
+    """Times of the emulator's replies, one row per packet."""
+
+    due_ns: NDArray[np.int64] = field(default_factory=_no_times)  # (n,), due at the host's end
+    written_ns: NDArray[np.int64] = field(default_factory=_no_times)  # (n,), written there
+    # (n,), run-queue delay of the emulator since the previous packet
+    run_delay_ns: NDArray[np.int64] = field(default_factory=_no_times)
+
+    def run_delay_between_ns(self, start_ns: int, end_ns: int) -> int:
+        """Return the run-queue delay of the emulator that may fall into a window."""
+        first, last = np.searchsorted(self.written_ns, (start_ns, end_ns))
+        return int(self.run_delay_ns[first : last + 1].sum())
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.core.errors import FmuRefusal, InputError
+from firmware_py.core.signals import tip_names
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.signals import tip_names
 
 Array = NDArray[np.float64]
 

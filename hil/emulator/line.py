@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from firmware_py.realtime.clock import SimClock
+from firmware_py.system.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.line_faults import FaultPlan
 from hil.emulator.packets import PacketParser

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Final
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.emulator.packets import Packet
 
 __all__ = ["LINE_FAULTS", "FaultPlan", "parse_rates"]

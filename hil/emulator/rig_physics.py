@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.core.motion import Motion
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.motion import Motion
 from hil.emulator.physics import RigSource
 from models.rig.drawn import rig_named
 from models.rig.protocol import TrialCase, build_rig, draw_variation

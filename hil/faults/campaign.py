@@ -9,8 +9,8 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
-from firmware_py.console import Progress, Terminated, terminations_raised
-from firmware_py.realtime.stop_signals import STOP_SIGNALS
+from firmware_py.core.console import Progress, Terminated, terminations_raised
+from firmware_py.system.stop_signals import STOP_SIGNALS
 from hil.faults.cases.case_robot import CaseRobot
 from hil.faults.cases.process_case import run_process
 from hil.faults.cases.real_time_case import run_real_time

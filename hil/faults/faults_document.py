@@ -9,11 +9,11 @@ from typing import ClassVar
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.inference.manifest import Manifest
 from hil.faults.fault_verdict import CaseVerdict
 from hil.faults.observation import CaseObservation
-from hil.timing.processors import HostEnvironment, host_environment
+from hil.sil.processors import HostEnvironment, host_environment
 from hil.verdict import Verdict
 
 __all__ = ["CaseResult", "FaultsDocument", "faults_document", "read_faults", "write_faults"]

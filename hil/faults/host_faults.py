@@ -16,7 +16,7 @@ from firmware_py.bus.transport import Transport
 from firmware_py.goals.tip_feedback import TipFeedback
 from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
-from firmware_py.realtime.clock import SimClock
+from firmware_py.system.clock import SimClock
 from hil.faults.injection import FAULT_KINDS, FaultSchedule, Injection, OnHost
 
 Array = NDArray[np.float64]

@@ -75,8 +75,8 @@ REQUIREMENTS: Final = (
     SafetyRequirement(
         "SR-07", "Every signal that can be handled stops the robot like SIGTERM.",
         (
-            f"{_T}/test_stop_signals.py::test_a_signal_brings_a_controlled_stop",
-            f"{_T}/test_stop_signals.py::"
+            f"{_T}/system/test_stop_signals.py::test_a_signal_brings_a_controlled_stop",
+            f"{_T}/system/test_stop_signals.py::"
             "test_every_signal_that_ends_or_halts_a_process_is_handled_but_kill_stop_and_crashes",
         ),
         ("SIGTERM in motion", "SIGHUP in motion", "SIGQUIT in motion", "SIGUSR1 in motion",

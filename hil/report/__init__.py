@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
-from firmware_py.console import Progress
-from firmware_py.files.output_files import write_whole
+from firmware_py.core.console import Progress
+from firmware_py.core.output_files import write_whole
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import read_build
 from hil.report.gap.before_after import before_after, describe_before_after

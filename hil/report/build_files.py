@@ -13,8 +13,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_json
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_json
 from models.study.document import StudyDocument, read_study
 
 __all__ = [

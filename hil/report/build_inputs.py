@@ -26,8 +26,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_json, read_text
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_json, read_text
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import Manifest
 from firmware_py.log.recording import read_recording
@@ -40,7 +40,7 @@ from hil.report.build_files import (
     find_studies,
     is_bundle,
 )
-from hil.timing.timing_document import TimingDocument, read_timing
+from hil.sil.timing_document import TimingDocument, read_timing
 from models.plant.document import Evaluation
 from models.plant.plant import Plant, read_plant
 from models.predictor.document import PredictorsDocument, read_predictors

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.display_units import ANGLE_ERROR, DURATION, TICK_TIME
+from firmware_py.core.units import ANGLE_ERROR, DURATION, TICK_TIME
 from hil.faults.faults_document import CaseResult, FaultsDocument
 from hil.verdict import Verdict
 from models.shared.pages import NO_VALUE, Facts, Table, TableCell

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import LENGTH, POSITION, TICK_TIME, TIME
-from firmware_py.realtime.percentiles import LABELS
-from firmware_py.signals import tip_names
+from firmware_py.core.signals import tip_names
+from firmware_py.core.units import LENGTH, POSITION, TICK_TIME, TIME
+from firmware_py.system.percentiles import LABELS
 from hil.report.build_inputs import LoopRun
 from models.shared.drawing import Drawing
 from models.shared.pages import Figure, LegendEntry, Panel, Table

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.display_units import ANGLE, CPU_TIME, FILE_SIZE, PAYLOAD, TICK_TIME
+from firmware_py.core.units import ANGLE, CPU_TIME, FILE_SIZE, PAYLOAD, TICK_TIME
 from firmware_py.inference.manifest import Manifest
 from hil.faults.faults_document import FaultsDocument
 from hil.report.build_inputs import BuildInputs, LoopRun
@@ -31,7 +31,7 @@ from hil.report.study.candidate_table import candidate_table
 from hil.report.study.error_figures import error_figures
 from hil.report.study.estimator_figures import di_estimates, predictors_by_payload
 from hil.report.study.motion_figures import motion_figures
-from hil.timing.timing_document import SilEnvironment
+from hil.sil.timing_document import SilEnvironment
 from models.shared.pages import (
     ClaimCard,
     ClaimCards,

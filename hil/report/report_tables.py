@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from firmware_py.display_units import (
+from firmware_py.core.units import (
     DEFORMATION,
     FRACTION,
     LENGTH,
@@ -14,7 +14,7 @@ from firmware_py.display_units import (
     signal_words,
     symbol_of,
 )
-from firmware_py.realtime.targets import (
+from firmware_py.system.targets import (
     DI_GAIN_DEGREE,
     DI_GAIN_FRACTION,
     FMU_PARITY,
@@ -23,7 +23,7 @@ from firmware_py.realtime.targets import (
 )
 from hil.report.build_inputs import BuildInputs, FmuCheckOutput, LoopRun
 from hil.report.study.estimator_figures import test_words
-from hil.timing.timing_document import TipErrors
+from hil.sil.timing_document import TipErrors
 from models.plant.document import DofEvaluation, Evaluation, SignalError, TipError
 from models.plant.plant import Plant
 from models.predictor.validation import COVERS, coverage_text

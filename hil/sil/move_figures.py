@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.goals.tip_plan import TipPlan
-from hil.timing.timing_document import MoveFigures
+from hil.sil.timing_document import MoveFigures
 
 Array = NDArray[np.float64]
 CLOSE_M: Final = 0.010

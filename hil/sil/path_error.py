@@ -9,7 +9,7 @@ from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.states import SafetyState
 from hil.emulator.emulator import Truth
 from hil.sil.prediction_error import true_tip_m
-from hil.timing.timing_document import PathError
+from hil.sil.timing_document import PathError
 
 Array = NDArray[np.float64]
 

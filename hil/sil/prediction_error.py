@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.core.signals import tip_names
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import tip_names
 from hil.emulator.emulator import Truth
-from hil.timing.timing_document import PredictionError, TipErrors
+from hil.sil.timing_document import PredictionError, TipErrors
 from models.predictor.validation import axis_coverage
 
 Array = NDArray[np.float64]

@@ -13,15 +13,15 @@ import time
 from pathlib import Path
 from typing import Literal
 
-from firmware_py.commands.range_check import RangeWatch
-from firmware_py.realtime.clock import DeadlineClock, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
+from firmware_py.inference.range_check import RangeWatch
 from firmware_py.robot import open_bus
+from firmware_py.system.clock import DeadlineClock, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulator import Emulator, EmulatorSpecification
+from hil.sil.probe import Probe
+from hil.sil.processors import assign_processors, cpu_load, pinned_to, scheduling_policy
 from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
 from hil.sil.sil_options import SilOptions, sil_config
-from hil.timing.probe import Probe
-from hil.timing.processors import assign_processors, cpu_load, pinned_to, scheduling_policy
 
 _LOAD = "declared host load, normal priority, on the emulator's processor"
 

@@ -14,25 +14,25 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
-from firmware_py.commands.range_check import RangeWatch
 from firmware_py.config import RobotConfig
+from firmware_py.goals.for_robot import outside_facts
 from firmware_py.goals.goal_source import GoalSource
-from firmware_py.goals.outside.for_robot import outside_facts
 from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
 from firmware_py.goals.plant_of_goals import GOALS_NOTE
+from firmware_py.inference.range_check import RangeWatch
 from firmware_py.log.logged_run import SLOTS_KEY
 from firmware_py.log.recorder import recording
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
-from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_loop, log_metadata
 from firmware_py.summary import RangeReasons, RunSummary
+from firmware_py.system.clock import Clock
+from firmware_py.system.kernel_counters import Counters
 from hil.emulator.emulator import EmulatorOutcome
+from hil.sil.cpu_accounts import ProbeRecord
+from hil.sil.processors import host_environment
 from hil.sil.sil_options import SilOptions
-from hil.timing.cpu_accounts import ProbeRecord
-from hil.timing.processors import host_environment
-from hil.timing.timing_document import SilEnvironment
+from hil.sil.timing_document import SilEnvironment
 
 LOG_NAME: Final = "ticks.mcap"
 _STOP_TICKS: Final = 200

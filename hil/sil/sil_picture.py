@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from firmware_py.display_units import LENGTH, TICK_TIME, TIME
+from firmware_py.core.units import LENGTH, TICK_TIME, TIME
 from hil.sil.prediction_error import predicted_tip_m, true_tip_m
 from hil.sil.sil_loop import SilResult
-from hil.timing.timing_verdict import TimingVerdict
+from hil.sil.timing_verdict import TimingVerdict
 from models.shared.drawing import FILE_STYLE
 from models.shared.palette import ALARM, MUTED, SERIES
 

@@ -11,14 +11,14 @@ from firmware_py.summary import Ended
 from hil.sil.move_figures import move_figures
 from hil.sil.path_error import path_errors, tip_of_runs_m
 from hil.sil.prediction_error import prediction_error
+from hil.sil.reference_jitter import ReferenceJitter
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, programme_s
 from hil.sil.sil_picture import draw_summary
 from hil.sil.sil_trial import as_trial
-from hil.timing.reference_jitter import ReferenceJitter
-from hil.timing.tick_budget import measure_budget, plan_times
-from hil.timing.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
-from hil.timing.timing_verdict import judge_timing, timing_junit
+from hil.sil.tick_budget import measure_budget, plan_times
+from hil.sil.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
+from hil.sil.timing_verdict import judge_timing, timing_junit
 from models.trials.files import write_trial
 
 

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from firmware_py.config import check_config
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.link.link_description import STUDY_LINK
 from hil.emulator.emulator import EmulatorSpecification

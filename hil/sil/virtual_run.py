@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import time
 
-from firmware_py.commands.range_check import RangeWatch
+from firmware_py.inference.range_check import RangeWatch
 from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
-from firmware_py.realtime.clock import SimClock
-from firmware_py.realtime.kernel_counters import NoCounters
 from firmware_py.robot import build_bus
-from hil.emulator.emulator import EmulatorOutcome, EmulatorSpecification, build_line
+from firmware_py.system.clock import SimClock
+from firmware_py.system.kernel_counters import NoCounters
+from hil.emulator.emulator import EmulatorOutcome, EmulatorSpecification, Releases, build_line
 from hil.emulator.line import VirtualTransport
+from hil.sil.cpu_accounts import ProbeRecord
 from hil.sil.sil_loop import SilResult, build_sil_loop, sil_environment, sil_recording
 from hil.sil.sil_options import SilOptions, sil_config
-from hil.timing.cpu_accounts import ProbeRecord, Releases
 
 
 def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecification) -> SilResult:

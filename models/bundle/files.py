@@ -17,15 +17,15 @@ import msgspec
 import numpy as np
 import onnx
 
-from firmware_py.errors import DropstitchError, InputError
-from firmware_py.files.input_files import read_json
+from firmware_py.core.errors import DropstitchError, InputError
+from firmware_py.core.input_files import read_json
+from firmware_py.core.signals import feature_names, tip_names, unit_of
 from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR
 from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.golden import GOLDEN, record_golden, write_golden
 from firmware_py.inference.manifest import FILES, MANIFEST, Manifest, Quantity, write_manifest
 from firmware_py.inference.predictor import InputRange, OnnxGraph, OnnxPredictor
-from firmware_py.signals import feature_names, tip_names, unit_of
 from models.bundle.model_card import write_model_card
 from models.plant.plant import Plant
 from models.predictor.document import PredictorsDocument, summary_of, write_predictors

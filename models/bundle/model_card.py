@@ -10,10 +10,10 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from firmware_py.display_units import ANGLE, DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import ANGLE, DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
 from firmware_py.inference.manifest import Manifest
 from firmware_py.inference.predictor import TRUSTED_M
-from firmware_py.signals import PERIOD_S
 from models.predictor.document import (
     CandidateEntry,
     Latency,

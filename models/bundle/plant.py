@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.manifest import BundleFiles
 from firmware_py.link.link_facts import PLANT, LinkFacts, facts_of_plant, other_link
 from models.plant.document import plain_plant

@@ -1,1 +1,1 @@
-"""The commands of this room, one module each (see firmware_py.console)."""
+"""The commands of this room, one module each (see firmware_py.core.console)."""

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import msgspec
 
-from firmware_py.console import DONE, emit
-from firmware_py.display_units import LENGTH
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.units import LENGTH
 from models.plant.document import Evaluation
 from models.plant.identification.doubts import evaluation_doubts, refuse_other_links
 from models.plant.identification.evaluation import CLOCK_LIMIT_S, evaluate_plant

@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from firmware_py.console import DONE, emit
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
 from models.bundle.plant import compare_with_bundle

@@ -16,8 +16,8 @@ import msgspec
 
 from firmware_py.bus.servo_settings import GAINS, ServoGains
 from firmware_py.config import read_config
-from firmware_py.console import DONE, Progress, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, Progress, emit
+from firmware_py.core.errors import InputError
 from firmware_py.log.recording import read_recording
 from models.commands.evaluate import evaluation_text
 from models.commands.output_paths import check_output_file

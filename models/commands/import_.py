@@ -19,11 +19,11 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.console import BAD_INPUT, DONE, emit
-from firmware_py.display_units import DURATION
-from firmware_py.errors import InputError
-from firmware_py.files.guarded_call import SECONDS, guarded_call
-from firmware_py.files.input_files import MOST_BYTES
+from firmware_py.core.console import BAD_INPUT, DONE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.guarded_call import SECONDS, guarded_call
+from firmware_py.core.input_files import MOST_BYTES
+from firmware_py.core.units import DURATION
 from models.commands.output_paths import check_output_directory
 from models.trials.files import check_trial_name
 from models.trials.pipeline import Source, import_take

@@ -21,12 +21,12 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.console import DONE, emit
-from firmware_py.display_units import ANGLE
-from firmware_py.errors import InputError
-from firmware_py.files.output_files import write_whole
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import write_whole
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import ANGLE
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.signals import PERIOD_S
 from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
 

@@ -18,8 +18,8 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from firmware_py.console import DONE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import (
     DIRECTIONS,
     STUDY_LINK,

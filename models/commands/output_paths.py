@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 
 def check_output_directory(

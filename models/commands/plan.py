@@ -20,10 +20,10 @@ import msgspec
 import numpy as np
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
-from firmware_py.console import DONE, Progress, emit
-from firmware_py.display_units import ANGLE, CURRENT, LENGTH, TIME
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, Progress, emit
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import ANGLE, CURRENT, LENGTH, TIME
 from firmware_py.goals.payload_beyond_plan import recording_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files

@@ -16,9 +16,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from firmware_py.console import DONE, emit
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import (
     SIGNATURE,

@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import msgspec
 
-from firmware_py.console import DONE, NEGATIVE, Progress, emit
-from firmware_py.display_units import FRACTION, LENGTH
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import FRACTION, LENGTH
 from models.commands.output_paths import check_output_directory
 from models.plant.document import Provenance
 from models.trials.checks.trials import (

@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.console import DONE, NEGATIVE, emit
+from firmware_py.core.console import DONE, NEGATIVE, emit
 from models.plant.plant import read_plant
 from models.trials.checks.page import write_verdict
 from models.trials.checks.payloads import judge_payload_unit

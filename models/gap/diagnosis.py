@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.decision.certainty import Answers, Evidence, read_certainty
 from models.gap.decision.look_alikes import Hypothesis, LookAlike, hypotheses_of, look_alikes_of
 from models.gap.decision.naming import (

@@ -7,8 +7,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from firmware_py.motion import Kind, Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.motion import Kind, Motion
+from firmware_py.core.signals import PERIOD_S
 from models.plant.identification.noise_floor import Array
 from models.trials.trial import Trial, TrialMeta
 

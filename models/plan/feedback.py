@@ -26,7 +26,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.feedback_design import (
     Columns,
     FeedbackDesign,

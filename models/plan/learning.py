@@ -38,14 +38,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.signal import correlate
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tip_names
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import BestRun, LearnedRun, TipPlan, as_columns
 from firmware_py.log.logged_run import logged_run
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import tip_names
 from models.plan.inversion import GoalSplines, gauss_newton, rms
 from models.plan.tip_twin import TipTwin
 from models.plant.linear_twin import STIFFNESS

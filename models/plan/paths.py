@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_lines
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_lines
 from models.shared.numeric_text import read_header, read_numbers
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from firmware_py.display_units import ANGLE, CURRENT, LENGTH, POSITION, TIME
+from firmware_py.core.units import ANGLE, CURRENT, LENGTH, POSITION, TIME
 from firmware_py.goals.tip_plan import TipPlan
 from models.shared.drawing import FILE_STYLE
 from models.shared.palette import INK, MUTED, SERIES

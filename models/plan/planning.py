@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, as_columns
 from firmware_py.link.link_description import STUDY_LINK

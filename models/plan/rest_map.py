@@ -19,7 +19,7 @@ from scipy.interpolate import interpn
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import root
 
-from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
+from firmware_py.goals.goal_map import GoalMap, PayloadMap
 from models.plan.tip_twin import TipTwin
 from models.plant.linear_twin import LinearMode, LinearTwins, resting_modes
 from models.plant.plant import Plant

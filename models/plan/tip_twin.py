@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.plant import Plant
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import Variable, names

@@ -26,7 +26,7 @@ from typing import Any, Final
 
 import casadi as ca
 
-from firmware_py.signals import PAYLOAD
+from firmware_py.core.signals import PAYLOAD
 from models.plant.components.drive import TORQUE_UNIT, Drive, current_limit, declare_presliding
 from models.plant.components.goal import declare_step_length
 from models.plant.components.load import PlantLoad

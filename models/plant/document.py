@@ -30,10 +30,10 @@ import msgspec
 import tomli_w
 
 from firmware_py.bus.servo_settings import ServoGains
-from firmware_py.documents import Document, check_version
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_json, read_toml
-from firmware_py.files.output_files import write_whole
+from firmware_py.core.documents import Document, check_version
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_json, read_toml
+from firmware_py.core.output_files import write_whole
 from firmware_py.link.link_description import (
     STUDY_LINK,
     LinkDescription,

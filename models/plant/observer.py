@@ -20,8 +20,8 @@ from typing import Final
 
 import casadi as ca
 
+from firmware_py.core.signals import PAYLOAD, PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.signals import PAYLOAD, PERIOD_S
 from models.plant.components.drive import Drive
 from models.plant.components.load import PlantLoad
 from models.plant.compose import (

@@ -16,8 +16,8 @@ from typing import Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, describes_link, read_link
 from firmware_py.link.link_facts import LinkFacts, facts_of_plant
 from models.plant.components import DRIVES, LOADS

@@ -21,9 +21,9 @@ from sklearn.neural_network import MLPRegressor
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_text
-from firmware_py.signals import PAYLOAD, feature_names, tip_names
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_text
+from firmware_py.core.signals import PAYLOAD, feature_names, tip_names
 from models.predictor.observed_trials import TipRows
 from models.predictor.onnx_graphs import Array, GraphWriter
 from models.predictor.polynomials import ClippedPolynomial, predict

@@ -13,10 +13,10 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 import numpy as np
 
-from firmware_py.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference.file_content import FileContent
 from firmware_py.inference.predictor import OnnxGraph
-from firmware_py.signals import PERIOD_S
 from firmware_py.summary import RangeReasons
 from models.predictor.onnx_graphs import OUTPUTS
 from models.trials.origin import TrialOrigin, origins_of

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from sklearn.metrics import r2_score
 from sklearn.model_selection import LeaveOneGroupOut
 
-from firmware_py.errors import InputError
-from firmware_py.signals import tip_names
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tip_names
 from models.plant.simulation.runner import CompiledModel
 from models.predictor.observed_trials import observe
 from models.predictor.onnx_graphs import Array, GraphWriter

@@ -23,8 +23,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.core.signals import AGE
 from firmware_py.inference.predictor import TRUSTED_M, InputRange
-from firmware_py.signals import AGE
 from models.predictor.candidates import TipPredictor
 from models.predictor.interval import STANDING_RAD_S, TipInterval, joint_inputs, write_sums
 from models.predictor.observed_trials import TipRows

@@ -53,7 +53,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.stats import t as student_t
 
-from firmware_py.signals import AGE
+from firmware_py.core.signals import AGE
 from models.predictor.onnx_graphs import Array, GraphWriter, evaluate
 from models.predictor.polynomials import COVERAGE
 

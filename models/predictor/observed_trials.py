@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.signals import AGE, feature_names, observer_signals, tip_names
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import AGE, feature_names, observer_signals, tip_names
 from models.plant.simulation.runner import CompiledModel, model_inputs
 from models.plant.step_model import StepModel, names
 from models.predictor.onnx_graphs import Array

@@ -19,9 +19,9 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import feature_names
 from firmware_py.inference.predictor import named_inputs
-from firmware_py.signals import feature_names
 
 Array = NDArray[np.float64]
 

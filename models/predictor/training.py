@@ -15,9 +15,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.commands.range_check import RangeCount
-from firmware_py.display_units import FRACTION, LENGTH
-from firmware_py.signals import AGE
+from firmware_py.core.signals import AGE
+from firmware_py.core.units import FRACTION, LENGTH
+from firmware_py.inference.range_check import RangeCount
 from firmware_py.summary import RangeReasons
 from models.plant.simulation.runner import CompiledModel
 from models.predictor.candidates import TipPredictor

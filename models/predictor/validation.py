@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import FRACTION
+from firmware_py.core.units import FRACTION
 from models.predictor.onnx_graphs import Array
 
 MOVING_AXES: Final = {1: (0, 2), 2: (0, 1, 2)}

@@ -16,8 +16,8 @@ from typing import Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_toml
 from firmware_py.link.link_description import describes_link, read_link
 from models.rig.parameters import (
     RigParameters,

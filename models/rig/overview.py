@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from firmware_py.display_units import ANGLE, CURRENT, DEFORMATION, LENGTH, PAYLOAD, TIME
+from firmware_py.core.units import ANGLE, CURRENT, DEFORMATION, LENGTH, PAYLOAD, TIME
 from models.shared.drawing import FILE_STYLE
 from models.shared.kinematics import rigid_tip_m
 from models.shared.palette import ordered_colours

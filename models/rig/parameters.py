@@ -17,8 +17,8 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import msgspec
 
 from firmware_py.bus.servo_models import model_named
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_toml
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.shared.catalogue import effect_and_joint

@@ -17,12 +17,12 @@ from typing import ClassVar, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from firmware_py.documents import Document, read_document, write_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import GLIDE_S, STUDY_PERIOD_S, Motion
+from firmware_py.core.signals import PERIOD_S, trial_signals
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_layout
-from firmware_py.motion import GLIDE_S, STUDY_PERIOD_S, Motion
-from firmware_py.signals import PERIOD_S, trial_signals
 from models.rig.parameters import RigParameters, RigStructure
 from models.rig.rig import Load, Rig
 from models.rig.sensors import MarkerLog, read_current, read_encoder, read_markers

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.rig.parameters import RigParameters
 from models.rig.servo import RigServo
 from models.shared.kinematics import Array

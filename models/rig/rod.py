@@ -12,7 +12,7 @@ import numpy as np
 from elastica.rod.cosserat_rod import CosseratRod
 from elastica.rod.data_structures import overload_operator_kinematic_numba
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.rig.parameters import DEFAULT_STRUCTURE, RigParameters, link_stiffness
 from models.rig.rig import Load, Rig
 from models.shared.catalogue import LEAK_TIME_S, REFERENCE_BEND_RAD

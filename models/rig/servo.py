@@ -23,7 +23,7 @@ import math
 from collections import deque
 from types import SimpleNamespace
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from models.rig.parameters import RigParameters
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from firmware_py.errors import DropstitchError, InputError
+from firmware_py.core.errors import DropstitchError, InputError
 from firmware_py.inference.fmi_platform import platform_here
 
 TARGETS: Final[Mapping[str, str]] = {

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, Literal, NamedTuple
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 Port = Literal[
     "command", "servo_torque", "joint_torque", "bend_torque", "stiffness", "mass", "sensor"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import as_completed
 from pathlib import Path
 
-from firmware_py.console import Progress
+from firmware_py.core.console import Progress
 from models.shared.worker_pool import worker_pool
 
 

@@ -18,8 +18,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_CELLS
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import MOST_CELLS
 
 Array = NDArray[np.float64]
 

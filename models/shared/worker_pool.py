@@ -13,8 +13,8 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.process import BaseProcess
 from typing import Final
 
-from firmware_py.console import terminations_raised
-from firmware_py.errors import InputError
+from firmware_py.core.console import terminations_raised
+from firmware_py.core.errors import InputError
 
 THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Each worker computes on one thread: the workers already use all cores."""

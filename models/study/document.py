@@ -16,8 +16,8 @@ from typing import Annotated, ClassVar
 
 import msgspec
 
-from firmware_py.documents import Document, read_document
-from firmware_py.files.output_files import write_whole
+from firmware_py.core.documents import Document, read_document
+from firmware_py.core.output_files import write_whole
 from models.predictor.document import TrialsSummary
 
 Test = str

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from firmware_py.display_units import FRACTION, LENGTH
+from firmware_py.core.units import FRACTION, LENGTH
 from models.study.document import ByDegree, StudyDocument, StudyFinding
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial

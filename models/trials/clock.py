@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve, find_peaks
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from models.shared.kinematics import pointing_angles_rad
 from models.shared.link_scale import LinkScale

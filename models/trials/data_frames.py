@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.files import PlantSignals, check_meta, check_trial_of_frame
 from models.trials.trial import Trial, TrialMeta
 

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.shared.kinematics import Array, base_corners_m
 from models.trials.trial import Trial
 

@@ -20,11 +20,11 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_lines, read_toml
-from firmware_py.files.output_files import replacing, write_whole
-from firmware_py.motion import KINDS
-from firmware_py.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_lines, read_toml
+from firmware_py.core.motion import KINDS
+from firmware_py.core.output_files import replacing, write_whole
+from firmware_py.core.signals import TIME, Signal, tick_signals, tip_names, trial_signals, unit_of
 from models.shared.numeric_text import check_columns, read_header, read_numbers
 from models.trials.trial import (
     LINK_CONDITIONS,
@@ -162,7 +162,7 @@ def read_trial(path: Path | str, signals: PlantSignals | None = None) -> Trial:
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> from firmware_py.signals import trial_signals
+    >>> from firmware_py.core.signals import trial_signals
     >>> columns = {s.name: np.zeros(4) for s in trial_signals(dof=1)}
     >>> columns["time_s"] = 0.017 * np.arange(4)
     >>> meta = TrialMeta(dof=1, payload_kg=1.0, pressure_pa=41300.0, trial=1, motion="sinusoid",

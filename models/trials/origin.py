@@ -14,8 +14,8 @@ from typing import Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_json
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_json
 from models.shared.pages import Notice
 from models.trials.trial import Trial
 

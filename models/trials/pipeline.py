@@ -17,9 +17,9 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from firmware_py.display_units import ANGLE, LENGTH
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import open_bounded, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import open_bounded, read_toml
+from firmware_py.core.units import ANGLE, LENGTH
 from firmware_py.link.marker_layout import square_corners_m
 from firmware_py.log.recording import read_recording
 from models.shared.kinematics import base_rotation

@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS, Motion
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from firmware_py.motion import KINDS, Motion
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
-from firmware_py.signals import unit_of
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import unit_of
 from models.trials.trial import SignalRole
 
 TO_SI: Final[dict[str, tuple[str, float]]] = {

@@ -3,15 +3,15 @@
 import numpy as np
 
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import tick_dtype
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
 from firmware_py.loop import ControlLoop
-from firmware_py.motion import Motion
-from firmware_py.realtime.clock import SimClock
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
-from firmware_py.signals import tick_dtype
+from firmware_py.system.clock import SimClock
 
 PERIOD_NS = 17_000_000
 GOALS = Motion().table_rad()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from firmware_py.config import RobotConfig, read_config
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 
 EXAMPLE = Path(__file__).parents[2] / "robot.toml"
 

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.estimator import Estimate, NoEstimator
-from firmware_py.realtime.timing import Cause
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
+from firmware_py.system.timing import Cause
 from tests.firmware_py.simulated_loop import GOALS, PERIOD_NS, Bus, leaning, make
 
 

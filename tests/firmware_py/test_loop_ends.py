@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError, SafetyTrip
+from firmware_py.core.errors import InputError, SafetyTrip
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop

@@ -19,18 +19,18 @@ from firmware_py.config import (
     ServoConfig,
     read_config,
 )
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.no_models import NoModels
 from firmware_py.log.recording import Recording
 from firmware_py.log.telemetry import NoTelemetry
-from firmware_py.realtime.clock import SimClock
-from firmware_py.realtime.service import NoService
 from firmware_py.robot import build_bus, build_loop, load_bundle
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S, tip_names
 from firmware_py.summary import Ended
+from firmware_py.system.clock import SimClock
+from firmware_py.system.service import NoService
 
 CONFIG = """
 bundle = "bundle"

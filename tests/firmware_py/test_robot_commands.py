@@ -238,7 +238,7 @@ def test_a_set_up_that_cannot_run_gets_one_sentence(servos, config, capsys, chan
 
 
 def test_a_plan_is_run_in_place_of_the_motion(tmp_path, servos, config, toy_bundle, capsys):
-    from firmware_py.documents import write_document
+    from firmware_py.core.documents import write_document
     from firmware_py.link.link_facts import STUDY_FACTS
     from tests.firmware_py.goals.small_plan import OTHER_PLANT, small_plan
 

@@ -11,18 +11,18 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import STAGES
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.goals.tip_feedback import NoCorrection
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
-from firmware_py.motion import Motion
-from firmware_py.realtime.clock import SimClock
-from firmware_py.realtime.kernel_counters import NoCounters
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
-from firmware_py.signals import STAGES
 from firmware_py.summary import FeedbackUse
+from firmware_py.system.clock import SimClock
+from firmware_py.system.kernel_counters import NoCounters
 from tests.firmware_py.simulated_loop import (
     PERIOD_NS,
     StillPredictor,

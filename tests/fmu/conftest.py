@@ -7,9 +7,9 @@ import onnx
 import pytest
 from sklearn.model_selection import KFold
 
+from firmware_py.core.signals import PERIOD_S, feature_names, tip_names, unit_of
 from firmware_py.inference.golden import Golden, write_golden
 from firmware_py.inference.manifest import Manifest, Quantity, write_manifest
-from firmware_py.signals import PERIOD_S, feature_names, tip_names, unit_of
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from models.plant.plant import read_plant

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import write_manifest
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity

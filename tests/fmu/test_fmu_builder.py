@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from fmu.fmu_builder import HEADERS, WRAPPER, build_fmu, core_sources
 from fmu.generated_c import write_equations, write_variables
 from fmu.interface import interface_of

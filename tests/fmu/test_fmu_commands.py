@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tip_names
 from firmware_py.link.marker_layout import square_corners_m
-from firmware_py.signals import tip_names
 from fmu.stimulus import inputs_from_trial
 from models.shared.kinematics import base_corners_m
 from models.trials.files import write_trial

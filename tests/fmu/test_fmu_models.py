@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S, feature_names
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
-from firmware_py.motion import Motion
-from firmware_py.signals import PERIOD_S, feature_names
 from fmu import fmu_models
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_models import embedded_parts, read_parts

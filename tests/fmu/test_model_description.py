@@ -5,7 +5,7 @@ import fmpy
 import pytest
 from fmpy.validation import validate_fmu
 
-from firmware_py.display_units import VALUE_UNITS
+from firmware_py.core.units import VALUE_UNITS
 from fmu.interface import interface_of
 from fmu.model_description import model_description_xml
 from tests.fmu.conftest import TORQUE_NM

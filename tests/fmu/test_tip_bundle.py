@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.commands.range_check import RangeWatch
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import read_golden, verify_equal
 from firmware_py.inference.manifest import write_manifest
+from firmware_py.inference.range_check import RangeWatch
 from models.predictor.document import read_predictors
 from models.trials.files import read_trial, write_trial
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from tests.fuzz import valid_files
 from tests.fuzz.mutations_of_files import of_bytes, of_json, of_text
 
@@ -83,7 +83,7 @@ def key_file(form):
 def documents():
     """Documents that `hil report` and the rig read: name, file, content, and what reads it."""
     from hil.faults.faults_document import FaultsDocument, read_faults
-    from hil.timing.timing_document import TimingDocument, read_timing
+    from hil.sil.timing_document import TimingDocument, read_timing
     from models.predictor.document import PredictorsDocument, read_predictors
     from models.rig.protocol import CONDITIONS_FILE, ConditionsRecord, record_conditions
     from models.study.document import StudyDocument, read_study
@@ -129,7 +129,7 @@ def limits_of_robot(file):
 
 def status_message(file):
     """Message of the robot to a program that sends goals."""
-    from firmware_py.goals.outside.goal_message import StatusMessage
+    from firmware_py.goals.goal_message import StatusMessage
 
     try:
         msgspec.json.decode(file.read_bytes(), type=StatusMessage)

@@ -10,7 +10,7 @@ import tempfile
 import traceback
 from typing import NamedTuple
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 MEMORY_BYTES = 500_000_000
 """Memory of a child beyond what the fork server holds: address space, and resident size."""

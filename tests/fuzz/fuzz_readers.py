@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.manifest import content_sha256
 from tests.fuzz import command_readers, valid_files
 from tests.fuzz.mutations_of_files import LONGEST, of_bytes, of_json, of_text, of_toml
@@ -216,10 +216,10 @@ def _recordings():
 
 def _documents():
     from firmware_py.config import read_config
-    from firmware_py.goals.outside.goal_map import read_goal_map
+    from firmware_py.core.motion_document import read_motion_document
+    from firmware_py.goals.goal_map import read_goal_map
     from firmware_py.goals.tip_plan import read_tip_plan
     from firmware_py.link.link_description import read_link
-    from firmware_py.motion_document import read_motion_document
     from firmware_py.summary import RunDocument, read_run_summary
     from models.gap.report.gap_json import GapDocument, read_gap_document
     from models.plan.paths import read_path
@@ -265,7 +265,7 @@ def _documents():
 
 
 def _outside_goals_and_signatures():
-    from firmware_py.goals.outside.goal_message import decode_goal
+    from firmware_py.goals.goal_message import decode_goal
     from firmware_py.inference.bundle_signature import check_signature
     from firmware_py.inference.file_content import content_of
 

@@ -37,7 +37,7 @@ def test_inputs_that_once_broke_a_reader_no_longer_do(readers, tmp_path):
 def test_the_fuzzer_sees_what_is_wrong(tmp_path):
     import ctypes
 
-    from firmware_py.errors import InputError
+    from firmware_py.core.errors import InputError
 
     def two_lines():
         error = InputError("a", "b", "c")

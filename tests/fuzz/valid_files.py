@@ -167,8 +167,8 @@ def bag():
 def log():
     """Log of `dropstitch run`: bytes, metadata, ticks."""
     from firmware_py.config import RobotConfig
+    from firmware_py.core.signals import PERIOD_S, tick_dtype
     from firmware_py.log.sinks import McapSink, TickEncoder
-    from firmware_py.signals import PERIOD_S, tick_dtype
 
     robot = {"bundle": "b", "bus": {"port": "p"}, "servos": [{"id": 1, "model": "XM430-W350"}]}
     config = msgspec.json.encode(msgspec.convert(robot, RobotConfig)).decode()
@@ -206,7 +206,7 @@ def link():
 
 def goal_map():
     """Map of a rigid link of 1 m at three places, for two payloads."""
-    from firmware_py.goals.outside.goal_map import GoalMap, PayloadMap
+    from firmware_py.goals.goal_map import GoalMap, PayloadMap
     from firmware_py.link.link_facts import STUDY_FACTS
 
     places_m = (-0.5, 0.0, 0.5)
@@ -223,14 +223,14 @@ def goal_map():
 
 def goal_message():
     """Message of a program that sends goals."""
-    from firmware_py.goals.outside.goal_message import GoalMessage, encode_goal
+    from firmware_py.goals.goal_message import GoalMessage, encode_goal
 
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
 def status_message():
     """Message of the robot to such a program."""
-    from firmware_py.goals.outside.goal_message import StatusMessage
+    from firmware_py.goals.goal_message import StatusMessage
 
     return example_of(StatusMessage)
 

@@ -8,9 +8,9 @@ import shutil
 import pytest
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.console import BAD_INPUT
-from firmware_py.documents import read_document, write_document
-from firmware_py.errors import InputError
+from firmware_py.core.console import BAD_INPUT
+from firmware_py.core.documents import read_document, write_document
+from firmware_py.core.errors import InputError
 from hil.document_schemas import DOCUMENTS
 from models.plant.plant import read_plant
 from tests.firmware_py.goals.small_plan import small_plan

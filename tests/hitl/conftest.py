@@ -20,13 +20,13 @@ import pytest
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, check_config
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.no_models import NoModels
-from firmware_py.motion_config import MotionConfig
-from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.robot import build_loop, open_bus
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
+from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 
 REACH_RAD = math.radians(5.0)
 AMPLITUDE_RAD = math.radians(3.0)

@@ -7,7 +7,7 @@ import pytest
 from firmware_py.bus.registers import POSITION_MODE, Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import model_named
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 pytestmark = pytest.mark.hitl
 

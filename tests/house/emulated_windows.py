@@ -91,7 +91,7 @@ def main() -> None:
     errors_of_imports()
     become_windows()
     imports = errors_of_imports()
-    rows = importlib.import_module("firmware_py.command_table").COMMANDS
+    rows = importlib.import_module("firmware_py.commands.command_table").COMMANDS
     helps = {row.name: call(f"{row.name} --help") for row in rows}
     refusals = {line: call(line) for line in LINUX_ONLY}
     print(json.dumps({"imports": imports, "helps": helps, "refusals": refusals}))

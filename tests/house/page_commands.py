@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from dropstitch.__main__ import main
-from firmware_py import console
-from firmware_py.command_table import COMMANDS
+from firmware_py.commands.command_table import COMMANDS
+from firmware_py.core import console
 from tests.house.each_file import ROOT
 
 PROGRAM: Final = "dropstitch"

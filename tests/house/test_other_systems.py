@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from firmware_py.command_table import COMMANDS
+from firmware_py.commands.command_table import COMMANDS
 from tests.house import emulated_windows
 from tests.house.each_file import ROOT, each_file, tree_of
 

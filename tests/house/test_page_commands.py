@@ -5,8 +5,8 @@ from importlib.util import find_spec
 
 import pytest
 
-from firmware_py.command_table import COMMANDS
-from firmware_py.console import chosen_command
+from firmware_py.commands.command_table import COMMANDS
+from firmware_py.core.console import chosen_command
 from tests.house.each_file import ROOT
 from tests.house.page_commands import PageCommands, blocks, commands, targets_of_make
 

@@ -34,9 +34,9 @@ SUBJECTS = (
     Subject("bus", ("firmware_py/bus/*.py",), ("tests/firmware_py/bus",)),
     Subject(
         "supervisor",
-        ("firmware_py/safety/*.py", "firmware_py/realtime/stop_signals.py",
+        ("firmware_py/safety/*.py", "firmware_py/system/stop_signals.py",
          "!firmware_py/safety/estimate_trust.py"),
-        ("tests/firmware_py/safety", "tests/firmware_py/test_stop_signals.py",
+        ("tests/firmware_py/safety", "tests/firmware_py/system/test_stop_signals.py",
          "tests/firmware_py/test_loop.py", "tests/firmware_py/test_loop_ends.py"),
     ),
     Subject(
@@ -56,7 +56,7 @@ SUBJECTS = (
     ),
     Subject(
         "goals",
-        ("firmware_py/goals/**/*.py", "!firmware_py/goals/outside/ros2_bridge.py"),
+        ("firmware_py/goals/**/*.py", "!firmware_py/goals/ros2_bridge.py"),
         ("tests/firmware_py/goals",),
     ),
     Subject(
@@ -76,5 +76,9 @@ SUBJECTS = (
         ("tests/models/gap/decision", "tests/models/gap/search"),
     ),
     Subject("fmu", ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
-    Subject("timing", ("hil/timing/*.py",), ("tests/hil/timing",)),
+    Subject(
+        "timing",
+        ("hil/sil/timing_verdict.py", "hil/sil/tick_budget.py", "hil/sil/deadline_misses.py"),
+        ("tests/hil/sil/test_timing_verdict.py", "tests/hil/sil/test_tick_budget.py"),
+    ),
 )  # fmt: skip

@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.case_task import CaseTask, TaskOutcome
 from hil.campaign.case_worker import run_task
 from hil.campaign.engines.engine import killed_outcome

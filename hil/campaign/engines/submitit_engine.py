@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.case_task import CaseTask, TaskOutcome
 from hil.campaign.case_worker import MOST_LOG, run_task
 from hil.campaign.code_version import ROOT

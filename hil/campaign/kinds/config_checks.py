@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.shared.catalogue import CATALOGUE
 
 

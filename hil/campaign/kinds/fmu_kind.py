@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS as MOTIONS
-from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS as MOTIONS
+from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.kinds.config_checks import check_ranges
 
@@ -53,7 +53,7 @@ class FmuKind(CaseKind[FmuConfig]):
     def run(self, config: FmuConfig, context: CaseContext) -> dict[str, Any]:
         import numpy as np
 
-        from firmware_py.motion_config import MotionConfig
+        from firmware_py.core.motion_config import MotionConfig
         from fmu.fmpy_instance import FmuArchive  # loads FMPy
         from fmu.fmpy_run import simulate_fmu
 

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS as MOTIONS
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS as MOTIONS
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
 from hil.campaign.kinds.rig_kind import changed_rig
@@ -63,7 +63,7 @@ class GapKind(CaseKind[GapConfig]):
     def run(self, config: GapConfig, context: CaseContext) -> dict[str, Any]:
         import time
 
-        from firmware_py.motion import Motion
+        from firmware_py.core.motion import Motion
         from models.gap.diagnosis import diagnose  # loads CasADi
         from models.gap.estimation.own_error import read_patterns
         from models.plant.plant import read_plant

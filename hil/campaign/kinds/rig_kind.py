@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS as MOTIONS
-from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS as MOTIONS
+from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
 
@@ -67,8 +67,8 @@ class RigKind(CaseKind[RigConfig]):
     def run(self, config: RigConfig, context: CaseContext) -> dict[str, Any]:
         import numpy as np
 
+        from firmware_py.core.motion_config import MotionConfig
         from firmware_py.link.link_description import STUDY_LINK
-        from firmware_py.motion_config import MotionConfig
         from models.plant.identification.evaluation import compare_with_trials
         from models.rig.protocol import TrialCase, run_case  # slow to import
         from models.shared.kinematics import rigid_tip_m

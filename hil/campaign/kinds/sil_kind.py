@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS as MOTIONS
-from firmware_py.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS as MOTIONS
+from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
 from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
 from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
 from hil.emulator.line_faults import LINE_FAULTS
@@ -170,11 +170,11 @@ def _cached(load: Callable[[Path], Any], path: Path) -> Any:
 
 def _options(config: SilConfig, out: Path) -> SilOptions:
     from firmware_py.bus.servo_models import model_named
-    from firmware_py.files.input_files import read_toml
+    from firmware_py.core.input_files import read_toml
+    from firmware_py.core.motion_config import MotionConfig
     from firmware_py.goals.tip_plan import read_tip_plan
     from firmware_py.inference.bundle import ModelBundle
     from firmware_py.link.link_description import STUDY_LINK, describes_link, read_link
-    from firmware_py.motion_config import MotionConfig
     from hil.emulator.physics import RigSource
     from hil.sil import SilOptions
     from models.plant.document import link_of_plant

@@ -15,7 +15,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion_config import MotionConfig
 from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter
 from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.plan_for_robot import innovation_places
@@ -24,13 +25,12 @@ from firmware_py.goals.tip_feedback import Correction
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import STUDY_FACTS
-from firmware_py.motion_config import MotionConfig
-from firmware_py.realtime.clock import Clock
-from firmware_py.realtime.kernel_counters import Counters
 from firmware_py.robot import build_bus, build_loop
 from firmware_py.safety.estimate_trust import TrustOptions
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import RunSummary
+from firmware_py.system.clock import Clock
+from firmware_py.system.kernel_counters import Counters
 from hil.emulator.physics import Physics
 from hil.faults.cases.goal_program import program_goals
 from hil.faults.fault_row import FaultRow, Setup

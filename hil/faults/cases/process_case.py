@@ -24,20 +24,20 @@ import tomli_w
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
-from firmware_py.console import BAD_INPUT
-from firmware_py.errors import InputError
+from firmware_py.core.console import BAD_INPUT
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle_signature import TrustConfig
 from firmware_py.log.recording import read_recording
-from firmware_py.realtime.clock import RealTimeOptions
+from firmware_py.system.clock import RealTimeOptions
 from hil.faults.cases.case_robot import CaseRobot, case_config
 from hil.faults.cases.damaged_bundle import BUNDLE_DAMAGES
 from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow, Setup
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
-from hil.timing.processors import assign_processors, pinned_to
+from hil.sil.processors import assign_processors, pinned_to
 
-if sys.platform != "win32":  # is imported there, see `firmware_py.console`
+if sys.platform != "win32":  # is imported there, see `firmware_py.core.console`
     import resource
 
 SECONDS: Final = 2.6

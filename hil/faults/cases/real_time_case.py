@@ -14,15 +14,15 @@ import msgspec
 
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.goals.goal_source import GoalTable
-from firmware_py.realtime.clock import DeadlineClock, RealTimeOptions, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
+from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from hil.faults.cases.case_robot import CaseRobot, case_config, run_case_loop
 from hil.faults.cases.servo_process import ServoProcess, ServoProcessTask
 from hil.faults.fault_row import FaultRow
 from hil.faults.host_faults import HostFaults
 from hil.faults.injection import FaultSchedule
 from hil.faults.observation import CaseObservation, observe_case
-from hil.timing.processors import assign_processors, pinned_to
+from hil.sil.processors import assign_processors, pinned_to
 
 SLOTS: Final = 150
 """Slots of the motion: 2.6 s. The fault begins before the 110th."""

@@ -17,8 +17,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_py.realtime.clock import RealTimeOptions, real_time
-from firmware_py.realtime.kernel_counters import KernelCounters
+from firmware_py.system.clock import RealTimeOptions, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.config import RobotConfig
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 __all__ = ["RunTape", "TapeFacts", "read_runs", "write_runs"]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.display_units import FILE_SIZE
+from firmware_py.core.units import FILE_SIZE
 from firmware_py.inference.bundle import ModelBundle
 from hil.faults.campaign import cases_of
 from hil.faults.cases.case_robot import CaseRobot, RunTap, case_config

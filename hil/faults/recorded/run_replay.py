@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import DropstitchError, SafetyTrip
+from firmware_py.core.errors import DropstitchError, SafetyTrip
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction
 from firmware_py.loop import ControlLoop
-from firmware_py.realtime.clock import SimClock
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
+from firmware_py.system.clock import SimClock
 from hil.faults.cases.case_robot import case_goals
 from hil.faults.fault_row import Setup
 from hil.faults.recorded.recorded_run import RunTape, TapeFacts

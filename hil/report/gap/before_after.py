@@ -8,10 +8,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from firmware_py.display_units import FRACTION, LENGTH, PAYLOAD
+from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.gap_inputs import GapInputs
-from hil.timing.timing_document import TipErrors
+from hil.sil.timing_document import TipErrors
 from models.gap.report.gap_json import GapDocument, NamedEffect
 from models.plant.identification.evaluation import TIP, compare_with_trials
 from models.plant.plant import Plant

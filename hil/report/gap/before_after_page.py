@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.display_units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
+from firmware_py.core.units import FRACTION, LENGTH, PAYLOAD, error_unit, signal_words
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.before_after import BeforeAfter, judged_part, same_in_python
 from hil.report.gap.gap_curves import CURVE_LEGEND, fmu_curves, robot_curves

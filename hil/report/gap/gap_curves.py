@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import error_unit, signal_words
-from firmware_py.signals import tip_names
+from firmware_py.core.signals import tip_names
+from firmware_py.core.units import error_unit, signal_words
 from hil.report.build_inputs import LoopRun
 from hil.report.gap.before_after import PART
 from hil.report.gap.gap_inputs import GapInputs

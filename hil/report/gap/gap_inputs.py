@@ -31,7 +31,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.report.build_inputs import (
     FmuCheckOutput,
     LoopRun,

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE
+from firmware_py.core.units import ANGLE
 from firmware_py.goals.tip_plan import TipPlan
 from models.plan.feedback import (
     LEAST_GAIN_DB,

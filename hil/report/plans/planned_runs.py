@@ -10,13 +10,13 @@ from typing import Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tip_names
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.log.recording import read_recording
-from firmware_py.realtime.targets import PATH_RMS_TO_RIGID
-from firmware_py.signals import tip_names
+from firmware_py.system.targets import PATH_RMS_TO_RIGID
 from hil.sil.sil_loop import LOG_NAME
-from hil.timing.timing_document import read_timing
+from hil.sil.timing_document import read_timing
 from models.trials.files import read_trial
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import LENGTH, POSITION, TIME
-from firmware_py.realtime.targets import PATH_RMS_TO_RIGID
+from firmware_py.core.units import LENGTH, POSITION, TIME
+from firmware_py.system.targets import PATH_RMS_TO_RIGID
 from hil.report.plans.feedback_section import feedback_section
 from hil.report.plans.planned_runs import KNOWLEDGE, Knowledge, PlannedRun, plan_figures
 from hil.report.plans.trust_section import trust_section

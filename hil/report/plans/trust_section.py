@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE, LENGTH, TIME
+from firmware_py.core.units import ANGLE, LENGTH, TIME
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.safety.estimate_trust import FADE_S, TrustState
 from hil.report.plans.planned_runs import PlannedRun

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from firmware_py.display_units import DELAY, FILE_SIZE, FRACTION, LENGTH
+from firmware_py.core.units import DELAY, FILE_SIZE, FRACTION, LENGTH
 from hil.report.study.estimator_figures import test_words
 from models.bundle.model_card import latency_text
 from models.predictor.document import PredictorsDocument

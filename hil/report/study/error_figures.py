@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.display_units import LENGTH, TIME
+from firmware_py.core.units import LENGTH, TIME
 from models.shared.drawing import Drawing, log_axis
 from models.shared.pages import Figure, LegendEntry, Panel
 from models.shared.palette import BLUE, INK, ordered_colours

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from firmware_py.display_units import DEFORMATION, LENGTH, PAYLOAD, TIME
+from firmware_py.core.units import DEFORMATION, LENGTH, PAYLOAD, TIME
 from models.shared.drawing import Drawing, log_axis
 from models.shared.pages import Figure, LegendEntry
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED

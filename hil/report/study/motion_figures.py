@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
+from firmware_py.core.units import ANGLE, DEFORMATION, PAYLOAD, POSITION, TIME
 from models.shared.drawing import Drawing, nested_widths
 from models.shared.pages import Figure, LegendEntry, Panel
 from models.shared.palette import INK, MUTED, SERIES, ordered_colours

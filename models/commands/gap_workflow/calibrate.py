@@ -12,8 +12,8 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from firmware_py.console import DONE, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, emit
+from firmware_py.core.errors import InputError
 from models.gap.calibration.files import begin_work, patterns_file
 from models.plant.identification.doubts import SAME_SIZE_FRACTION, refuse_other_links
 from models.plant.plant import read_plant

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgspec
 
 from firmware_py.config import read_config
-from firmware_py.console import DONE, Progress, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, Progress, emit
+from firmware_py.core.errors import InputError
 from firmware_py.safety.limits import Limits
 from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
 from models.commands.output_paths import check_output_directory, check_output_file

@@ -12,8 +12,8 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.console import DONE, NEGATIVE, Progress, emit
-from firmware_py.errors import InputError
+from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
+from firmware_py.core.errors import InputError
 from models.commands.output_paths import check_output_directory
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.estimation.own_error import ModelDiscrepancy, read_patterns
 
 FINGERPRINT: Final = "fingerprint.txt"

@@ -19,7 +19,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.calibration.trials import repeated
 from models.gap.estimation.fitted_floor import fitted_point, noise_floor_of
 from models.gap.estimation.gauss_newton import GaussNewton

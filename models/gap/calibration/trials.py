@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from firmware_py.motion import GLIDE_S, Motion
+from firmware_py.core.motion import GLIDE_S, Motion
 from models.plant.identification.noise_floor import trial_group_key
 from models.rig.protocol import TrialCase
 from models.shared.kinematics import Array

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton, Mask
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.own_error import ModelDiscrepancy, patterns_for

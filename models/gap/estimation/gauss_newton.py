@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import Knowledge
 from models.gap.residuals.fit_parameters import prior_matrix, prior_precision

@@ -18,7 +18,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.estimation.transfer import Knowledge, motion_of, transferred
 from models.plant.identification.noise_floor import Array, TrialGroup
 from models.plant.plant import Plant

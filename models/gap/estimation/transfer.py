@@ -22,7 +22,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from models.plant.identification.noise_floor import (
     Array,
     cosine_transform,

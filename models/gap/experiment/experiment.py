@@ -12,13 +12,13 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from firmware_py.errors import InputError
-from firmware_py.files.output_files import write_whole
-from firmware_py.motion import KINDS, Kind, Motion
-from firmware_py.motion_config import FixedMotionDocument
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS, Kind, Motion
+from firmware_py.core.motion_config import FixedMotionDocument
+from firmware_py.core.output_files import write_whole
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
-from firmware_py.signals import PERIOD_S
 from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import SeparationModel

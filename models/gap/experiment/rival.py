@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.decision.look_alikes import HELD_PROBABILITY
 from models.gap.residuals.fit_parameters import FitParameter, plant_with_every_effect
 from models.plant.identification.noise_floor import Array

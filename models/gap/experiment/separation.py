@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import (
     RIDGE,

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-from firmware_py.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document, read_document, write_document
 from models.gap.decision.certainty import Answers
 from models.gap.diagnosis import GapVerdict
 from models.gap.estimation.transfer import Knowledge

@@ -12,8 +12,8 @@ from typing import Final
 
 from markupsafe import Markup
 
-from firmware_py.display_units import error_unit, signal_words
-from firmware_py.signals import without_unit
+from firmware_py.core.signals import without_unit
+from firmware_py.core.units import error_unit, signal_words
 from models.gap.report.effect_checks import effects_to_check
 from models.gap.report.gap_charts import (
     BEFORE_AND_AFTER,

@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_py.display_units import DURATION, DisplayUnit, error_unit
-from firmware_py.signals import without_unit
+from firmware_py.core.signals import without_unit
+from firmware_py.core.units import DURATION, DisplayUnit, error_unit
 from models.gap.decision.certainty import DECIDED
 from models.gap.report.effect_checks import effects_to_check, standing_out
 from models.gap.report.gap_json import (

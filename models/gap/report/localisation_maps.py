@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.colors import LogNorm
 
-from firmware_py.display_units import FRACTION, signal_words
+from firmware_py.core.units import FRACTION, signal_words
 from models.gap.report.gap_json import MappedRegion
 from models.plant.identification.noise_floor import Array
 from models.shared.drawing import Drawing

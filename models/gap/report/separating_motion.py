@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from firmware_py.config import UNWATCHED_RATE_RAD_S
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.decision.look_alikes import LookAlike
 from models.gap.diagnosis import Diagnosis
 from models.gap.estimation.gauss_newton import GaussNewton

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Final, Literal
 
-from firmware_py.display_units import DURATION
+from firmware_py.core.units import DURATION
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import step_of
 from models.gap.report.gap_json import ChangedCondition, GapDocument

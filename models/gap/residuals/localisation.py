@@ -20,8 +20,8 @@ from typing import Final
 import numpy as np
 from scipy.stats import false_discovery_control
 
-from firmware_py.display_units import DURATION, TIME, symbol_of
-from firmware_py.signals import unit_of, without_unit
+from firmware_py.core.signals import unit_of, without_unit
+from firmware_py.core.units import DURATION, TIME, symbol_of
 from models.plant.identification.noise_floor import (
     Array,
     TrialGroup,

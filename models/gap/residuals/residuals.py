@@ -12,7 +12,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.residuals.fit_parameters import (
     FitParameter,
     moved_parameters,

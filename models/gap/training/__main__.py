@@ -27,9 +27,9 @@ from typing import Final, NamedTuple
 import msgspec
 
 import models
-from firmware_py.console import BAD_INPUT, DONE
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.console import BAD_INPUT, DONE
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.gap.calibration.measurement import (
     PatternWork,
     learned_patterns,

@@ -15,7 +15,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.calibration.measurement import plant_on_rig
 from models.gap.calibration.trials import repeated
 from models.gap.decision.certainty import Answers, Evidence, read_certainty

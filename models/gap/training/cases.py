@@ -18,8 +18,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.gap.decision.certainty import Knowledge
 from models.rig.drawn import FIRST_TEST_NUMBER, LINK_DEVIATION, PREFIX, rig_named
 from models.rig.parameters import RigParameters

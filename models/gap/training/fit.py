@@ -19,7 +19,7 @@ from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.decision.certainty import Certainty, Knowledge
 from models.gap.decision.naming import NAMED_PROBABILITY
 from models.gap.training.case_runs import DataSetRecord, Strength

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Final, Literal
 
 import msgspec
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.components.drive import Drive
 from models.plant.components.load import PlantLoad
 from models.plant.parameter import Parameter

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.display_units import FRACTION, LENGTH
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import FRACTION, LENGTH
 from firmware_py.link.link_description import STUDY_LINK
 from models.plant.document import DofEvaluation, Evaluation
 from models.plant.identification.fit import LARGEST_DERIVATIVE, Objective

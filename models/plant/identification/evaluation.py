@@ -17,8 +17,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from firmware_py.display_units import PAYLOAD, TIME, signal_unit, signal_words
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.units import PAYLOAD, TIME, signal_unit, signal_words
 from models.plant.document import DofEvaluation, Evaluation, SignalError, TipError
 from models.plant.identification.fit import measured_signals
 from models.plant.plant import Plant

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student_t
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.parameter import AT_BOUND, prior_deviation_of
 from models.plant.plant import ModelKind, Plant
 from models.plant.simulation.runner import (

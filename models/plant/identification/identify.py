@@ -24,7 +24,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.components import DRIVES, LOADS
 from models.plant.components.goal import NO_ACCELERATION_LIMIT
 from models.plant.document import Evaluation, Provenance

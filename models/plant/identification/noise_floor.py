@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, idct
 from scipy.optimize import least_squares
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.document import FloorRecord
 from models.plant.identification.evaluation import TIP, nothing_measured
 from models.plant.identification.fit import (

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from models.plant.plant import Plant
 from models.plant.simulation.model_c import write_run_c
 from models.plant.step_model import Array as Array
@@ -253,7 +253,7 @@ def simulate_plant(
 
     Examples
     --------
-    >>> from firmware_py.motion import Motion
+    >>> from firmware_py.core.motion import Motion
     >>> from models.plant.plant import read_plant
     >>> goal_rad = Motion(period_s=2.0).table_rad()[:, 0]
     >>> run = simulate_plant(read_plant(), {"goal_1_rad": goal_rad, "payload_kg": 1.0})

@@ -16,7 +16,7 @@ from typing import Any, Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import ANGLE, DURATION, LENGTH
+from firmware_py.core.units import ANGLE, DURATION, LENGTH
 
 Level = Literal["refused", "warning"]
 

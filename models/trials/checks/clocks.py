@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.motion import LEAST_MOTION_RAD

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from firmware_py.motion import KINDS
+from firmware_py.core.motion import KINDS
 from models.shared.kinematics import base_rotation, pointing_angles_rad
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from firmware_py.display_units import ANGLE, ANGLE_ERROR, DURATION, LENGTH
+from firmware_py.core.units import ANGLE, ANGLE_ERROR, DURATION, LENGTH
 from models.shared.kinematics import pointing_angles_rad
 from models.shared.pages import Figure, LegendEntry, Panel, Paragraph, Section, Table
 from models.shared.palette import ALARM, GRID, INK, MEASURED, MUTED, SIMULATED

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.display_units import LENGTH
+from firmware_py.core.units import LENGTH
 from models.shared.kinematics import base_rotation
 from models.trials.checks import causes
 from models.trials.checks.causes import ImportFinding, at_rows

@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import MarkerLayout
 from models.trials.checks import causes

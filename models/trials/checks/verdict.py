@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.checks.causes import ImportFinding
 from models.trials.checks.pose import RestPose
 from models.trials.checks.signals import Gap

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.recordings.c3d import read_c3d
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.motive import read_motive_csv

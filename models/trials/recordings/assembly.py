@@ -14,10 +14,10 @@ from typing import Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_CELLS
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import MOST_CELLS
+from firmware_py.core.signals import TIME, joint_signals, tip_names
 from firmware_py.link.marker_layout import MarkerLayout
-from firmware_py.signals import TIME, joint_signals, tip_names
 from models.trials.files import STEP_TOLERANCE, columns_of
 from models.trials.recordings.mapping import RecordingMap
 from models.trials.recordings.series import Series, marker_columns, row_centre_m

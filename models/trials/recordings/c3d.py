@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import open_bounded
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import open_bounded
 from models.trials.recordings.mapping import RecordingMap, no_markers
 from models.trials.recordings.series import Series, marker_columns
 from models.trials.units import factor_to_si

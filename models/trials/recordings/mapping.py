@@ -14,11 +14,11 @@ from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import convert, read_text, read_toml
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import convert, read_text, read_toml
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, read_link
 from firmware_py.link.marker_layout import MarkerLayout
-from firmware_py.signals import PERIOD_S
 from models.shared.numeric_text import read_header, read_rows
 from models.trials.files import check_meta, check_step_range
 from models.trials.trial import SignalRole, TrialMeta

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import read_lines
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_lines
 from models.shared.numeric_text import MOST_COLUMNS, read_numbers
 from models.trials.recordings.mapping import RecordingMap, no_markers
 from models.trials.recordings.series import Series, marker_columns

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.registers import describe_alert
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PAYLOAD, joint_signals, tip_names
 from firmware_py.log.logged_run import OUTSIDE, LoggedMotion, LoggedRun, logged_run
 from firmware_py.log.recording import Recording, read_recording
-from firmware_py.motion import Motion
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PAYLOAD, joint_signals, tip_names
 from models.trials.recordings.mapping import RecordingMap, Scalar
 from models.trials.recordings.series import Series
 from models.trials.trial import Array, rows_at_rest

@@ -26,9 +26,9 @@ from typing import Any, Final, NamedTuple
 import msgspec
 import numpy as np
 
-from firmware_py.errors import InputError
-from firmware_py.files.input_files import MOST_CELLS, read_bytes, read_json, read_lines
-from firmware_py.signals import TIME, unit_of
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import MOST_CELLS, read_bytes, read_json, read_lines
+from firmware_py.core.signals import TIME, unit_of
 from models.shared.numeric_text import (
     MOST_COLUMNS,
     check_columns,

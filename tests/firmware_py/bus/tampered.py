@@ -4,7 +4,7 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
-from firmware_py.realtime.clock import SimClock
+from firmware_py.system.clock import SimClock
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
 BUDGET_NS = 8_000_000

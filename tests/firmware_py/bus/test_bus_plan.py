@@ -12,8 +12,8 @@ from firmware_py.bus.registers import LEGACY_PRO, PRO_P, X_SERIES, Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import SimClock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import SimClock
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
 

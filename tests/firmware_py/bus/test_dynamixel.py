@@ -8,8 +8,8 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS, model_named
 from firmware_py.bus.servo_setup import ServoSetup
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import SimClock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import SimClock
 from tests.firmware_py.bus.tampered import (
     BUDGET_NS,
     LEGACY,

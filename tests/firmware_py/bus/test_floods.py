@@ -10,7 +10,7 @@ from firmware_py.bus.bus_plan import RESERVE_NS
 from firmware_py.bus.port import EXCHANGE_BYTES
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.transport import SocketTransport
-from firmware_py.realtime.clock import DeadlineClock
+from firmware_py.system.clock import DeadlineClock
 from tests.firmware_py.bus.tampered import BUDGET_NS, LEGACY, PRO_A, SYNC_READ, make, read
 from tests.firmware_py.bus.test_port import status
 

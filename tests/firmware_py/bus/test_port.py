@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from firmware_py.bus.port import DeadlinePort, PacketHandler
 from firmware_py.bus.transport import open_transport
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import DeadlineClock, SimClock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import DeadlineClock, SimClock
 
 tricky = st.lists(st.sampled_from([0x00, 0x55, 0xFC, 0xFD, 0xFE, 0xFF]), max_size=40)
 

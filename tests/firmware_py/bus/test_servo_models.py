@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus.servo_models import MODELS, model_named, round_half_away
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 models = st.sampled_from(list(MODELS.values()))
 int32 = st.integers(-(2**31), 2**31 - 1)

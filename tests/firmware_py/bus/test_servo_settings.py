@@ -10,8 +10,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
 from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, check_config
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import SimClock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import SimClock
 from tests.firmware_py.bus.tampered import LEGACY, PRO_A, XM, TamperedTransport
 
 ALL = pytest.mark.parametrize("number", [LEGACY, PRO_A, XM])

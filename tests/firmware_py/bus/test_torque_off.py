@@ -7,7 +7,7 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
-from firmware_py.realtime.clock import SimClock
+from firmware_py.system.clock import SimClock
 from tests.firmware_py.bus.tampered import LEGACY, PRO_A, XM, TamperedTransport
 
 WRITE = 3

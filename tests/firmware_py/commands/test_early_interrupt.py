@@ -11,7 +11,7 @@ INTERRUPTED = """
 import sys
 class Pressed:
     def find_spec(name, path=None, target=None):
-        if name == "firmware_py.console":
+        if name == "firmware_py.core.console":
             raise {error}
 sys.meta_path.insert(0, Pressed)
 import {room}.__main__

@@ -6,8 +6,8 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.joint_check import PATIENCE_S, turn_joints
-from firmware_py.errors import InputError
-from firmware_py.realtime.clock import SimClock
+from firmware_py.core.errors import InputError
+from firmware_py.system.clock import SimClock
 
 
 class Hand:

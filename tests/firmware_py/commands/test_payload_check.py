@@ -9,12 +9,12 @@ import pytest
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.commands.payload_check import PayloadEstimate, contradicted_payload, unused_payload
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S, tick_dtype
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.motion import Motion
-from firmware_py.realtime.timing import Timing
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PERIOD_S, tick_dtype
 from firmware_py.summary import Ended, RunSummary
+from firmware_py.system.timing import Timing
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import simulate_plant
 

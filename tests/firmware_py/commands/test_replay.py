@@ -8,11 +8,11 @@ import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.replay import compare, find_seams
+from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import Recording
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PERIOD_S, tip_names
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
 from tests.firmware_py.simulated_loop import PluggedBus, StillPredictor, make
 from tests.firmware_py.test_robot import motion, robot_config

@@ -5,7 +5,7 @@ import resource
 
 import pytest
 
-from firmware_py.documents import write_document
+from firmware_py.core.documents import write_document
 from firmware_py.log.recording import read_recording
 from tests.firmware_py import test_robot_commands as robot
 from tests.firmware_py.goals.small_plan import small_plan

@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from firmware_py.core.signals import tick_dtype
 from firmware_py.goals.payload_beyond_plan import payload_beyond_plan, recording_beyond_plan
-from firmware_py.realtime.timing import Timing
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended, RunSummary
+from firmware_py.system.timing import Timing
 from tests.firmware_py.goals.small_plan import small_plan
 
 

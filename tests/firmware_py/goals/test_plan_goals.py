@@ -6,15 +6,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, read_tip_plan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
-from firmware_py.signals import PERIOD_S
 
 ROWS = 40
 

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator

@@ -6,8 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter, StiffnessSlopes
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.probe_design import ProbeDesign, wrong_in_probe
@@ -18,7 +19,6 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.estimate_trust import TrustOptions, TrustState
-from firmware_py.signals import PERIOD_S
 
 ROWS, PROBE_ROWS = 60, 100
 PHASE = 2 * np.pi * np.arange(PROBE_ROWS) / PROBE_ROWS

@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.feedback_design import (
     FeedbackDesign,
     RateFilter,
@@ -22,7 +23,6 @@ from firmware_py.inference.predictor import Prediction
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.estimate_trust import TrustOptions, TrustState
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
 
 ROWS, SIZE, RATE = 400, 0.03, 0.16
 GAIN = RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((2.0,),))

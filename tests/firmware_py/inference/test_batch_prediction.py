@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import DI, IN_RANGE, PAYLOAD, tip_names
 from firmware_py.inference.batch_prediction import predict_rows
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.predictor import OnnxPredictor
-from firmware_py.signals import DI, IN_RANGE, PAYLOAD, tip_names
 
 ROWS = 120
 

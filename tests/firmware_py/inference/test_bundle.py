@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.golden import GOLDEN, read_golden, record_golden, verify, write_golden
 from firmware_py.inference.manifest import Manifest, write_manifest

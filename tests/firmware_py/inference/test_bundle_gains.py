@@ -14,13 +14,13 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.manifest import write_manifest
 from firmware_py.log.recorder import recording
-from firmware_py.realtime.clock import SimClock
 from firmware_py.robot import build_bus, with_bundle_gains
-from firmware_py.signals import tick_dtype
+from firmware_py.system.clock import SimClock
 from models.commands.identify import read_servo_gains
 
 ROBOT = Path("robot.toml")

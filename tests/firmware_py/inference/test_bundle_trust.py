@@ -14,8 +14,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
-from firmware_py.documents import read_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import read_document
+from firmware_py.core.errors import InputError
 from firmware_py.inference import file_content
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text

@@ -8,10 +8,10 @@ import zipfile
 import numpy as np
 import pytest
 
-from firmware_py.errors import FmuRefusal, InputError
+from firmware_py.core.errors import FmuRefusal, InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference import fmu_file
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from fmu.parity import varying_steps_s

@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.estimator import LaggedEstimator, NoEstimator, load_estimator
 from firmware_py.inference.predictor import OnnxPredictor

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import (
     STUDY_LINK,
     LinkDescription,

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_py.config import read_config
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 
 ROBOT = """
 bundle = "b"

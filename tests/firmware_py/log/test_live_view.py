@@ -17,7 +17,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.log.live_config import ORIGINS, LiveConfig
 from firmware_py.log.live_gate import LiveGate
 from firmware_py.log.recorder import recording

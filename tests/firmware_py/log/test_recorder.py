@@ -19,12 +19,12 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from firmware_py.commands.run import _free_log
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S, tick_dtype, tick_signals
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import read_recording, tick_schema
 from firmware_py.log.sinks import McapSink, TickEncoder
 from firmware_py.log.telemetry import SocketTelemetry
-from firmware_py.signals import PERIOD_S, tick_dtype, tick_signals
 
 ROOT = Path(__file__).parents[3]
 PR_SET_CHILD_SUBREAPER = 36
@@ -258,7 +258,7 @@ def test_a_log_that_cannot_be_written_is_refused_before_the_start(tmp_path, capf
 LIMITED = """
 import resource
 from pathlib import Path
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import read_recording
 from tests.firmware_py.log.test_recorder import put_all, ticks

@@ -4,9 +4,9 @@ import json
 import re
 from pathlib import Path
 
+from firmware_py.core.signals import tick_signals
 from firmware_py.log.recording import TOPIC
 from firmware_py.log.scene import FRAME, SCENE_TOPIC
-from firmware_py.signals import tick_signals
 
 LAYOUT = Path(__file__).parents[3] / "docs" / "files" / "foxglove-layout.json"
 

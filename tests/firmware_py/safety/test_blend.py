@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_py.motion import KINDS, Motion
+from firmware_py.core.motion import KINDS, Motion
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError
-from firmware_py.motion import KINDS, Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import KINDS, Motion
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor, check_motion

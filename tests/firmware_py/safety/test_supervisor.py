@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.safety.states import TRANSITIONS, SafetyState
 from firmware_py.safety.stop_reason import UNRELEASED, Fault
 from firmware_py.safety.supervisor import SafetySupervisor

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from fmu.interface import interface_of
 from models.plant.step_model import names
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from models.plant.plant import read_plant

@@ -4,10 +4,10 @@ import fmpy
 import numpy as np
 import pytest
 
+from firmware_py.core.motion import STUDY_PERIOD_S, Motion
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.link.link_description import LinkDescription, LinkServo
 from firmware_py.link.link_file import link_toml
-from firmware_py.motion import STUDY_PERIOD_S, Motion
-from firmware_py.signals import PERIOD_S
 from fmu.fmu_models import FmuParts
 from fmu.packaging.fmu_contents import fmu_contents
 from models.plant.plant import read_plant

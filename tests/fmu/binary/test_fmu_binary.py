@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmu_checker import exported_functions
 from fmu.parity import varying_steps_s
 from models.plant.step_model import names

@@ -10,8 +10,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from hil.emulator.fmu_physics import FmuPhysics
 
 

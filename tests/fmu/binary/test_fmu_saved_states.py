@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 
 OUTPUTS = ["time", "tip_x_m", "tip_z_m", "torque_filtered_nm", "steps"]
 

@@ -11,7 +11,7 @@ import pytest
 from fmpy.fmi1 import FMICallException
 from scipy.integrate import solve_ivp
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from models.plant.step_model import names

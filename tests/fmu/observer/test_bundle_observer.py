@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import feature_names
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.golden import read_golden
-from firmware_py.signals import feature_names
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import read_parts
 from fmu.packaging.platforms import HOST, SOURCE_CODE

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.signals import PERIOD_S
 from fmu.fmu_builder import build_fmu
 from models.plant.plant import read_plant
 from models.plant.step_model import names

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from lxml import etree
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import FmuParts

@@ -6,8 +6,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmu_builder import build_fmu
 from fmu.host.host_run import emulator_of, run_in_host
 from fmu.packaging.platforms import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fmpy.build import build_platform_binary
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import HEADERS, build_fmu
 from fmu.packaging.platforms import SOURCE_CODE

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fmpy.ssp.simulation import simulate_ssp
 
-from firmware_py.signals import PERIOD_S, tip_names
+from firmware_py.core.signals import PERIOD_S, tip_names
 from fmu.fmu_models import read_parts
 from fmu.ssp.ssp_builder import build_ssp
 from fmu.ssp.system_structure import PATHS, system_structure

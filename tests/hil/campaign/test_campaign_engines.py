@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.campaign_run import run_campaign_cases
 from hil.campaign.campaign_summary import write_summary
 from hil.campaign.case_task import CaseTask, TaskOutcome

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.log.telemetry import NoTelemetry
 from hil.campaign.case_task import canonical_json
 from hil.campaign.code_version import ROOT

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.campaign_spec import configurations, read_spec
 
 

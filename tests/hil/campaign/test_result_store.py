@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.campaign_run import missing_cases
 from hil.campaign.case_task import TaskOutcome
 

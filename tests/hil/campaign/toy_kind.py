@@ -5,7 +5,7 @@ import signal
 import time
 from typing import ClassVar
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.campaign.kinds.case_kind import CaseConfig, CaseKind
 
 

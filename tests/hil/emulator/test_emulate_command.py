@@ -11,7 +11,7 @@ import dynamixel_sdk as sdk
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.realtime.clock import RealTimeOptions
+from firmware_py.system.clock import RealTimeOptions
 from hil.commands.emulate import NOT_REAL_TIME
 from hil.emulator.emulator import open_physics
 from models.plant.plant import NOMINAL

@@ -19,7 +19,7 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.bus.transport import SocketTransport
-from firmware_py.realtime.clock import DeadlineClock, SimClock
+from firmware_py.system.clock import DeadlineClock, SimClock
 from hil.emulator import packets
 from hil.emulator.line import (
     USB_PACKET_BYTES,

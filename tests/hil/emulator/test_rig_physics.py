@@ -9,7 +9,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.predictor import Prediction
@@ -18,7 +18,7 @@ from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.prediction_error import true_tip_m
-from hil.timing.timing_document import read_timing
+from hil.sil.timing_document import read_timing
 
 STEP_S = 1e-3
 

@@ -4,7 +4,7 @@ import platform
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.emulator import twin_fmu
 from models.plant.plant import NOMINAL
 

@@ -16,7 +16,7 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.register_access import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import Manifest

@@ -11,10 +11,10 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.console import Terminated
+from firmware_py.core.console import Terminated
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.manifest import Manifest
-from firmware_py.realtime.stop_signals import signals_to
+from firmware_py.system.stop_signals import signals_to
 from hil.faults import campaign
 from hil.faults.campaign import cases_of, run_campaign
 from hil.faults.faults_document import read_faults

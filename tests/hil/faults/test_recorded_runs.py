@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.safety import blend, supervisor
 from hil.faults.fault_table import ROWS
 from hil.faults.recorded.recorded_run import read_runs

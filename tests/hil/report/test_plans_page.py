@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.goals.feedback_design import FeedbackDesign, LoopMargins, RateFilter
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.link.link_facts import STUDY_FACTS

@@ -15,7 +15,7 @@ from hil.report.loop_figures import loop_figures
 from hil.report.report_page import report_page
 from hil.report.report_tables import prediction_table, results_table, verdict_sentence
 from hil.report.study.motion_figures import motion_figures
-from hil.timing.timing_verdict import TimingVerdict, judge_timing
+from hil.sil.timing_verdict import TimingVerdict, judge_timing
 from models.shared.drawing import Drawing
 from models.trials.origin import TrialOrigin
 

@@ -10,7 +10,7 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recording import read_recording
 from hil.sil.sil_options import SilOptions, sil_config
-from hil.timing.timing_document import read_timing
+from hil.sil.timing_document import read_timing
 from models.plant.plant import read_plant
 from models.predictor.document import read_predictors
 from models.rig.drawn import rig_named

@@ -15,18 +15,18 @@ import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.recording import read_recording
-from firmware_py.motion_config import MotionConfig
-from firmware_py.realtime.timing import Cause
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.stop_reason import Fault
-from firmware_py.signals import tick_dtype
 from firmware_py.summary import Ended
+from firmware_py.system.timing import Cause
 from fmu.fmu_builder import build_fmu
 from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
@@ -34,7 +34,7 @@ from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.prediction_error import prediction_error, true_tip_m
 from hil.sil.sil_loop import LOG_NAME
-from hil.timing.timing_document import read_timing
+from hil.sil.timing_document import read_timing
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.fmu.toy import pendulum

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
-from firmware_py.goals.outside.for_robot import outside_goals
-from firmware_py.goals.outside.goal_channel import connect
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
+from firmware_py.goals.for_robot import outside_goals
+from firmware_py.goals.goal_channel import connect
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.log.recording import read_recording
 from hil.commands.sil import describe_sil
@@ -21,7 +21,7 @@ from hil.sil import run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from hil.sil.sil_options import sil_config
 from models.trials.files import read_trial
-from tests.firmware_py.goals.outside.scripted_program import linear_map, swinging
+from tests.firmware_py.goals.scripted_program import linear_map, swinging
 from tests.firmware_py.goals.small_plan import OTHER_PLANT
 from tests.hil.sil.test_sil_plan import bundle, fmu, options, plan  # noqa: F401
 

@@ -9,8 +9,9 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle, read_manifest
@@ -19,7 +20,6 @@ from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
 from hil.commands.sil import describe_sil
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results

@@ -8,13 +8,13 @@ import pytest
 
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.commands.replay import compare
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PERIOD_S
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME

@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import read_manifest
 from models.bundle.files import (
     GATE_M,

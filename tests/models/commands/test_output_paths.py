@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.commands.output_paths import check_output_directory, check_output_file
 
 

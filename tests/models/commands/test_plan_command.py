@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.documents import write_document
-from firmware_py.errors import InputError
+from firmware_py.core.documents import write_document
+from firmware_py.core.errors import InputError
 from models.commands import goalmap
 from models.plan.learning import RecordedRun
 from models.plant.linear_twin import linearise, modes

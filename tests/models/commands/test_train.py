@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.commands.train import name_tests, of_phases, refuse_fitted
 from models.plant.document import FittedTrial, Provenance
 from models.trials.files import write_trial

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_py.motion import Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.gap.settings import DEFAULT_SETTINGS

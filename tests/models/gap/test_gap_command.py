@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.diagnosis import diagnose
 from models.trials.trial import TrialSet
 

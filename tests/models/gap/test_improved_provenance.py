@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.commands.train import refuse_fitted
 from models.gap.diagnosis import diagnose
 from models.plant.document import Provenance

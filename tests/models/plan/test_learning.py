@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
 from models.plan.inversion import rms
 from models.plan.learning import (
     RecordedRun,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from models.plan.paths import (
     GLYPHS,
     LEAD_S,

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.goals.outside.goal_map import RestGoals
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
+from firmware_py.goals.goal_map import RestGoals
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
 from models.plan import planning
 from models.plan.inversion import Inverter, rms
 from models.plan.paths import DesiredPath, PathOptions, built_in_path, timeline

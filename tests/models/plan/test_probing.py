@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.probe_design import wrong_in_probe
 from firmware_py.goals.probe_estimate import ProbeEstimate
 from firmware_py.safety.limits import Limits
-from firmware_py.signals import PERIOD_S
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path
 from models.plan.probing import CORRELATION, NOISE_A, design_probe, expected_deviation

@@ -4,8 +4,8 @@ import control
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
 from models.plant.linear_twin import LinearTwins, linearise, link_modes, modes, resting_modes
 from models.plant.plant import read_plant
 

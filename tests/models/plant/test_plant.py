@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from firmware_py.bus.servo_settings import ServoGains
-from firmware_py.errors import InputError
-from firmware_py.signals import unit_of
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import unit_of
 from models.plant.document import Evaluation, FittedTrial, Provenance, SignalError
 from models.plant.parameter import impossible_sums
 from models.plant.plant import NOMINAL, read_plant

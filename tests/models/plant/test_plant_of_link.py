@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity, LinkServo
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from models.commands.simulate import _cases

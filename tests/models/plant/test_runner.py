@@ -7,9 +7,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.signals import PERIOD_S
 from models.gap.residuals.fit_parameters import plant_with_every_effect
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation import runner

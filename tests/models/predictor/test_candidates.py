@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.predictor.candidates import CANDIDATES, BoostedTrees, load_candidate
 from models.predictor.training import choose_tip_predictor
 from tests.models.predictor.cases import (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.metrics import r2_score
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names
 from models.predictor.fallback import (

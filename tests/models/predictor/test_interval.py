@@ -5,8 +5,8 @@ import numpy as np
 import onnx
 import pytest
 
-from firmware_py.commands.range_check import RangeCount
 from firmware_py.inference.predictor import OnnxPredictor
+from firmware_py.inference.range_check import RangeCount
 from models.predictor.guarded_tip import INNOVATION_FACTOR
 from models.predictor.interval import TipInterval
 from models.predictor.onnx_graphs import to_onnx

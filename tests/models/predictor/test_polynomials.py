@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from sklearn.model_selection import KFold
 from sklearn.preprocessing import PolynomialFeatures
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.predictor.onnx_graphs import evaluate, predictor_function, to_onnx
 from models.predictor.polynomials import (
     GuardedPredictor,

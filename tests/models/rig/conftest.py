@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from firmware_py.motion import Motion
+from firmware_py.core.motion import Motion
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
 from tests.models.rig.rigs import QUICK

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.rig.parameters import read_rig
 from models.rig.protocol import build_rig, run_case
 from models.rig.rig import Load

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.rig.parameters import named_structures, read_parameters, read_rig
 from models.rig.protocol import build_rig, draw_variation, run_case
 from models.shared.catalogue import CATALOGUE

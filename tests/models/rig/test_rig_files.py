@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.rig.drawn import drawn_link, rig_named, rig_purpose
 from models.rig.parameters import (
     DEFAULT_STRUCTURE,

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_py.signals import PERIOD_S
+from firmware_py.core.signals import PERIOD_S
 from models.rig.hinged import BendLaw
 from models.rig.parameters import read_parameters, read_rig
 from models.rig.protocol import build_rig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.console import BAD_INPUT, DONE
+from firmware_py.core.console import BAD_INPUT, DONE
 from models.rig.parameters import RIG_TOML, named_structures
 from models.rig.protocol import run_case
 from models.shared.kinematics import rigid_tip_m

@@ -5,7 +5,7 @@ import platform
 
 import pytest
 
-from firmware_py.errors import DropstitchError, InputError
+from firmware_py.core.errors import DropstitchError, InputError
 from models.shared import c_compiler
 
 SOURCE = """

@@ -8,8 +8,8 @@ import sys
 
 import pytest
 
-from firmware_py.console import Terminated
-from firmware_py.errors import InputError
+from firmware_py.core.console import Terminated
+from firmware_py.core.errors import InputError
 from models.shared.worker_pool import worker_pool
 
 

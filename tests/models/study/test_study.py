@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.commands.train import name_tests
 from models.plant.simulation.runner import CompiledModel
 from models.predictor.fallback import fit_fallback

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.motion import Motion
 from models.rig.drawn import rig_named
 from models.rig.protocol import TrialCase, run_case
 from models.trials.clock import (

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.signals import unit_of
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import unit_of
 from models.trials import data_frames
 from models.trials.data_frames import as_data_frame, trial_frame, trial_from_frame, trials_frame
 from models.trials.trial import Trial, TrialMeta

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.link.marker_layout import square_corners_m
 from models.shared.kinematics import base_corners_m
 from models.trials.deformation import deformation_index, marker_lengths_m

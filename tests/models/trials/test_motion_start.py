@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_py.motion import KINDS, Motion
+from firmware_py.core.motion import KINDS, Motion
 from models.trials.trial import motion_start
 
 STEP_S = 0.017

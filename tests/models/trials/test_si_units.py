@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.errors import InputError
-from firmware_py.signals import UNIT_OF_SUFFIX
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import UNIT_OF_SUFFIX
 from models.trials.trial import SignalRole
 from models.trials.units import TO_SI, base_exponents, check_signal_units
 

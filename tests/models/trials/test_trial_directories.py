@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.checks.trials import read_usable_trials, refuse_unusable
 from models.trials.files import write_trial
 

@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from firmware_py.errors import InputError
-from firmware_py.signals import trial_signals
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import trial_signals
 from models.trials.files import read_trial, read_trials, write_trial
 from models.trials.trial import SignalRole, Trial, TrialMeta, TrialSet
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import msgspec
 import pytest
 
-from firmware_py.motion import Motion
+from firmware_py.core.motion import Motion
 from models.plant.document import Provenance
 from models.rig.parameters import DEFAULT_STRUCTURE
 from models.rig.protocol import RigConditions, TrialCase, record_conditions

@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 from hil.faults.cases.damaged_bundle import BUNDLE_DAMAGES
 from hil.faults.fault_table import PROCESS

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from hil.report import write_gap_report
 from hil.report.gap.before_after import before_after, fraction_removed
 from hil.report.gap.gap_inputs import read_gap

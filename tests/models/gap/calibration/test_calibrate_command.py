@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.motion import Motion
+from firmware_py.core.motion import Motion
 from models.gap.calibration.files import (
     begin_work,
     calibration_directory,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.gap.calibration.measurement import (
     PatternWork,
     learned_patterns,

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.motion import Motion
+from firmware_py.core.motion import Motion
 from models.gap.calibration.trials import MOST_PAYLOADS, protocol_of, repeated
 from models.plant.identification.noise_floor import trial_group_key
 from models.rig.parameters import read_rig

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.motion import GLIDE_S, Motion
+from firmware_py.core.motion import GLIDE_S, Motion
 from models.gap.calibration.trials import recorded_motion
 from models.plant.identification.noise_floor import trial_group_key
 from models.rig.parameters import read_rig

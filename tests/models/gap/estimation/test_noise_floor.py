@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.estimation import noise_floor
 from models.gap.estimation.fitted_floor import noise_floor_of
 from models.plant.document import FloorRecord

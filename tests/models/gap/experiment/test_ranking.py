@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
-from firmware_py.motion_config import MotionConfig
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.motion_config import MotionConfig
 from firmware_py.safety.limits import Limits
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.experiment.experiment import (

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.experiment.rival import Rival, credible_set, fitted_values_of, rivals_of
 from models.gap.report.gap_json import HypothesisRecord
 from models.gap.residuals.fit_parameters import effect_candidates

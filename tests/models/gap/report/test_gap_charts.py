@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from firmware_py.display_units import LENGTH
+from firmware_py.core.units import LENGTH
 from models.gap.report.gap_charts import draw_bars, draw_errors
 from models.gap.report.gap_json import MappedRegion, largest_gaps
 from models.gap.report.localisation_maps import draw_heat_map

@@ -5,7 +5,7 @@ import json
 import pytest
 from markupsafe import escape
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.report.diagnosis_files import write_results
 from models.gap.report.gap_json import DiagnosisInputs, read_gap_document
 from models.gap.report.gap_results import gap_document

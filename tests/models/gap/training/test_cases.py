@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.training import case_runs, cases
 from models.gap.training.case_runs import hidden_trials, records_of, rig_of, run_cases
 from models.gap.training.cases import (

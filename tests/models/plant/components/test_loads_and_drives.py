@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 from scipy.special import ellipk
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.gap.residuals.fit_parameters import effect_candidates
 from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import read_plant

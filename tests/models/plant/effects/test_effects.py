@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant import plant as plant_module
 from models.plant.effects import EFFECTS, ORDER, PORTS, Effect, in_order
 from models.plant.effects_page import main as write_page

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.document import DofEvaluation, Evaluation, TipError
 from models.plant.identification.doubts import (
     doubts,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.plant.identification.noise_floor import aligned, check_duration, payload_ratios
 from models.trials.trial import TrialSet
 

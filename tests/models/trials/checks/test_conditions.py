@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.trials.checks.payloads import judge_conditions
 from models.trials.checks.trials import check_trial, refuse_unusable
 

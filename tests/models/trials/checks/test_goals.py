@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.motion import KINDS, Motion
+from firmware_py.core.motion import KINDS, Motion
 from models.trials.checks.motion import judge_goals
 from models.trials.checks.trials import check_trial
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.motion import Motion
+from firmware_py.core.motion import Motion
 from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.shared.kinematics import base_rotation
 from models.trials.checks.tip import judge_tip
 from models.trials.checks.trials import refuse_unusable

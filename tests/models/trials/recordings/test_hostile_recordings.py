@@ -12,8 +12,8 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
-from firmware_py.files import guarded_call
+from firmware_py.core import guarded_call
+from firmware_py.core.errors import InputError
 from firmware_py.log import recording
 from firmware_py.log.recording import METADATA, TOPIC, read_recording
 from tests.fuzz import valid_files

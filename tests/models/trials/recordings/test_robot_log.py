@@ -10,10 +10,10 @@ from dropstitch.__main__ import main
 from firmware_py.bus.registers import TORQUE_LOST
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.config import RobotConfig
+from firmware_py.core.signals import PERIOD_S, tick_dtype
 from firmware_py.log.recording import read_recording
 from firmware_py.log.sinks import McapSink, TickEncoder
 from firmware_py.safety.states import SafetyState
-from firmware_py.signals import PERIOD_S, tick_dtype
 from models.trials.files import read_trial
 from models.trials.recordings import robot_log
 from models.trials.recordings.mapping import RecordingMap, read_mapping

@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
+from firmware_py.core.errors import InputError
 from models.plant.plant import read_plant
 from models.trials.files import read_trial, write_trial
 from models.trials.recordings.mapping import RecordingMap, read_mapping

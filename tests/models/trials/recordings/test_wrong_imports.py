@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
-from firmware_py.errors import InputError
-from firmware_py.motion import Motion
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
 from models.rig.parameters import read_parameters
 from models.rig.protocol import TrialCase, run_case
 from models.trials.checks.verdict import ImportVerdict

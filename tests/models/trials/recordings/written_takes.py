@@ -17,9 +17,9 @@ import numpy as np
 import tomli_w
 from scipy.interpolate import CubicSpline
 
+from firmware_py.core.signals import trial_signals
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.link.marker_layout import square_corners_m
-from firmware_py.signals import trial_signals
 from models.shared.kinematics import base_corners_m, base_rotation
 from models.trials.recordings.mapping import BASE_MARKERS
 from models.trials.recordings.series import nominal_markers_m

@@ -1,0 +1,1 @@
+"""What every room uses: errors, units, signals, documents, bounded files, console, motions."""

@@ -1,0 +1,150 @@
+"""Channel to the program that sends goals: a Unix socket that preserves message boundaries.
+
+`SOCK_SEQPACKET` delivers whole messages in order and reports at once that the other side has
+closed. The robot listens, accepts one program, and never waits for it in a tick.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final, Protocol
+
+from firmware_py.core.errors import InputError
+from firmware_py.goals.goal_message import MOST_BYTES
+
+__all__ = ["GoalChannel", "SocketChannel", "accepted_program", "connect"]
+
+PREFIX: Final = "unix:"
+
+
+class GoalChannel(Protocol):
+    """Interface of a channel to and from a program."""
+
+    gone: bool  # Whether the program has closed its side
+
+    def receive(self, most: int) -> list[bytes]:
+        """Return the messages that have arrived, oldest first."""
+        ...
+
+    def send(self, data: bytes) -> None:
+        """Send a message, which is dropped if the program does not read."""
+        ...
+
+
+class SocketChannel:
+    """Channel over a connected `SOCK_SEQPACKET` socket, which it closes.
+
+    `patience_s`: timeout for the answer to the latest status; 0 never waits. It is for simulated
+    time only, which stands still while the program computes.
+    """
+
+    def __init__(self, connection: socket.socket, patience_s: float = 0.0) -> None:
+        self.gone = False
+        self._connection, self._patience_s = connection, patience_s
+        self._asked = False
+        connection.setblocking(False)
+
+    def receive(self, most: int) -> list[bytes]:
+        found: list[bytes] = []
+        if self._asked and self._patience_s and not self.gone:
+            self._connection.settimeout(self._patience_s)
+            self._take(found)
+            self._connection.setblocking(False)
+            self._asked = False
+        while len(found) < most and not self.gone and self._take(found):
+            pass
+        return found
+
+    def _take(self, found: list[bytes]) -> bool:
+        try:
+            data = self._connection.recv(MOST_BYTES + 1)
+        except (BlockingIOError, TimeoutError):
+            return False
+        except OSError:
+            data = b""
+        if data:
+            found.append(data)
+        else:
+            self.gone = True
+        return bool(data)
+
+    def send(self, data: bytes) -> None:
+        try:
+            self._connection.send(data)
+            self._asked = True
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.gone = True
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+@contextlib.contextmanager
+def accepted_program(
+    address: str, wait_s: float, patience_s: float = 0.0
+) -> Iterator[SocketChannel]:
+    """Listen, and yield the channel of the first program that connects; refuse any other.
+
+    `address`: `unix:PATH`; only the owner of the robot's process may connect.
+    """
+    path = _path_of(address)
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as listener:
+        try:
+            _remove_old(path)
+            listener.bind(str(path))
+            path.chmod(0o600)
+            listener.listen(1)
+        except OSError as error:
+            raise InputError(
+                "--goals", f"{address} cannot be opened ({error.strerror or error})",
+                "name a path in a directory of your own",
+            ) from None  # fmt: skip
+        try:
+            listener.settimeout(wait_s)
+            connection = listener.accept()[0]
+        except TimeoutError:
+            raise InputError(
+                "--goals", f"no program connected to {address} within {wait_s:g} s",
+                "start the program that sends the goals",
+            ) from None  # fmt: skip
+        finally:
+            listener.close()
+            path.unlink(missing_ok=True)
+    with contextlib.closing(SocketChannel(connection, patience_s)) as channel:
+        yield channel
+
+
+def connect(address: str) -> socket.socket:
+    """Connect a Python program to a robot that listens for goals."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        connection.connect(str(_path_of(address)))
+    except OSError as error:
+        connection.close()
+        raise InputError(
+            address, f"no robot listens there ({error.strerror})", "start dropstitch run --goals"
+        ) from None
+    return connection
+
+
+def _path_of(address: str) -> Path:
+    if not address.startswith(PREFIX) or len(address) == len(PREFIX):
+        raise InputError("--goals", f"is {address!r}", f"give {PREFIX}PATH")
+    return Path(address.removeprefix(PREFIX))
+
+
+def _remove_old(path: Path) -> None:
+    """Remove a socket that nobody listens on; with a listener it stays, and `bind` fails."""
+    if not path.exists() or not stat.S_ISSOCK(path.stat().st_mode):
+        return
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            path.unlink(missing_ok=True)

@@ -1,1 +1,0 @@
-"""Goals from another program: messages, channel, checks, shaping."""

@@ -1,0 +1,211 @@
+"""Goals that another program sends, one message per tick, checked and shaped.
+
+In a tick without a message the goals are extrapolated at their latest rate, in at most
+`limits.stale_ticks` - 1 consecutive ticks. A fault of the program leads to a controlled stop with a
+reason: a timeout, an answer to an old status, too many messages in a tick, an invalid message, a
+position out of reach, an angle or a rate beyond its limit, a closed connection. The supervisor
+checks the resulting goals like those of any source.
+
+With a map, tip positions become the goals at which the tip rests there, and all goals pass the
+zero-vibration shaper. Both depend on the estimated payload, which is followed at a limited rate.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.goals.goal_channel import GoalChannel
+from firmware_py.goals.goal_map import GoalMap, RestGoals
+from firmware_py.goals.goal_message import (
+    GoalMessage,
+    StatusMessage,
+    decode_goal,
+    encode_status,
+)
+from firmware_py.goals.zero_vibration import ZeroVibration
+from firmware_py.inference.estimator import Estimate
+from firmware_py.safety.limits import Limits
+from firmware_py.tick_log import Tick
+
+__all__ = ["OutsideGoals"]
+
+Array = NDArray[np.float64]
+MOST_IN_A_TICK: Final = 4
+"""Most messages in one tick; more are refused as a flood [assumed: the backlog of a program after a
+delay as long as goals may be stale]."""
+FIRST_WAIT_S: Final = 5.0
+"""Timeout for the first goal after the first status [assumed]."""
+PAYLOAD_RATE_KG_S: Final = 0.5
+"""Largest rate at which the estimated payload is followed, as in plans."""
+ENDLESS: Final = 1 << 62
+_ROUNDING: Final = 1.0 + 1e-6
+
+
+class OutsideGoals:
+    """Goals of another program as `firmware_py.goals.goal_source.GoalSource`.
+
+    The arm waits with all goals at zero for the first message, whose goals must begin there.
+
+    `goal_map`: goals at rest and modes; without it only joint goals are accepted, unshaped.
+    `payload_kg`: known payload; None follows the estimate, starting in the middle of the map.
+    `note`: sentence on a difference between the plants of map and bundle.
+    """
+
+    def __init__(
+        self, channel: GoalChannel, limits: Limits, dof: int, period_s: float,
+        goal_map: GoalMap | None = None, payload_kg: float | None = None, note: str = "",
+    ) -> None:  # fmt: skip
+        self.dof, self.slots, self.lead = dof, ENDLESS, 0
+        self.trouble = self.ended = ""
+        self.note = note
+        self._channel, self._limits, self._period_s = channel, limits, period_s
+        self._rest = RestGoals(goal_map) if goal_map else None
+        self._known = payload_kg is not None
+        self.payload_kg = 0.0
+        self._shaper: ZeroVibration | None = None
+        if self._rest is not None:
+            low, high = self._rest.lowest_kg, self._rest.highest_kg
+            self.payload_kg = 0.5 * (low + high) if payload_kg is None else payload_kg
+            self._shaper = ZeroVibration([0.0] * dof, self._rest.longest_s, period_s)
+        self._slot, self._told, self._answered = -1, -1, -1
+        self._missing = 0
+        self._wanted, self._rate = [0.0] * dof, [0.0] * dof
+        self._goal, self._before = np.zeros(dof), np.zeros(dof)
+
+    def heed(self, estimate: Estimate, step_s: float) -> None:
+        """Follow the estimated payload at a limited rate; ignore one that is not finite."""
+        if self._rest is None or self._known or not math.isfinite(estimate.payload_kg):
+            return
+        wanted = min(max(estimate.payload_kg, self._rest.lowest_kg), self._rest.highest_kg)
+        most = PAYLOAD_RATE_KG_S * step_s
+        self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
+
+    def at(self, slot: int) -> Array:
+        """Return the goals of a slot, shape (dof,); zero before slot 0.
+
+        The first call for a slot also processes the messages received.
+        """
+        if slot < 0 or slot <= self._slot:
+            return self._goal if slot == self._slot else self._before
+        steps, self._slot = min(slot - self._slot, 100), slot
+        if not (self.trouble or self.ended):
+            self._hear(slot, steps)
+        self._goal[:] = self._shaped(steps)
+        return self._goal
+
+    def report(self, tick: Tick, reason: str) -> None:
+        """Send the program the status after a tick; see `GoalSource.report`."""
+        if tick.slot < 0:
+            return
+        payload, tip = tick.estimate.payload_kg, tick.prediction.tip_m
+        self._channel.send(encode_status(StatusMessage(
+            tick.slot, tick.slot * self._period_s, tick.state.name, tuple(tick.goal_rad.tolist()),
+            tuple(tick.angle_rad.tolist()), tuple(tip.tolist()), bool(tick.prediction.in_range),
+            payload if math.isfinite(payload) else None, reason,
+        )))  # fmt: skip
+        self._told = tick.slot
+
+    def _hear(self, slot: int, steps: int) -> None:
+        """Receive and check the messages of this tick, and follow the newest goals."""
+        found = self._channel.receive(MOST_IN_A_TICK + 1)
+        if len(found) > MOST_IN_A_TICK:
+            self._refuse(f"sends more than {MOST_IN_A_TICK} goals in a tick")
+            return
+        newest: list[float] | None = None
+        ends = False
+        for data in found:
+            message = decode_goal(data, self.dof)
+            if isinstance(message, str):
+                self._refuse(f"sends a message that {message}")
+                return
+            if not self._answered <= message.tick <= self._told:
+                told = f"after {self._answered} of {self._told}"
+                self._refuse(f"answers status {message.tick}, {told}")
+                return
+            self._answered, ends = message.tick, message.end
+            if ends:
+                break
+            if (newest := self._permitted(message)) is None:
+                return
+        if newest is not None and slot - self._answered > self._limits.stale_ticks:
+            self._refuse(f"sends goals that are {slot - self._answered} ticks old")
+        elif newest is not None:
+            self._missing = 0
+            self._take(newest)
+        elif not ends and self._channel.gone:
+            self._refuse("has gone")
+        elif not ends:
+            self._miss(slot, steps)
+        if ends and not self.trouble:
+            self.ended = "the program that sends the goals has ended the run"
+
+    def _refuse(self, what: str) -> None:
+        self.trouble = f"the program that sends the goals {what}"
+        self._rate = [0.0] * self.dof
+
+    def _miss(self, slot: int, steps: int) -> None:
+        """Extrapolate the goals at their latest rate, until they are stale."""
+        if self._answered < 0:
+            if slot * self._period_s > FIRST_WAIT_S:
+                self._refuse(f"has sent none within {FIRST_WAIT_S:g} s")
+            return
+        self._missing += steps
+        if self._missing >= self._limits.stale_ticks:
+            self._refuse(f"has sent none for {self._missing} ticks")
+            return
+        low, high = self._limits.angle_rad
+        ahead_s = steps * self._period_s
+        pairs = zip(self._wanted, self._rate, strict=True)
+        self._wanted = [min(max(at + ahead_s * rate, low), high) for at, rate in pairs]
+
+    def _permitted(self, message: GoalMessage) -> list[float] | None:
+        """Return the goals of a message; None, with `trouble` set, if the arm must not go there."""
+        goals = list(message.joint_rad or ())
+        if message.tip_m is not None:
+            if self._rest is None:
+                self._refuse("sends places of the tip, but there is no map (--goal-map)")
+                return None
+            found = self._rest.goals_rad(message.tip_m, self.payload_kg)
+            if found is None:
+                place = ", ".join(f"{v:g}" for v in message.tip_m)
+                self._refuse(f"wants the tip at ({place}) m, which is out of reach")
+                return None
+            goals = found
+        low, high = self._limits.angle_rad
+        for joint, value in enumerate(goals):
+            if not low <= value <= high:
+                what = f"at {value:g} rad, outside {low:g} to {high:g} rad (limits.angle_rad)"
+                self._refuse(f"wants joint {joint + 1} {what}")
+                return None
+        return goals
+
+    def _take(self, goals: list[float]) -> None:
+        """Follow goals, unless their rate exceeds the limit."""
+        most = self._limits.rate_rad_s
+        rates = []
+        for joint, (value, before) in enumerate(zip(goals, self._wanted, strict=True)):
+            rate = (value - before) / self._period_s
+            if not abs(rate) <= most * _ROUNDING:
+                what = f"at {rate:.4g} rad/s, the limit is {most:g} rad/s (limits.rate_rad_s)"
+                self._refuse(f"moves joint {joint + 1} {what}")
+                return
+            rates.append(rate)
+        self._wanted, self._rate = goals, rates
+
+    def _shaped(self, steps: int) -> list[float]:
+        result = self._wanted
+        if self._shaper is None or self._rest is None:
+            pairs = zip(result, self._rate, strict=True)
+            self._before[:] = [at - self._period_s * rate for at, rate in pairs]
+            return result
+        half_period_s, decay = self._rest.mode(self.payload_kg)
+        self._before[:] = self._goal
+        for step in range(steps):
+            if step:
+                self._before[:] = result
+            result = self._shaper.next(self._wanted, half_period_s, decay)
+        return result

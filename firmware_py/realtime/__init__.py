@@ -1,1 +1,0 @@
-"""Real time: clocks, timing statistics, doctor checks and notification of systemd."""

@@ -1,0 +1,1 @@
+"""The robot PC: clock, timing, checks of the doctor, service, stop signals."""

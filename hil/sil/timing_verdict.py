@@ -1,0 +1,220 @@
+"""Timing verdict of a run: pass, fail or inconclusive, from its missed deadlines and their causes.
+
+`hil.sil.deadline_misses` attributes each miss to the host or to the loop. The verdicts with
+their exit codes:
+
+==================== ==== =======================================================================
+pass                 0    no miss is the loop's own, and all misses together bound the miss rate
+                          below the one asked for, with 95 % confidence
+fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
+inconclusive         3    the host caused the misses, or spoiled every tick for which the supervisor
+                          stopped the robot; or a signal ended the run, or it was too short for the
+                          miss rate asked for
+==================== ==== =======================================================================
+
+A host that preempts the loop without a miss does not spoil a pass: the loop met every deadline in
+spite of it. A tick counts as preempted if its certain host time is `PREEMPTED_NS` or more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, ClassVar, Final
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.core.documents import Document
+from firmware_py.core.signals import STAGES
+from firmware_py.safety.stop_reason import Fault
+from firmware_py.system.percentiles import Nanoseconds, Percentiles
+from firmware_py.system.timing import Cause, miss_rate_bound
+from hil.emulator.emulator import Releases
+from hil.sil.cpu_accounts import ProbeRecord
+from hil.sil.deadline_misses import Miss, find_misses, host_time_ns, stopped_by_host
+from hil.verdict import JUnitCase, Verdict, junit_xml
+
+__all__ = ["MISS_RATE", "TimingVerdict", "judge_timing", "slots_needed", "timing_junit"]
+
+PREEMPTED_NS: Final = 500_000
+"""Certain host time at which a tick counts as preempted: half of the cost budget."""
+MISS_RATE: Final = 1e-3
+"""Miss rate that a run in real time bounds by default, with 95 % confidence."""
+
+
+class TimingTargets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Limits of a run."""
+
+    period_ns: int  # Control period
+    # Miss rate that the run has to bound with 95 % confidence; 1 asks for none
+    miss_rate: float = 1.0
+
+
+class HostTime(Percentiles, frozen=True, kw_only=True):
+    """Certain host time of a tick, and how many ticks count as preempted."""
+
+    preempted_ticks: int  # Number of ticks that count as preempted by the host
+    preempted_fraction: float  # Fraction of ticks that count as preempted by the host
+
+
+class TimingVerdict(Document, frozen=True, kw_only=True):
+    """Verdict on the timing of a run; the first part of `timing.json`."""
+
+    VERSION: ClassVar[int] = 3
+
+    verdict: Verdict
+    reason: str  # One sentence that explains the verdict
+    stopped: str  # Reason for which the safety supervisor stopped the robot; empty if it did not
+    # Signal that ended the run early, and the slots completed by then; empty if none did
+    interrupted: str = ""
+    budget: TimingTargets  # Limits
+    slots: int  # Number of slots, including lost ones
+    ticks: int  # Number of ticks that ran
+    stages: dict[str, Percentiles]  # Duration of each stage of a tick
+    tick: Percentiles  # Duration of a tick
+    own_cost: Percentiles  # Duration of a tick without its wait for the bus
+    bus_wait: Percentiles  # Wait for the bus in a tick
+    lateness: Percentiles  # Lateness of the wake-up
+    host: HostTime  # Certain host time of a tick
+    misses: int  # Number of lost slots
+    own_misses: int  # Number of lost slots that are not attributed to the host
+    longest_run_of_misses: int  # Largest number of slots lost in a row
+    causes: dict[Cause, int]  # Number of lost slots by cause
+    missed: tuple[Miss, ...]  # Every tick that ended after its slot
+    miss_rate_upper_bound_95: float  # Upper bound on the miss rate with 95 % confidence
+    # Upper bound with 95 % confidence on the rate of misses that are not attributed to the host
+    own_miss_rate_upper_bound_95: float
+
+
+def judge_timing(
+    records: NDArray[np.void],
+    period_s: float,
+    loop_cpu: ProbeRecord | None = None,
+    line_cpu: ProbeRecord | None = None,
+    releases: Releases | None = None,
+    stopped: str = "",
+    faults: Collection[Fault] = (),
+    interrupted: str = "",
+    miss_rate: float = 1.0,
+) -> TimingVerdict:
+    """Judge the timing of a run from its `records`, shape (n,).
+
+    `stopped` is the reason of the safety supervisor for a stop, `faults` what it detected;
+    `interrupted` names a signal that ended the run early. They are empty otherwise. `miss_rate` is
+    the one that the run has to bound; 1 asks for none, as in simulated time.
+    """
+    targets = TimingTargets(period_ns=round(period_s * 1e9), miss_rate=miss_rate)
+    certain_ns, possible_ns = host_time_ns(
+        records, loop_cpu or ProbeRecord(), line_cpu or ProbeRecord(), releases or Releases()
+    )
+    misses = find_misses(records, possible_ns, targets.period_ns)
+    causes = {cause: sum(m.slots for m in misses if m.cause is cause) for cause in Cause}
+    lost = sum(causes.values())
+    own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
+    host = _host_time(certain_ns)
+    excused = bool(faults) and not own and stopped_by_host(records, possible_ns, faults)
+    verdict, reason = _decide(
+        stopped, own, lost, slots, targets, excused=excused, interrupted=interrupted
+    )
+    return TimingVerdict(
+        schema=TimingVerdict.VERSION,
+        verdict=verdict, reason=reason, stopped=stopped, interrupted=interrupted,
+        budget=targets, slots=slots, ticks=len(records),
+        stages={name: Percentiles.of(records[f"{name}_ns"]) for name in STAGES},
+        tick=Percentiles.of(records["busy_ns"]),
+        own_cost=Percentiles.of(records["busy_ns"] - records["bus_wait_ns"]),
+        bus_wait=Percentiles.of(records["bus_wait_ns"]),
+        lateness=Percentiles.of(records["lateness_ns"]),
+        host=host,
+        misses=lost,
+        own_misses=own,
+        longest_run_of_misses=max((m.slots for m in misses), default=0),
+        causes=causes,
+        missed=tuple(misses),
+        miss_rate_upper_bound_95=miss_rate_bound(lost, slots),
+        own_miss_rate_upper_bound_95=miss_rate_bound(own, slots),
+    )  # fmt: skip
+
+
+def _host_time(certain_ns: Nanoseconds) -> HostTime:
+    preempted = int(np.count_nonzero(certain_ns >= PREEMPTED_NS))
+    return HostTime.of(
+        certain_ns,
+        preempted_ticks=preempted,
+        preempted_fraction=preempted / max(len(certain_ns), 1),
+    )
+
+
+def _decide(
+    stopped: str,
+    own: int,
+    lost: int,
+    slots: int,
+    targets: TimingTargets,
+    *,
+    excused: bool,
+    interrupted: str,
+) -> tuple[Verdict, str]:
+    """Return the verdict and its reason by the module's table."""
+    if excused:
+        return Verdict.INCONCLUSIVE, (
+            f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
+        )
+    if stopped:
+        return Verdict.FAIL, f"the safety supervisor stopped the robot: {stopped}"
+    if own:
+        return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
+    if interrupted:
+        return Verdict.INCONCLUSIVE, f"{interrupted}: run it to its end"
+    bound, rate = miss_rate_bound(lost, slots), targets.miss_rate
+    missed = f"{lost} of {slots} deadlines missed" if lost else f"all {slots} deadlines met"
+    if bound <= rate and (lost == 0 or rate < 1.0):
+        sure = f"with 95 % confidence fewer than 1 in {1 / bound:.0f} is late"
+        return Verdict.PASS, f"{missed}; {sure}"
+    if lost:
+        return Verdict.INCONCLUSIVE, f"{missed}, all by the host: run it on a calmer one"
+    least_s = slots_needed(rate) * targets.period_ns * 1e-9
+    return Verdict.INCONCLUSIVE, (
+        f"{missed}, too few for a miss rate of {rate:g}: run {math.ceil(least_s)} s, or ask for "
+        f"--miss-rate {bound:.1g}"
+    )
+
+
+def slots_needed(miss_rate: float) -> int:
+    """Slots without a miss that bound a miss rate with 95 % confidence."""
+    return math.ceil(math.log(0.05) / math.log1p(-miss_rate)) if miss_rate < 1.0 else 1
+
+
+def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
+    """Return the verdict as JUnit XML, one test case per question."""
+    own = [miss for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
+    inconclusive = timing.verdict is Verdict.INCONCLUSIVE
+    stopped = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL
+    questions: Sequence[tuple[str, Verdict, str]] = (
+        ("the robot is not stopped", stopped if timing.stopped else Verdict.PASS, timing.stopped),
+        (
+            "no signal ends the run early",
+            Verdict.INCONCLUSIVE if timing.interrupted else Verdict.PASS,
+            timing.interrupted,
+        ),
+        (
+            "the loop misses no deadline by its own time",
+            Verdict.FAIL if timing.own_misses else Verdict.PASS,
+            "\n".join(map(str, own)),
+        ),
+        (
+            "the run bounds the miss rate",
+            Verdict.INCONCLUSIVE if inconclusive and not timing.interrupted else Verdict.PASS,
+            f"{timing.misses} misses by the host, {timing.host.preempted_ticks} ticks preempted",
+        ),
+    )
+    properties = {
+        "verdict": timing.verdict.value,
+        "own_cost_p99_ns": timing.own_cost.p99_ns,
+        "own_miss_rate_upper_bound_95": timing.own_miss_rate_upper_bound_95,
+        **(facts or {}),
+    }
+    cases = [JUnitCase(name, verdict, timing.reason, text) for name, verdict, text in questions]
+    return junit_xml("sil", cases, properties)

@@ -1,1 +1,0 @@
-"""Timing of a run: verdict, tick budget, processor accounts and reference jitter."""

@@ -1,0 +1,170 @@
+"""Files of every wrong kind: one sentence each, and nothing allocated before it."""
+
+import json
+import os
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.config import read_config
+from firmware_py.core import input_files
+from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
+from firmware_py.core.motion_document import read_motion_document
+from firmware_py.inference.manifest import MANIFEST
+from firmware_py.summary import read_run_summary
+from models.plan.paths import read_path
+from models.plant.plant import read_plant
+from models.rig.parameters import read_parameters
+from models.trials.recordings.mapping import read_mapping
+
+READERS = {
+    "robot.toml": read_config, "motion.toml": read_motion_document, "plant.toml": read_plant,
+    "plant.json": read_plant, "rig.toml": read_parameters, "map.toml": read_mapping,
+    "run.timing.json": read_run_summary, "path.csv": lambda path: read_path(path, 2, 0.017),
+}  # fmt: skip
+HOSTILE = {
+    "Latin-1": "schema = 'é'".encode("latin-1"), "zeros": bytes(100), "nothing": b"",
+    "nested lists": b"a = " + b"[" * 50_000, "nested objects": b'{"a":' * 50_000,
+    "many digits": b'{"schema": ' + b"9" * 10_000 + b"}", "dotted": b"a." * 100_000 + b"a = 1",
+    "digits in TOML": b"schema = " + b"9" * 10_000, "infinite": b'{"schema": 1e999}',
+    "a list": b"[1, 2]", "huge integer": b'{"schema": 1, "ticks": ' + b"9" * 400 + b"}",
+}  # fmt: skip
+
+
+def sentence(read, path):
+    with pytest.raises(InputError) as refused:
+        read(path)
+    text = str(refused.value)
+    assert text.startswith(f"{path}: ") and text.endswith(".") and text.isprintable()
+    return text
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_every_reader_refuses_what_is_no_such_file_in_one_sentence(tmp_path, name):
+    path = tmp_path / name
+    assert "is missing" in sentence(READERS[name], path)
+    path.mkdir()
+    assert "is no file but a directory" in sentence(READERS[name], path)
+    path.rmdir()
+    os.mkfifo(path)  # without a writer; opening it must not wait
+    assert "is no file but a device or a pipe" in sentence(READERS[name], path)
+    path.unlink()
+    for kind, content in HOSTILE.items():
+        if kind != "nothing" or name not in ("map.toml", "rig.toml"):  # these have defaults
+            path.write_bytes(content)
+            sentence(READERS[name], path)
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith(".toml")])
+def test_toml_of_a_windows_editor_is_read_or_told_its_encoding(tmp_path, name):
+    """A byte order mark changes nothing; UTF-16 and ANSI are told as what they are."""
+    path = tmp_path / name
+    path.write_text("schema == 1", encoding="utf-8-sig")  # the same complaint as without the mark
+    assert "at line 1, column 9" in sentence(READERS[name], path)
+    path.write_text("schema = 1", encoding="utf-16")
+    assert sentence(READERS[name], path).endswith("is UTF-16 text; save it as UTF-8.")
+    path.write_text("# 30°", encoding="latin-1")
+    assert sentence(READERS[name], path).endswith("; save it as UTF-8.")
+
+
+@pytest.mark.parametrize("digits", ["1" + "0" * 400, "-1" + "0" * 25, "0x" + "f" * 4000])
+@pytest.mark.parametrize("name", [name for name in READERS if name.endswith(".toml")])
+def test_an_integer_of_toml_has_at_most_64_bits(tmp_path, name, digits):
+    path = tmp_path / name
+    path.write_text(f"schema = 1\n[deep]\nvalues = [{{ a = {digits} }}]\n", encoding="utf-8")
+    assert "deep.values.a is an integer beyond 64 bits" in sentence(READERS[name], path)
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[trial]\nmotion = "é"\n', encoding="utf-8-sig")
+    assert read_toml(path) == {"trial": {"motion": "é"}}
+
+
+def test_a_file_above_the_limit_is_not_read(tmp_path):
+    path = tmp_path / "sparse"
+    path.touch()
+    os.truncate(path, input_files.MOST_BYTES + 1)
+    assert "is larger than 100 MB" in sentence(lambda p: read_bytes(p, "divide it"), path)
+    assert "is larger than 1 MB" in sentence(read_toml, path)
+    assert "is larger than 64 MB" in sentence(lambda p: read_json(p, "divide it"), path)
+
+
+def test_the_values_of_json_are_counted_before_it_is_decoded(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_bytes(b"[" + b"[]," * input_files.MOST_JSON_LISTS + b"[]]")
+    assert "lists and objects" in sentence(lambda p: read_json(p, "divide it"), path)
+    path.write_bytes(b"[" + b"0," * input_files.MOST_JSON_VALUES + b"0]")
+    assert "values" in sentence(lambda p: read_json(p, "divide it"), path)
+
+
+def test_a_name_that_stands_twice_in_an_object_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"time": [1, 2], "time": [3, 4]}')
+    assert "'time' stands twice" in sentence(lambda p: read_json(p, "correct it"), path)
+
+
+def test_a_line_without_end_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"," * (input_files.LONGEST_LINE + 2))
+    assert "a line of more than" in sentence(lambda p: list(read_lines(p, "")), path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_lines_of_a_table_are_read_by_their_byte_order_mark(tmp_path, encoding):
+    path = tmp_path / "a.csv"
+    path.write_text("ä,b\r\n1,2\r\n", encoding=encoding, newline="")
+    assert list(read_lines(path, "")) == ["ä,b\r\n", "1,2\r\n"]
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfea\x00b", "ä,b".encode("latin-1")])
+def test_lines_in_another_encoding_or_cut_off_are_refused(tmp_path, content):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    assert sentence(lambda p: list(read_lines(p, "")), path).endswith("save it as UTF-8.")
+
+
+def test_a_name_with_a_nul_is_refused():
+    with pytest.raises(InputError, match="is no file name"):
+        read_text("a\0b", "name a file")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("real_time.cpu", -1), ("bundle", "a\0b"), ("logs", "a\nb"), ("bus.port", "/dev/\x1b[0m")],
+)
+def test_a_robot_refuses_processors_and_paths_that_cannot_be(tmp_path, key, value):
+    robot = {"bundle": "b", "bus": {"port": "p"}, "servos": [{"id": 1, "model": "XM430-W350"}]}
+    table, _, name = key.rpartition(".")
+    (robot.setdefault(table, {}) if table else robot)[name] = value
+    path = tmp_path / "robot.toml"
+    path.write_bytes(msgspec.toml.encode(robot))
+    assert key in sentence(read_config, path)
+
+
+def test_texts_of_libraries_and_files_stay_on_one_line():
+    error = InputError("a\nb", "first\nsecond\x1b[31m" + "x" * 5000, "do\tthis")
+    assert str(error).isprintable() and len(str(error)) < 2000
+    assert str(error).startswith("a b: first second\\x1b[31m")
+
+
+@pytest.mark.parametrize("kind", ["Latin-1", "directory"])
+def test_a_manifest_of_another_kind_is_refused(tmp_path, kind):
+    from firmware_py.inference.bundle import ModelBundle
+
+    file = tmp_path / MANIFEST
+    if kind == "directory":
+        file.mkdir()
+    else:
+        file.write_bytes('{"é": 1}'.encode("latin-1"))
+    with pytest.raises(InputError, match=MANIFEST):
+        ModelBundle.load(tmp_path)
+
+
+def test_a_table_reads_as_before(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"a": [1.5, None], "b": float("nan")}))
+    found = read_json(path, "")
+    assert found["a"] == [1.5, None] and np.isnan(found["b"])

@@ -1,0 +1,168 @@
+"""Motion files, a kind or a Fourier series: their checks, and the goals that follow."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from firmware_py.config import read_config
+from firmware_py.core.errors import InputError
+from firmware_py.core.motion import Motion
+from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion_document import JointSeries, MotionDocument, read_motion_document
+
+FILE = """
+schema = 1
+duration_s = 10.0
+harmonics = [0, 1, 3]
+payload_kg = 1.0
+[[joints]]
+sine_rad = [0.0, 0.2, 0.05]
+cosine_rad = [0.1, -0.1, 0.02]
+"""
+
+ROBOT = """
+bundle = "b"
+[bus]
+port = "p"
+[[servos]]
+id = 1
+model = "XM430-W350"
+[motion]
+file = "motion.toml"
+"""
+
+
+@pytest.fixture
+def motion_file(tmp_path):
+    path = tmp_path / "motion.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_the_goals_are_the_series_between_rest_at_zero_and_rest_at_zero(motion_file):
+    motion = Motion.designed(read_motion_document(motion_file))
+    at = 2 * np.pi * 0.4
+    inside = 0.1 + 0.2 * np.sin(at) - 0.1 * np.cos(at)
+    inside += 0.05 * np.sin(3 * at) + 0.02 * np.cos(3 * at)
+    np.testing.assert_allclose(motion.goal_rad(4.0), [inside], rtol=1e-12)
+    step_s = 1e-4
+    start = motion.goal_rad(step_s * np.arange(-2, 3))[:, 0]
+    end = motion.goal_rad(10.0 + step_s * np.arange(-2, 3))[:, 0]
+    for ends in (start, end):
+        assert np.max(np.abs(np.diff(ends))) / step_s < 1e-3  # at rest: the window has no slope
+    assert not np.any(motion.goal_rad([-1.0, 0.0, 10.0, 12.0]))
+    assert motion.duration_s == 10.0
+    assert motion.amplitude_rad == pytest.approx(np.max(np.abs(motion.table_rad(1e-3))), rel=1e-4)
+
+
+def test_the_name_tells_series_apart_and_nothing_else(motion_file):
+    document = read_motion_document(motion_file)
+    same = msgspec.structs.replace(document, notes="another note", payload_kg=2.0)
+    assert same.name == document.name
+    other = msgspec.structs.replace(document, duration_s=11.0)
+    assert other.name != document.name
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("schema = 1", "schema = 7", "schema version 7"),
+        ("schema = 1", "", "no schema version"),
+        ("duration_s = 10.0", "duration_s = 0.0", "lasts 0 s"),
+        ("harmonics = [0, 1, 3]", "harmonics = [1, 1, 3]", "harmonics that differ"),
+        ("harmonics = [0, 1, 3]", "harmonics = [0, 1, 300]", "above 10 Hz"),
+        ("[0.0, 0.2, 0.05]", "[0.0, 0.2]", "3 coefficients"),
+        ("[0.0, 0.2, 0.05]", "[0.0, nan, 0.05]", "not finite"),
+        ("[0.0, 0.2, 0.05]", "[0.0, 2.0, 0.05]", "more than 1.57 rad"),
+        ("[[joints]]", "[joint]", "is no motion"),
+        ("schema = 1", "schema =", "is not TOML"),
+        ("payload_kg = 1.0", "payload_kg = -1.0", "payload of -1 kg"),
+    ],
+)
+def test_a_wrong_file_gives_one_sentence(tmp_path, before, after, sentence):
+    path = tmp_path / "motion.toml"
+    path.write_text(FILE.replace(before, after))
+    with pytest.raises(InputError, match=sentence):
+        read_motion_document(path)
+
+
+def test_a_missing_file_gives_one_sentence(tmp_path):
+    with pytest.raises(InputError, match=r"motion\.toml"):
+        read_motion_document(tmp_path / "motion.toml")
+
+
+def test_robot_toml_names_a_motion_file_beside_it(tmp_path, motion_file):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(ROBOT)
+    config = read_config(robot)
+    design = read_motion_document(motion_file)
+    rest = round(config.motion.rest_s / config.period_s)
+    expected = Motion.designed(design).table_rad(config.period_s, rest)
+    np.testing.assert_array_equal(config.goals_rad(), expected)
+    again = config.goals_rad(repeated=True)
+    np.testing.assert_array_equal(again[len(expected) :], 0.0)
+
+
+def test_a_motion_beyond_the_limits_is_refused(tmp_path):
+    (tmp_path / "motion.toml").write_text(FILE.replace("[0.0, 0.2, 0.05]", "[0.0, 0.2, 0.9]"))
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    with pytest.raises(InputError, match=r"limit|outside"):
+        read_config(tmp_path / "robot.toml").goals_rad()
+
+
+def test_a_motion_for_other_joints_is_refused(tmp_path, motion_file):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(
+        ROBOT.replace("[motion]", '[[servos]]\nid = 2\nmodel = "XM430-W350"\n[motion]')
+    )
+    with pytest.raises(InputError, match=r"has 1 joints, the robot 2"):
+        read_config(robot).goals_rad()
+
+
+def test_the_command_line_takes_a_kind_or_a_file(tmp_path, motion_file):
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    motion = read_config(tmp_path / "robot.toml").motion
+    assert motion.with_motion("triangle").motion(1).name == "triangle"
+    assert motion.with_motion(str(motion_file)).motion(1).name.startswith("designed-")
+    with pytest.raises(InputError, match="no kind of motion and no file"):
+        motion.with_motion("circle")
+
+
+KIND_FILE = """
+schema = 1
+kind = "triangle"
+amplitude_rad = 0.2
+period_s = 3.0
+payload_kg = 1.0
+"""
+
+
+def test_a_file_may_name_a_kind_of_motion(tmp_path):
+    (tmp_path / "robot.toml").write_text(ROBOT + "rest_s = 0.5\n")
+    (tmp_path / "motion.toml").write_text(KIND_FILE)
+    motion = read_config(tmp_path / "robot.toml").motion
+    assert motion.motion(1) == Motion("triangle", 0.2, 3.0) and motion.rest_s == 0.5
+    again = MotionConfig(kind="steps").with_motion(str(tmp_path / "motion.toml"))
+    assert again.motion(2) == Motion("triangle", 0.2, 3.0, dof=2)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("schema = 1", "schema = 7", "schema version 7"),
+        ('"triangle"', '"circle"', "is no motion"),
+        ("amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
+        ("period_s = 3.0", "", "period_s"),
+        ("period_s = 3.0", "duration_s = 3.0", "duration_s"),
+    ],
+)
+def test_a_wrong_kind_gives_one_sentence(tmp_path, before, after, sentence):
+    (tmp_path / "motion.toml").write_text(KIND_FILE.replace(before, after))
+    with pytest.raises(InputError, match=sentence):
+        MotionConfig().with_motion(str(tmp_path / "motion.toml"))
+
+
+def test_two_joints_have_their_own_series():
+    series = [JointSeries(sine_rad=(a,), cosine_rad=(0.0,)) for a in (0.1, 0.2)]
+    document = MotionDocument(schema=1, duration_s=4.0, harmonics=(1,), joints=tuple(series))
+    np.testing.assert_allclose(Motion.designed(document).goal_rad(1.0), [0.1, 0.2])
