@@ -274,7 +274,7 @@ REQUIREMENTS: Final = (
     SafetyRequirement(
         "SR-29", "Another program that sends wrong goals, or none, ends in a controlled stop.",
         (
-            f"{_T}/goals/outside/test_outside_goals.py::"
+            f"{_T}/goals/test_outside_goals.py::"
             "test_what_is_wrong_with_the_program_ends_in_a_controlled_stop",
         ),
         ("program that sends the goals",),
