@@ -25,7 +25,6 @@ from models.gap.decision.written_fit import PlantWriter, WrittenFit
 from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import NuisanceFit, nuisance_fit_of
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.improved_plant import improved_plant
 from models.gap.outliers import OddTrial, odd_trials, without_odd
 from models.gap.residuals.fit_parameters import (
@@ -110,7 +109,7 @@ class Diagnosis:
 
     @property
     def floor(self) -> NoiseFloor:
-        """Noise floor as measured, at the change of the link."""
+        """Noise floor as measured."""
         return self.nuisance.measured.floor
 
     @property
@@ -149,7 +148,6 @@ def diagnose(
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
     floor: NoiseFloor | None = None,
-    patterns: Sequence[ModelDiscrepancy] = (),
 ) -> Diagnosis:
     """Find and name the effects that a plant lacks, and add them to it.
 
@@ -167,9 +165,6 @@ def diagnose(
         What the user states, and limits.
     floor : NoiseFloor, optional
         Noise floor to use instead of the plant file's.
-    patterns : sequence of ModelDiscrepancy
-        Patterns of the plant's own error on such trials, where they were measured
-        (`models.gap.calibration`).
 
     Returns
     -------
@@ -190,7 +185,7 @@ def diagnose(
         while True:
             recorded = without_odd(trials, odd)
             used = in_time_blocks(plant, aligned(recorded))
-            nuisance = _nuisance_fit(plant, used, catalogue, settings, floor, patterns)
+            nuisance = _nuisance_fit(plant, used, catalogue, settings, floor)
             naming = _naming(nuisance, settings, report)
             more = _disturbed(nuisance, naming) if len(used) == len(recorded) else ()
             if not more:
@@ -246,16 +241,13 @@ def _nuisance_fit(
     catalogue: Sequence[str],
     settings: GapSettings,
     floor: NoiseFloor | None,
-    patterns: Sequence[ModelDiscrepancy],
 ) -> NuisanceFit:
     """What the plant misses although link, set-up and variation are refitted."""
     parameters = all_fit_parameters(
-        plant, trials.trials, catalogue, is_known_elsewhere(plant, trials)
+        plant, trials.trials, catalogue, is_known_elsewhere(plant, trials), settings.same_link
     )
     residuals = Residuals(plant, trials.trials, parameters)
-    return nuisance_fit_of(
-        residuals, floor or noise_floor_for(residuals, patterns), settings.same_link
-    )
+    return nuisance_fit_of(residuals, floor or noise_floor_for(residuals))
 
 
 def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress) -> Naming:

@@ -8,7 +8,6 @@ low-pass filter of a live capture, 5 or 17 hinges, the rod.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -82,12 +81,6 @@ LINK_DEVIATION: Final = {
 """Standard deviation of the logarithm of a value between two links of a rig [assumed]."""
 
 
-def without_scatter(rig: RigParameters) -> RigParameters:
-    """Rig whose trials have neither noise nor variation."""
-    noise = ("sensor.current_noise_a", "sensor.marker_noise_m", "sensor.mocap_jitter_s")
-    return rig.changed(**{n: 0.0 for n in rig if n in noise or n.startswith("variation.")})
-
-
 def rig_named(name: str) -> RigParameters:
     """Return a rig by name.
 
@@ -108,41 +101,27 @@ def rig_named(name: str) -> RigParameters:
     False
     """
     if name.startswith(PREFIX):
-        return drawn_link(_drawn_number(name), 0)
+        return _drawn_rig(_drawn_number(name))
     path = Path(name)
     if path.is_file() and describes_link(read_toml(path, "name a rig or a link")):
         return rig_of_link(read_link(path), path)
     return read_rig(name)
 
 
-def drawn_link(number: int, link: int, make: RigParameters | None = None) -> RigParameters:
-    """Rig drawn around the values of `make`, by default the study's, with one of its links.
-
-    Link 0 is the one that the rig is drawn with.
-    """
-    rig = read_rig("default") if make is None else make
-    rng = np.random.default_rng([SEED, number])
-    values = _spread(rig, LOG_DEVIATION, rng)
+def _drawn_rig(number: int) -> RigParameters:
+    """Rig drawn around the values of the study's."""
+    rig, rng = read_rig("default"), np.random.default_rng([SEED, number])
+    values = {
+        name: rig[name] * float(np.exp(sigma * rng.standard_normal()))
+        for name, sigma in LOG_DEVIATION.items()
+    }
     forms: dict[str, str | int] = {}
     for name, among in DRAWN.items():
         if isinstance(among, Range):
             values[name] = float(rng.uniform(among.low, among.high))
         else:
             forms[name] = among[int(rng.integers(len(among)))]
-    rig = replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
-    if not link:
-        return rig
-    rng = np.random.default_rng([SEED, number, link])
-    return rig.changed(**_spread(rig, LINK_DEVIATION, rng))
-
-
-def _spread(
-    rig: RigParameters, deviation: Mapping[str, float], rng: np.random.Generator
-) -> dict[str, float]:
-    return {
-        name: rig[name] * float(np.exp(sigma * rng.standard_normal()))
-        for name, sigma in deviation.items()
-    }
+    return replace(rig.changed(**values), structure=msgspec.convert(forms, RigStructure))
 
 
 def rig_purpose(name: str) -> Literal["tuning", "test"]:

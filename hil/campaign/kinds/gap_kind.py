@@ -18,9 +18,6 @@ class GapConfig(CaseConfig, frozen=True, kw_only=True):
     """Configuration of a diagnosis."""
 
     plant: str  # Identified plant with its noise floor
-    # Patterns of the plant's model error, from `dropstitch calibrate`; if empty, those that
-    # are shipped
-    patterns: str = ""
     rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
     # Strength of each effect hidden in the rig
     effects: dict[str, float] = msgspec.field(default_factory=dict)
@@ -46,10 +43,7 @@ class GapKind(CaseKind[GapConfig]):
     }
 
     def files(self, config: GapConfig) -> dict[str, str]:
-        found = {"plant": config.plant}
-        if config.patterns:
-            found["patterns"] = config.patterns
-        return found | ({"rig": config.rig} if Path(config.rig).is_file() else {})
+        return {"plant": config.plant} | ({"rig": config.rig} if Path(config.rig).is_file() else {})
 
     def check(self, config: GapConfig) -> None:
         check_effects_known(config.effects)
@@ -65,13 +59,11 @@ class GapKind(CaseKind[GapConfig]):
 
         from firmware_py.core.motion import Motion
         from models.gap.diagnosis import diagnose  # loads CasADi
-        from models.gap.estimation.own_error import read_patterns
         from models.plant.plant import read_plant
         from models.rig.protocol import TrialCase, run_case  # slow to import
         from models.trials.trial import TrialSet
 
         plant = read_plant(config.plant)
-        patterns = read_patterns(Path(config.patterns)) if config.patterns else ()
         rig = changed_rig(config.rig, config.factors).hide(config.effects)
         kind = next(k for k in MOTIONS if k == config.motion)
         trials = TrialSet(
@@ -82,7 +74,7 @@ class GapKind(CaseKind[GapConfig]):
             )
         )
         start_s = time.perf_counter()
-        found = diagnose(plant, trials, leave_out=config.leave_out, patterns=patterns)
+        found = diagnose(plant, trials, leave_out=config.leave_out)
         context.parts_s["diagnosis"] = time.perf_counter() - start_s
         values = found.fitted.parameters
         wanted = set(config.effects) - set(config.leave_out)

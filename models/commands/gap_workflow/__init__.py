@@ -1,1 +1,1 @@
-"""Commands of the gap workflow: calibrate, gap, experiment."""
+"""Commands of the gap workflow: gap, experiment."""

@@ -76,7 +76,6 @@ def run(args: argparse.Namespace) -> int:
     limits = _limits(args.config, trials[0].meta.dof)
     rig = read_rig(args.rig).hide(parse_strengths(args.hide)) if args.repeat else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.gap.calibration.files import patterns_beside
     from models.gap.experiment.experiment import experiment_in_words, rank_motions, write_motion
     from models.gap.experiment.experiment_page import write_experiment_page
     from models.gap.experiment.rival import rivals_of
@@ -85,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress("experiment", 0)
     found = rank_motions(
         rivals_of(document.hypotheses), plant, trials, limits, args.payloads, progress.step,
-        document.settings, patterns_beside(Path(inputs.plant), plant.sha256()),
+        document.settings,
     )  # fmt: skip
     write_motion(found.best, args.out)
     page = write_experiment_page(found, args.out.with_suffix(".html"))
@@ -182,7 +181,6 @@ def _diagnose_again(
     out: Path, plant: Plant, before: GapDocument, inputs: DiagnosisInputs, progress: Progress
 ) -> tuple[dict[str, Any], str]:
     """Diagnose all trials, that of the motion included; the hypotheses before and after."""
-    from models.gap.calibration.files import patterns_beside
     from models.gap.experiment.rival import credible_set, rivals_of
     from models.gap.report.diagnosis_files import write_diagnosis
 
@@ -192,7 +190,7 @@ def _diagnose_again(
     inputs = msgspec.structs.replace(inputs, trials_sha256=trials.content_sha256())
     *_, after, page = write_diagnosis(
         plant, trials, inputs, out.with_suffix("") / "gap", progress.step,
-        patterns=patterns_beside(Path(inputs.plant), plant.sha256()), settings=before.settings,
+        settings=before.settings,
     )  # fmt: skip
     first, second = (
         {r.label: round(r.probability, 4) for r in credible_set(rivals_of(d.hypotheses))}

@@ -43,8 +43,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--same-link", action="store_true",
-        help="the link is the one that the plant was identified on, unchanged since: fainter "
-        "effects of it are found then, as creep and hysteresis",
+        help="the link is the one that the plant was identified on, unchanged since: it is not "
+        "refitted then, and fainter effects show, as creep and hysteresis",
     )  # fmt: skip
 
 
@@ -53,7 +53,6 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_usable_trials(args.trials, plant.signals)
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.gap.calibration.files import patterns_beside
     from models.gap.report.diagnosis_files import write_diagnosis
     from models.gap.report.gap_json import DiagnosisInputs
     from models.gap.report.gap_words import gap_in_words
@@ -68,7 +67,6 @@ def run(args: argparse.Namespace) -> int:
                 f"--dof {args.dof}", "is the number of joints of no trial", "leave it out"
             )
     refuse_other_links(plant, args.plant, trials)
-    patterns = patterns_beside(args.plant, plant.sha256())
     progress = Progress("gap", 0)
     inputs = DiagnosisInputs(
         str(args.plant.resolve()), plant.sha256(), tuple(str(d.resolve()) for d in args.trials),
@@ -76,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     )  # fmt: skip
     settings = GapSettings(same_link=args.same_link)
     found, document, page = write_diagnosis(
-        plant, trials, inputs, args.out, progress.step, args.without, patterns, settings
+        plant, trials, inputs, args.out, progress.step, args.without, settings
     )
     progress.step("done", 0)
     emit(

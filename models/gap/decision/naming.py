@@ -1,11 +1,11 @@
 """Naming: the set of effects that explains the trials, from the rounds of the search.
 
-With a learned noise floor the first name is the candidate with the largest d′ after its refit, if
-it is more probably what is missing than not (`models.gap.decision.certainty`). Where it is not, it
-may stand for two effects: then the pair is tried that explains most. A larger set takes the place
-of a smaller one if the d′ that it adds exceeds what is reached where nothing is missing and a
-fraction of the d′ so far, the error of an equation, and if every strength is the same in all parts
-of the trials.
+With a learned noise floor the set begins with the candidate of the largest d′ after its refit. A
+larger set takes its place if the d′ that it adds exceeds what is reached where nothing is missing
+and a fraction of the d′ so far, the error of an equation, and if every strength is the same in all
+parts of the trials. Beside sets that add one candidate pairs are tried, since two effects may look
+like a third. The largest of these sets that is more probably what is missing than not is named
+(`models.gap.decision.certainty`).
 
 Without one the spectrum of the residual takes its place, which holds the gap itself. Then every
 effect that stands out from it competes by the error on what was left out
@@ -84,24 +84,19 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
         return certainty.answers_for(evidence_of(search, fit, certainty, scale)).catalogue
 
     rounds = [search.beside(search.nothing)]
-    best = search.settled(next(iter(rounds[0]), search.nothing))
-    named, pairs = search.nothing, None
-    if best.candidates and probability(best) >= NAMED_PROBABILITY:
-        named = best
-    elif best.separation > least:
-        pairs = search.pairs()
-        rounds.append(pairs)
-        more = next((p for p in pairs if _replaces(search, p, best, needed(best))), None)
-        if more is not None and probability(more) >= NAMED_PROBABILITY:
-            best = named = search.settled(more)
-    while 0 < len(named.candidates) < MOST_NAMED:
-        rounds.append(search.beside(named, needed(named)))
-        if len(named.candidates) == 1:
-            rounds[-1] = ranked(rounds[-1] + (pairs or search.pairs()))
-        more = next((f for f in rounds[-1] if _replaces(search, f, named, needed(named))), None)
+    grown = [search.settled(next(iter(rounds[0]), search.nothing))]
+    while least < grown[-1].separation and len(grown[-1].candidates) < MOST_NAMED:
+        fit = grown[-1]
+        larger = search.beside(fit, needed(fit))
+        if len(fit.candidates) == 1:  # two effects may look like a third
+            larger = ranked(larger + search.pairs(fit.gain + needed(fit) ** 2 / 2))
+        rounds.append(larger)
+        more = next((f for f in larger if _replaces(search, f, fit, needed(fit))), None)
         if more is None:
             break
-        best = named = search.settled(more)
+        grown.append(search.settled(more))
+    probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]
+    named, best = (probable[-1],) * 2 if probable else (search.nothing, grown[-1])
     evidence = evidence_of(search, best, certainty, scale)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)

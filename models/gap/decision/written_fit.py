@@ -13,7 +13,7 @@ harm if it rose, and the worst signal does not get worse.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class WrittenFit:
     point: FitPoint
     free: Mask  # (p,), fit parameters that were fitted; none for the plant as given
     errors: HeldOutErrors
-    refused: str  # Why something named is not among the candidates; empty if all is
+    refused: str = ""  # Why something named is not among the candidates; empty if all is
 
 
 class PlantWriter:
@@ -53,22 +53,19 @@ class PlantWriter:
         return WrittenFit((), self.estimator.start(), nothing, self.held_out.given, refused)
 
     def best(self, fit: SetFit) -> WrittenFit:
-        """The named set, or as much of it as passes."""
-        refused = ""
-        for count in range(len(fit.candidates), -1, -1):
-            kept = fit.candidates[:count]
-            given = self._fit(kept, fit, refits=False, refused=refused) if kept else None
-            given = given or self.as_given(refused)
-            refitted = self._fit(kept, fit, refits=True, refused=refused)
-            order = [given, refitted]
-            if self._is_earned(given, refitted):
+        """The named set, or as much of it as passes: the last name is left out first."""
+        refused, names = "", fit.candidates
+        for kept in (names[:count] for count in range(len(names), 0, -1)):
+            order = [self._fit(kept, fit, refits) for refits in (False, True)]
+            if self._is_earned(*order):
                 order.reverse()
-            for tried in order if kept else order[:1]:
-                said = self._failure(tried)
-                if not said or not tried.free.any():
-                    return tried
-                refused = refused or said
-        return self.as_given(refused)
+            for tried in order:
+                if not (failure := self._failure(tried)):
+                    return replace(tried, refused=refused)
+                refused = refused or failure
+        given, refitted = self.as_given(refused), self._fit((), fit, refits=True)
+        is_better = self._is_earned(given, refitted) and not self._failure(refitted)
+        return replace(refitted, refused=refused) if is_better else given
 
     def _failure(self, fit: WrittenFit) -> str:
         """Why a fit may not be written, as a clause; empty if it may."""
@@ -88,9 +85,7 @@ class PlantWriter:
         falls = refitted.errors.fraction_of(given.errors) < 1 - self.harm_fraction
         return falls and after <= max(before, 1.0)
 
-    def _fit(
-        self, candidates: Sequence[str], fit: SetFit, refits: bool, refused: str
-    ) -> WrittenFit:
+    def _fit(self, candidates: Sequence[str], fit: SetFit, refits: bool) -> WrittenFit:
         """Fit of some candidates, with the nuisance refitted or as given.
 
         A nuisance that ended at a bound keeps the plant's value. What belongs to the trials stays
@@ -108,7 +103,7 @@ class PlantWriter:
             free &= ~stuck
             point = self._refitted(point.values, free)
         errors = self.held_out.errors(point, free)
-        return WrittenFit(tuple(candidates), point, free, errors, refused)
+        return WrittenFit(tuple(candidates), point, free, errors)
 
     def _refitted(self, values: Array, free: Mask) -> FitPoint:
         """Fit in which all common parameters that are not free are zero.

@@ -17,7 +17,6 @@ import numpy as np
 from firmware_py.core.errors import InputError
 from models.gap.estimation.gauss_newton import FitPoint, GaussNewton, Mask
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.own_error import ModelDiscrepancy, patterns_for
 from models.gap.residuals.residuals import Residuals
 from models.plant.identification.noise_floor import (
     Array,
@@ -166,16 +165,9 @@ def fitted_point(residuals: Residuals, floor: NoiseFloor, free: Mask) -> FitPoin
     return estimator.fit(estimator.start(), free)
 
 
-def noise_floor_for(residuals: Residuals, patterns: Sequence[ModelDiscrepancy] = ()) -> NoiseFloor:
-    """Floor of the plant file; signals that it lacks get the floor of the nuisance fit.
-
-    `patterns`: of the plant's own error on such trials; the packaged ones are used for other
-    motions.
-    """
+def noise_floor_for(residuals: Residuals) -> NoiseFloor:
+    """Floor of the plant file; signals that it lacks get the floor of the nuisance fit."""
     known = noise_floor_of(residuals.plant, residuals.trials[0].meta.dof)
-    if known is not None:
-        keys = [g.key for g in residuals.groups]
-        known = replace(known, patterns=patterns_for(residuals.plant, keys, patterns))
     signals = {s for g in residuals.groups for s in g.signals}
     if known is not None and signals <= known.noise.keys():
         return known

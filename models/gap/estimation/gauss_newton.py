@@ -1,7 +1,7 @@
 """Generalised least squares over the fit parameters, in units of the noise floor.
 
-The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor and by the patterns of
-the plant's own error, m is the known mean of that error, P is the prior of nuisance and of the
+The cost of values θ is ½ |W (r(θ) − m)|² + ½ θ' P θ: W whitens by the floor, m is the known mean
+of the plant's own error, P is the prior of nuisance and of the
 variation between trials (`models.gap.residuals.fit_parameters`). Steps stay within the bounds
 and are taken only where the cost falls. Exact derivatives cost twenty simulations, so between them
 they are updated by secants (Broyden 1965).
@@ -123,7 +123,6 @@ class GaussNewton:
         self.residuals, self.floor = residuals, floor
         trials, groups = residuals.trials, residuals.groups
         self.whiteners = [floor.whitener(g, trials) for g in groups]
-        self.basis, self.shrinkage = self._patterns()
         self.means = [residuals.as_counted(g, floor.mean(g, trials)) for g in groups]
         self.precision = prior_precision(residuals.fit_parameters)  # of each alone
         self.prior = prior_matrix(residuals.fit_parameters)
@@ -147,30 +146,10 @@ class GaussNewton:
             "identify it on trials of this robot, or check the conditions of the trials",
         )
 
-    def _patterns(self) -> tuple[Array, Array]:
-        """Orthonormal patterns of the plant's own error, and the fraction by which each is reduced.
-
-        With V = L (I + P P') L' and L⁻¹ P = U σ …, V whitens by (I − U (1 − (1 + σ²)^−½) U') L⁻¹.
-        """
-        if not self.floor.patterns:
-            return np.empty((0, 0)), np.empty(0)
-        rows = [
-            self.residuals.as_counted(g, self.floor.pattern_rows(g, self.residuals.trials))
-            for g in self.residuals.groups
-        ]
-        scaled = self._scaled([np.moveaxis(r, 0, -1) for r in rows])
-        basis, size, _ = np.linalg.svd(stacked(scaled), full_matrices=False)
-        return basis, 1 - 1 / np.sqrt(1 + size**2)
-
-    def knowledge(self) -> dict[str, tuple[Knowledge, Knowledge]]:
-        """What is known of the plant's mean error and its patterns, by key of the group."""
+    def knowledge(self) -> dict[str, Knowledge]:
+        """What is known of the plant's mean error, by key of the group."""
         trials = self.residuals.trials
-        return {
-            g.key: (
-                self.floor.curves_for(g, trials)[1], self.floor.pattern_knowledge(g, trials)
-            )
-            for g in self.residuals.groups
-        }  # fmt: skip
+        return {g.key: self.floor.curves_for(g, trials)[1] for g in self.residuals.groups}
 
     def whitened(self, rows: list[Array]) -> list[Array]:
         """Residual spectra in noise floors, (trials, signals, K)."""
@@ -182,17 +161,6 @@ class GaussNewton:
 
     def whiten(self, rows: Sequence[Array]) -> list[Array]:
         """Rows (trials, signals, K, …) in noise floors."""
-        scaled = self._scaled(rows)
-        if not len(self.shrinkage):
-            return scaled
-        white = stacked(scaled)
-        white -= self.basis @ (self.shrinkage[:, None] * (self.basis.T @ white))
-        ends = np.cumsum([math.prod(w.shape[:3]) for w in scaled])[:-1]
-        parts = np.split(white, ends)
-        return [part.reshape(w.shape) for part, w in zip(parts, scaled, strict=True)]
-
-    def _scaled(self, rows: Sequence[Array]) -> list[Array]:
-        """Rows (trials, signals, K, …) in units of the floor alone."""
         return [
             np.einsum("skij,jsk...->isk...", w, r)
             for w, r in zip(self.whiteners, rows, strict=True)

@@ -31,7 +31,6 @@ from typing import Final
 
 import numpy as np
 
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.estimation.transfer import (
     Knowledge,
     PayloadCurves,
@@ -53,9 +52,8 @@ from models.plant.identification.noise_floor import (
 from models.trials.trial import Trial
 
 MODEL_ERROR_LEFT: Final = 0.35
-"""Fraction of the plant's own error (in amplitude) that remains after its mean curve and the
-patterns of `models.gap.estimation.own_error` are subtracted; measured on rigs left out
-(`models.gap.calibration.measurement`)."""
+"""Fraction of the plant's own error (in amplitude) that remains after its mean curve is subtracted;
+measured on changed links of drawn rigs, each left out in turn."""
 EQUATION_ERROR: Final = 0.1
 """Fraction of a named effect's contribution that its equation may miss; measured: the plant
 reproduces the link itself to 6 to 10 %."""
@@ -72,11 +70,6 @@ class NoiseFloor(MeasuredFloor):
     # Error of the equations of the effects named so far, by payload in kg and signal, (F,);
     # correlated like the model's error
     formulation: PayloadCurves = field(default_factory=dict)
-    # Variation of the plant's own error from one link to the next, by motion, where it was measured
-    patterns: tuple[ModelDiscrepancy, ...] = ()
-    # Change of the link since the plant was identified, relative to the links that the patterns
-    # were measured on; the patterns grow with it
-    link_change: float = 1.0
     # Factor on the power of noise and model by payload in kg, where the diagnosed repetitions
     # differ far more than the floor expects; 1 at other payloads
     amplification_power: Mapping[float, float] = field(default_factory=dict)
@@ -85,35 +78,6 @@ class NoiseFloor(MeasuredFloor):
     def of(cls, measured: MeasuredFloor, learned: bool = True) -> NoiseFloor:
         """Floor of a diagnosis that begins with a measured one."""
         return cls(**vars(measured), learned=learned)
-
-    def own_error(self, signal: str, hz: Array) -> Array:
-        """Standard deviation of the mean error that `identify` left, at some frequencies.
-
-        Shapes: `hz` (K,).
-        """
-        power = self.model[signal] + self.noise[signal] / self.repeats
-        return np.sqrt(np.interp(hz, self.frequency_hz, power))
-
-    def pattern_rows(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
-        """Patterns of the plant's own error, shape (M, trials, signals, K); M = 0 without any."""
-        shape = len(group.trials), len(group.signals), group.coefficients
-        if not self.patterns:
-            return np.zeros((0, *shape))
-        rows = np.concatenate([patterns.rows(group, trials) for patterns in self.patterns])
-        hz = group_frequencies_hz(group, trials)
-        for b, signal in enumerate(group.signals):
-            rows[:, :, b] *= self.own_error(signal, hz) if signal in self.noise else 0.0
-        for a, k in enumerate(group.trials):
-            rows[:, a] *= np.sqrt(self.amplification(trials[k].meta.payload_kg))
-        return self.link_change * rows
-
-    def pattern_knowledge(self, group: TrialGroup, trials: Sequence[Trial]) -> Knowledge:
-        """How the patterns of a group are known."""
-        for patterns in self.patterns:
-            _, knowledge = patterns.table_for(group, trials)
-            if knowledge != "unknown":
-                return knowledge
-        return "unknown"
 
     def curves_for(
         self, group: TrialGroup, trials: Sequence[Trial]

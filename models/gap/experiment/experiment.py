@@ -14,12 +14,11 @@ import tomli_w
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Kind, Motion
-from firmware_py.core.motion_config import FixedMotionDocument
+from firmware_py.core.motion import FixedMotionDocument
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import check_motion
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.experiment.rival import Rival
 from models.gap.experiment.separation import SeparationModel
 from models.gap.fixed_motions import REST_SAMPLES, SWAPPED_PAYLOAD_KG
@@ -80,12 +79,12 @@ class Experiment:
 def rank_motions(
     rivals: Sequence[Rival], plant: Plant, trials: TrialSet, limits: Limits,
     payloads_kg: Sequence[float] = (), report: ReportProgress = lambda text, further: None,
-    settings: GapSettings = DEFAULT_SETTINGS, patterns: Sequence[ModelDiscrepancy] = (),
+    settings: GapSettings = DEFAULT_SETTINGS,
 ) -> Experiment:  # fmt: skip
     """Rank motions and payloads by the pairs that they separate, then by the least gain."""
     _check(rivals, plant, trials, payloads_kg)
     planned = planned_motions(trials, payloads_kg or default_payloads_kg(trials), limits)
-    model = SeparationModel(plant, trials.trials, rivals, settings, patterns)
+    model = SeparationModel(plant, trials.trials, rivals, settings)
     report("trials at hand judged", len(planned))
     allowed = []
     for k, (motion, payload_kg) in enumerate(planned, 1):

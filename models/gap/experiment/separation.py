@@ -29,7 +29,6 @@ from models.gap.estimation.gauss_newton import (
 )
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import nuisance_fit_of
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.experiment.rival import Rival, fitted_values_of
 from models.gap.fixed_motions import REST_SAMPLES, planned_trial
 from models.gap.residuals.fit_parameters import (
@@ -96,7 +95,6 @@ class SeparationModel:
         trials: Sequence[Trial],
         rivals: Sequence[Rival],
         settings: GapSettings,
-        patterns: Sequence[ModelDiscrepancy] = (),
     ) -> None:
         self.plant, self.rivals, self.like = plant, tuple(rivals), trials[0]
         self.pairs = [
@@ -104,13 +102,15 @@ class SeparationModel:
             for a, b in combinations(range(len(rivals)), 2)
         ]
         effects = _effect_parameters(plant, rivals, trials[0].meta.dof)
-        every = nuisance_and_variation(plant, trials) + effects
+        same_link = settings.same_link
+        every = nuisance_and_variation(plant, trials, same_link=same_link) + effects
         residuals = Residuals(plant, trials, every)
-        fit = nuisance_fit_of(residuals, noise_floor_for(residuals, patterns), settings.same_link)
+        fit = nuisance_fit_of(residuals, noise_floor_for(residuals))
         self.estimator, self.floor = fit.estimator, fit.measured.floor
         self._own_error = _own_error_fraction(self.floor, trials)
         # A planned trial shares nuisance and effects with the others, and has its own variation.
-        self.planned = nuisance_and_variation(plant, trials[:1]) + effects
+        own = nuisance_and_variation(plant, trials[:1], same_link=same_link)
+        self.planned = own + effects
         self._shared = np.array([q.trial is None for q in self.planned])
         self._prior = np.where(self._shared, 0.0, prior_precision(self.planned))
         self._free = [

@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 
 from models.gap.diagnosis import Diagnosis, diagnose
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, write_gap_document
 from models.gap.report.gap_page import write_gap_page
 from models.gap.report.gap_results import gap_document
@@ -21,13 +20,13 @@ from models.trials.trial import TrialSet
 def write_diagnosis(
     plant: Plant, trials: TrialSet, inputs: DiagnosisInputs, out: Path,
     report: ReportProgress, leave_out: Sequence[str] = (),
-    patterns: Sequence[ModelDiscrepancy] = (), settings: GapSettings = DEFAULT_SETTINGS,
+    settings: GapSettings = DEFAULT_SETTINGS,
 ) -> tuple[Diagnosis, GapDocument, Path]:  # fmt: skip
     """Diagnose, and write OUT/gap.json, OUT/plant.json and OUT/report.html.
 
     Returns the diagnosis, its document, and the path of the page.
     """
-    found = diagnose(plant, trials, report, leave_out, settings=settings, patterns=patterns)
+    found = diagnose(plant, trials, report, leave_out, settings=settings)
     return found, *write_results(found, inputs, out)
 
 

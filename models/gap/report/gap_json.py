@@ -24,28 +24,19 @@ class SignalFloor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rms: float
 
 
-class OwnError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Knowledge of the plant's own error in a group of trials: its mean curve, and its patterns.
-
-    Each is `measured` on trials like these, `transferred` from others of the same motion with
-    another length, step or rest, or `unknown`; an unknown error is not subtracted.
-    """
-
-    curve: Knowledge
-    patterns: Knowledge
-
-
 class NoiseFloorSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Noise floor by signal; `learned` is false where the plant file has none.
 
-    `own_error` states by group of trials what is known of the plant's own error. `amplification` is
-    the factor in amplitude, by payload in kg, by which the floor exceeds that of the plant file,
-    where repetitions differ far more than that.
+    `own_error` states by group of trials whether the plant's own error was `measured` on trials
+    like these, `transferred` from others of the same motion with another length, step or rest, or
+    is `unknown`; an unknown error is not subtracted. `amplification` is the factor in amplitude, by
+    payload in kg, by which the floor exceeds that of the plant file, where repetitions differ far
+    more than that.
     """
 
     learned: bool
     signals: dict[str, SignalFloor]
-    own_error: dict[str, OwnError] = {}
+    own_error: dict[str, Knowledge] = {}
     amplification: dict[str, float] = {}
 
 

@@ -20,7 +20,6 @@ from models.gap.report.gap_json import (
     NamedEffect,
     NamingEvidence,
     NoiseFloorSummary,
-    OwnError,
     RefusedEffects,
     RejectedEffect,
     RemainingGap,
@@ -98,7 +97,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
         noise_floor=NoiseFloorSummary(
             found.floor.learned,
             floor,
-            {key: OwnError(*known) for key, known in found.nuisance.measured.knowledge().items()},
+            found.nuisance.measured.knowledge(),
             {f"{kg:g}": round(p**0.5, 2) for kg, p in found.floor.amplification_power.items()},
         ),
         before=before,

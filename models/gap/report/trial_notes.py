@@ -74,7 +74,9 @@ def notes_in_words(document: GapDocument) -> list[str]:
     notes += _own_error(document)
     notes += [_changed_in_words(row) for row in document.changed_conditions]
     if document.settings.same_link:
-        notes.append("The link is taken for the one that the plant was identified on.")
+        notes.append(
+            "The link is taken for the one that the plant was identified on, so its values are not refitted."
+        )
     return notes
 
 
@@ -83,24 +85,15 @@ def _listed(rows: dict[str, int] | dict[str, float], words: str) -> str:
 
 
 def _own_error(document: GapDocument) -> list[str]:
-    """Trials for which the plant's own error, or how it varies between links, is not known."""
+    """Trials for which the plant's own error is not known."""
     floor = document.noise_floor
-    if not floor.learned:
+    unknown = (key for key, known in floor.own_error.items() if known == "unknown")
+    if not floor.learned or not (where := groups_in_words(unknown)):
         return []
-    notes = []
-    if where := groups_in_words(k for k, e in floor.own_error.items() if e.curve == "unknown"):
-        notes.append(
-            "The plant's own error is not known, so effects must be larger to be named; identify "
-            f"the plant on trials of this motion too: {where}."
-        )
-    varying = [k for k, e in floor.own_error.items() if "unknown" == e.patterns != e.curve]
-    # Patterns can be measured for the link alone.
-    if "di" in floor.signals and (where := groups_in_words(varying)):
-        notes.append(
-            "How the plant's own error varies between links was not measured, so faint effects may "
-            f"be missed; run dropstitch calibrate on the trials of the plant: {where}."
-        )
-    return notes
+    return [
+        "The plant's own error is not known, so effects must be larger to be named; identify "
+        f"the plant on trials of this motion too: {where}."
+    ]
 
 
 def _changed_in_words(row: ChangedCondition) -> str:

@@ -117,17 +117,23 @@ def candidate_effects(plant: Plant) -> list[str]:
 
 
 def all_fit_parameters(
-    plant: Plant, trials: Sequence[Trial], catalogue: Sequence[str], is_known: bool = False
+    plant: Plant,
+    trials: Sequence[Trial],
+    catalogue: Sequence[str],
+    is_known: bool = False,
+    same_link: bool = False,
 ) -> list[FitParameter]:
     """Fit parameters of nuisance, trial variation and every candidate of a catalogue.
 
     `is_known`: whether a plant of another load was identified, and on none of these trials.
+    `same_link`: whether the link is the one that the plant was identified on, so that its values
+    are not refitted.
     """
     dof = trials[0].meta.dof
     effects = [
         q for e in catalogue for own in effect_candidates(plant, e, dof).values() for q in own
     ]
-    return nuisance_and_variation(plant, trials, is_known) + effects
+    return nuisance_and_variation(plant, trials, is_known, same_link) + effects
 
 
 def is_known_elsewhere(plant: Plant, trials: Iterable[Trial]) -> bool:
@@ -141,15 +147,17 @@ def is_known_elsewhere(plant: Plant, trials: Iterable[Trial]) -> bool:
 
 
 def nuisance_and_variation(
-    plant: Plant, trials: Sequence[Trial], is_known: bool = False
+    plant: Plant, trials: Sequence[Trial], is_known: bool = False, same_link: bool = False
 ) -> list[FitParameter]:
-    """Fit parameters without any effect; `is_known` as in `all_fit_parameters`."""
-    nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, is_known)
+    """Fit parameters without any effect; arguments as in `all_fit_parameters`."""
+    nuisance = nuisance_fit_parameters(plant, trials[0].meta.dof, is_known, same_link)
     return nuisance + trial_fit_parameters(plant, trials)
 
 
-def nuisance_fit_parameters(plant: Plant, dof: int, is_known: bool = False) -> list[FitParameter]:
-    """Nominal parameters that are refitted; `is_known` as in `all_fit_parameters`."""
+def nuisance_fit_parameters(
+    plant: Plant, dof: int, is_known: bool = False, same_link: bool = False
+) -> list[FitParameter]:
+    """Nominal parameters that are refitted; arguments as in `all_fit_parameters`."""
     full = plant_with_every_effect(plant)
     names = set(_owned(full, dof))
     if LOADS[plant.load].kind != "link":
@@ -159,7 +167,7 @@ def nuisance_fit_parameters(plant: Plant, dof: int, is_known: bool = False) -> l
             for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
-    for part, fraction in NUISANCE_PRIOR_FRACTION.items():
+    for part, fraction in ({} if same_link else NUISANCE_PRIOR_FRACTION).items():
         for name in (n for n in names if part in n and full.parameters[n].role == "nuisance"):
             result.append(_relative(full.parameters[name], fraction))
     shift_m, clock_s = FRAME_SHIFT_PRIOR_M, CLOCK_LIMIT_S

@@ -127,8 +127,11 @@ class EffectSearch:
             fit, [((*fit.candidates, r.name), r.point) for r in rows], self.refitted
         )
 
-    def pairs(self) -> list[SetFit]:
-        """Best fits of two candidates, by the fall of the cost that derivatives predict."""
+    def pairs(self, least_gain: float) -> list[SetFit]:
+        """Best fits of two candidates, by the fall of the cost that derivatives predict.
+
+        `least_gain`: fall of the cost that a pair must reach; those that cannot are left out.
+        """
         here = self.nothing.point
         names = [name for name in self.of if ":" not in name]
         rows = [
@@ -138,7 +141,8 @@ class EffectSearch:
         rows.sort(key=lambda row: -row[1])
         moved = [
             (pair, self.estimator.line_search(here, step) or here)
-            for step, _, pair in rows[:REFITTED_PAIRS]
+            for step, promised, pair in rows[:REFITTED_PAIRS]
+            if REFIT_GROWTH * promised >= least_gain
         ]
         return self._refitted(self.nothing, moved, REFITTED_PAIRS)
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -16,13 +17,12 @@ import msgspec
 import numpy as np
 
 from firmware_py.core.errors import InputError
-from models.gap.calibration.measurement import plant_on_rig
-from models.gap.calibration.trials import repeated
 from models.gap.decision.certainty import Answers, Evidence, read_certainty
 from models.gap.decision.naming import evidence_of
 from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
-from models.gap.estimation.own_error import ModelDiscrepancy, read_patterns
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
+from models.plant.identification.identify import identify
+from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import Plant, read_plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
@@ -82,16 +82,10 @@ def effects_of(candidates: Iterable[str]) -> set[str]:
     return {effect_and_joint(c)[0] for c in candidates}
 
 
-def run_cases(
-    cases: Iterable[HiddenCase],
-    out: Path,
-    patterns: Path | None = None,
-) -> int:
+def run_cases(cases: Iterable[HiddenCase], out: Path) -> int:
     """Run the cases that have no record yet, each with a plant of its rig; return how many failed.
 
-    The cases of a rig that cannot run the identification's trials are left out.
-
-    `patterns`: file of the plant's own error, the packaged one by default. Errors stand in
+    The cases of a rig that cannot run the identification's trials are left out. Errors stand in
     OUT/failures.
     """
     wanted = list(cases)
@@ -106,7 +100,7 @@ def run_cases(
         plant = plant_path(out / "plants", case.rig, case.joints)
         if plant.exists():
             path = record_path(out, case)
-            jobs[path] = partial(_write_record, path, case, plant, patterns)
+            jobs[path] = partial(_write_record, path, case, plant)
     return failed + make_missing("data sets", jobs, failures=out / "failures")
 
 
@@ -135,27 +129,31 @@ def identification_cases(joints: int) -> tuple[TrialCase, ...]:
 
 
 def identify_on_rig(path: Path, rig: str, joints: int = 1) -> None:
-    """Write the plant of a rig; where the rig cannot run the trials, the reason beside it."""
+    """Write the plant of a rig, with its noise floor; the reason beside it where the rig cannot run
+    the trials.
+    """
     seed = zlib.crc32(f"identification of {rig}".encode())  # rigs share no noise
+    cases = [
+        replace(case, trial=trial, seed=seed)
+        for case in identification_cases(joints)
+        for trial in (1, 2)
+    ]
     try:
-        plant_on_rig(rig_named(rig), repeated(identification_cases(joints), 2, seed), path)
+        trials = TrialSet(tuple(run_case(rig_named(rig), case) for case in cases))
+        plant = identify(read_plant(), trials).plant
+        with_noise_floor(plant, trials.trials).write(path)
     except InputError as error:
         path.with_suffix(".refused.txt").write_text(f"{error}\n", encoding="utf-8")
 
 
-def _write_record(path: Path, case: HiddenCase, plant: Path, patterns: Path | None) -> None:
-    known = () if patterns is None else read_patterns(patterns)
-    record = run_hidden_case(case, read_plant(plant), known)
+def _write_record(path: Path, case: HiddenCase, plant: Path) -> None:
+    record = run_hidden_case(case, read_plant(plant))
     fresh = path.with_suffix(".part")
     fresh.write_bytes(msgspec.json.format(msgspec.json.encode(record), indent=1))
     fresh.replace(path)
 
 
-def run_hidden_case(
-    case: HiddenCase,
-    plant: Plant,
-    patterns: Sequence[ModelDiscrepancy] = (),
-) -> DataSetRecord:
+def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
     """Record of a case."""
     rig, start_s = rig_of(case), time.monotonic()
     try:
@@ -163,10 +161,10 @@ def run_hidden_case(
     except InputError as error:
         return DataSetRecord(case=case, impossible=str(error))
     denied = list(case.hidden) if case.kind == "outside" else []
-    found = diagnose(plant, trials, leave_out=denied, patterns=patterns)
+    found = diagnose(plant, trials, leave_out=denied)
     separable = True
     if denied:
-        whole = diagnose(plant, trials, patterns=patterns)
+        whole = diagnose(plant, trials)
         separable = set(denied) <= effects_of(whole.named) and not effects_of(found.named) & {
             e for name, sets in _look_alikes(whole).items() if effects_of([name]) <= set(denied)
             for s in sets for e in effects_of(s)

@@ -56,8 +56,7 @@ FRAME_TURN_RAD: Final = 0.0005
 the 0.2 m of a calibration square [assumed]."""
 
 FIRST_TUNING_NUMBER: Final = 600
-"""Drawn rigs from this number on give the cases for tuning; earlier ones the patterns of the
-plant's own error."""
+"""Drawn rigs from this number on give the cases for tuning."""
 TUNING_SEED: Final = 67
 
 

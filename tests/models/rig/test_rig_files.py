@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.rig.drawn import drawn_link, rig_named, rig_purpose
+from models.rig.drawn import rig_named, rig_purpose
 from models.rig.parameters import (
     DEFAULT_STRUCTURE,
     RIG_TOML,
@@ -45,8 +45,7 @@ def test_drawn_rigs_have_no_form_of_rigs_for_testing_and_no_hidden_effect():
 
 
 def test_drawn_masses_have_their_deviation():
-    default = read_rig("default")
-    masses = [drawn_link(k, 0, default)["link.mass_kg"] for k in range(400)]
+    masses = [rig_named(f"drawn_{k}")["link.mass_kg"] for k in range(400)]
     assert np.std(np.log(masses)) == pytest.approx(0.15, rel=0.15)
     assert np.median(masses) == pytest.approx(0.9, rel=0.05)
 

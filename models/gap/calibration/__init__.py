@@ -1,1 +1,0 @@
-"""Calibration of the gap workflow for your own motions, on drawn rigs."""
