@@ -29,7 +29,6 @@ COMMANDS: Final = (
     Command("plant", "evaluate", f"{_MODELS}.evaluate", "compare a plant with trials"),
     Command("plant", "gap", f"{_GAP}.gap", "find the effects that the plant lacks, add them"),
     Command("plant", "experiment", f"{_GAP}.experiment", "rank motions that separate look-alikes"),
-    Command("plant", "calibrate", f"{_GAP}.calibrate", "measure the plant's own error for gap"),
     Command("predictor", "train", f"{_MODELS}.train", "train the predictors, write a bundle"),
     Command("predictor", "sign", f"{_MODELS}.sign", "sign a bundle for robots that name the key"),
     Command("tip", "plan", f"{_MODELS}.plan", "plan the goals that lead the tip along a path"),
