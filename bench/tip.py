@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.servo_models import model_named
 from firmware_py.core.console import DONE, Progress
-from firmware_py.core.motion import Motion
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import Motion, MotionConfig
 from firmware_py.inference.bundle import POLYNOMIAL, PREDICTOR, ModelBundle
 from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.safety.states import SafetyState

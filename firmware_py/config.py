@@ -19,16 +19,14 @@ from firmware_py.bus.servo_setup import ServoSetup, check_assumed, check_ids
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml
-from firmware_py.core.motion import GLIDE_S
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import GLIDE_S, MotionConfig
 from firmware_py.core.signals import PERIOD_S, unit_of
 from firmware_py.core.units import symbol_of
 from firmware_py.inference.bundle_signature import TrustConfig, key_bytes
 from firmware_py.inference.compiled_observer import Runtime
-from firmware_py.link.link_limits import limits_with_link
-from firmware_py.log.live_config import LiveConfig
+from firmware_py.log.sinks import LiveConfig
 from firmware_py.safety.estimate_trust import TrustOptions
-from firmware_py.safety.limits import Limits
+from firmware_py.safety.limits import Limits, limits_with_link
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.system.clock import RealTimeOptions
 
@@ -80,7 +78,7 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     bundle: str  # Directory of the bundle, relative to the file
     bus: BusConfig
     servos: tuple[ServoConfig, ...]  # One per joint, in joint order
-    # `link.toml`, relative to the file, see `firmware_py.link.link_limits`; "" for none
+    # `link.toml`, relative to the file, see `firmware_py.link.link_description`; "" for none
     link: str = ""
     period_s: float = PERIOD_S
     # Mass at the tip; None if it is unknown and the observer estimates it

@@ -33,16 +33,14 @@ from firmware_py.goals.tip_feedback import Correction, NoCorrection
 from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
-from firmware_py.safety.away_ticks import AwayTicks
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED, Fault
+from firmware_py.safety.states import UNRELEASED, Fault, SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.system.clock import Clock
 from firmware_py.system.kernel_counters import Counters, NoCounters
 from firmware_py.system.service import NoService, Service
 from firmware_py.system.stop_signals import signals_to
-from firmware_py.tick_log import LONGEST_STEP_SLOTS, Tick, TickLog
+from firmware_py.tick_log import LONGEST_STEP_SLOTS, AwayTicks, Tick, TickLog
 
 __all__ = ["ControlLoop"]
 

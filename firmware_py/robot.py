@@ -44,8 +44,7 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import refuse_older
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import Predictor
-from firmware_py.link.bundle_shape import shape_of_bundle
-from firmware_py.log.scene import SHAPE_KEY
+from firmware_py.log.scene import SHAPE_KEY, shape_of_bundle
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.supervisor import SafetySupervisor

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.core.units import LENGTH, SMALL_CURRENT, signal_unit, signal_words
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault
 from firmware_py.system.timing import Timing, TimingSummary
 
 __all__ = [

@@ -14,10 +14,9 @@ import numpy as np
 from fmpy.simulation import instantiate_fmu
 from numpy.typing import NDArray
 
-from firmware_py.core.archive_limits import ARCHIVE_DAMAGE, check_archive
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import open_bounded
-from firmware_py.inference.fmi_platform import platform_here
+from firmware_py.core.input_files import ARCHIVE_DAMAGE, check_archive, open_bounded
+from firmware_py.inference.fmu_instance import platform_here
 from fmu.packaging.platforms import PLATFORMS
 
 InterfaceType = Literal["CoSimulation", "ModelExchange"]

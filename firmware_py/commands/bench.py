@@ -17,7 +17,7 @@ from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.console import DONE, NEGATIVE, emit
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import STAGES
 from firmware_py.core.units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import FileContent, content_of
 from firmware_py.inference.bundle import OBSERVER, ModelBundle
 from firmware_py.inference.estimator import ObserverEstimator
-from firmware_py.inference.file_content import FileContent, content_of
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState

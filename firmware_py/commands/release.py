@@ -22,7 +22,7 @@ from firmware_py.core.console import DONE, NEGATIVE, emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.states import UNRELEASED
 from firmware_py.system.clock import DeadlineClock
 
 EXAMPLE = "dropstitch release --config robot.toml"

@@ -18,8 +18,7 @@ from firmware_py.core.signals import DI, PAYLOAD, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import SampleHold
 from firmware_py.inference.golden import TOLERANCE
-from firmware_py.log.logged_run import LoggedRun, logged_run
-from firmware_py.log.recording import Recording, read_recording
+from firmware_py.log.recording import LoggedRun, Recording, logged_run, read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
 

@@ -34,19 +34,25 @@ from firmware_py.core.console import DONE, NEGATIVE, emit
 from firmware_py.core.errors import InputError, SafetyTrip
 from firmware_py.core.motion import KINDS
 from firmware_py.core.units import CPU_TIME, DURATION
-from firmware_py.goals.for_robot import outside_facts, outside_goals
+from firmware_py.goals.for_robot import (
+    GOALS_NOTE,
+    feedback_of_plan,
+    goals_of_plan,
+    log_facts,
+    note_on_plant,
+    outside_facts,
+    outside_goals,
+)
 from firmware_py.goals.goal_source import GoalSource, GoalTable
-from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
-from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
-from firmware_py.goals.plant_of_goals import GOALS_NOTE, note_on_plant
+from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_facts import facts_of_bundle
 from firmware_py.link.servo_presets import PRESETS
-from firmware_py.log.logged_run import OUTSIDE, SLOTS_KEY
 from firmware_py.log.recorder import recording
+from firmware_py.log.recording import OUTSIDE, SLOTS_KEY
 from firmware_py.log.telemetry import NoTelemetry, Telemetry
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary

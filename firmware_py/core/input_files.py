@@ -8,26 +8,44 @@ docs/files/readers.md.
 from __future__ import annotations
 
 import codecs
+import hashlib
 import io
 import json
+import lzma
 import os
 import re
 import stat
 import tomllib
+import zipfile
+import zlib
 from collections.abc import Collection, Iterator
-from pathlib import Path
-from typing import Any, BinaryIO, Final, TypeVar
+from pathlib import Path, PurePosixPath
+from typing import Any, BinaryIO, Final, NamedTuple, TypeVar
 
 import msgspec
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.memory_limit import limited_memory
+from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.units import DATA_SIZE
 
 __all__ = [
-    "MOST_BYTES", "MOST_CELLS", "check_json", "convert", "open_bounded", "read_bytes", "read_json",
-    "read_lines", "read_text", "read_toml",
+    "ARCHIVE_DAMAGE",
+    "MOST_BYTES",
+    "MOST_CELLS",
+    "FileContent",
+    "Source",
+    "check_archive",
+    "check_json",
+    "content_of",
+    "convert",
+    "open_bounded",
+    "read_bytes",
+    "read_json",
+    "read_lines",
+    "read_text",
+    "read_toml",
 ]  # fmt: skip
+
 
 T = TypeVar("T")
 
@@ -219,3 +237,67 @@ def convert(raw: Any, kind: type[T], path: Path | str, what: str, remedy: str) -
     except (ValueError, OverflowError, RecursionError, TypeError) as error:
         # msgspec's error is a ValueError; an integer may be too large for a double.
         raise InputError(path, f"{what} ({error})" if what else str(error), remedy) from None
+
+
+MOST_MEMBERS: Final = 1000
+"""Most members of an archive; an FMU for four platforms with its sources has 60."""
+MOST_UNPACKED_BYTES: Final = 100_000_000
+"""Most bytes of all members, unpacked; an FMU of this project has 0.3 MB."""
+MOST_TEXT_BYTES: Final = 4_000_000
+"""Size of the largest XML member, unpacked; its tree takes thirty times as much memory."""
+ARCHIVE_DAMAGE: Final = (
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError, LookupError, RuntimeError,
+    ValueError,
+)  # fmt: skip
+"""Errors of a damaged archive, or of XML in it that names an unknown encoding."""
+
+
+def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
+    """Refuse an archive that unpacks to too many bytes, or outside its directory.
+
+    Unpacking stops at the declared size of a member, so the declared sizes bound the allocation.
+    """
+    members = archive.infolist()
+    names = [member.filename for member in members]
+    wrong = ""
+    if len(members) > MOST_MEMBERS:
+        wrong = f"has {len(members)} members, more than {MOST_MEMBERS}"
+    elif len(set(names)) < len(names):
+        wrong = "holds two files of one name"
+    elif sum(member.file_size for member in members) > MOST_UNPACKED_BYTES:
+        wrong = f"unpacks to more than {DATA_SIZE.number(MOST_UNPACKED_BYTES)} MB"
+    elif any(m.filename.endswith(".xml") and m.file_size > MOST_TEXT_BYTES for m in members):
+        wrong = f"holds an XML file of more than {DATA_SIZE.number(MOST_TEXT_BYTES)} MB"
+    else:
+        astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
+        wrong = f"holds a file with a path outside the archive ({astray[0]})" if astray else ""
+    if wrong:
+        raise InputError(path, wrong, remedy)
+
+
+LARGEST_BYTES: Final = 64_000_000
+"""Size of the largest file of a bundle; the demo's files have up to 360 kB. [assumed]"""
+
+
+class FileContent(NamedTuple):
+    path: Path  # Origin, for messages
+    data: bytes
+
+    @property
+    def sha256(self) -> str:
+        return hashlib.sha256(self.data).hexdigest()
+
+
+Source = Path | str | FileContent
+"""A file by its path, or its content in memory."""
+
+
+def content_of(source: Source, remedy: str = "copy the whole bundle directory") -> FileContent:
+    """Return the content of a file, which is read unless it is in memory already.
+
+    `remedy`: remedy in the message if the file is missing.
+    """
+    if isinstance(source, FileContent):
+        return source
+    path = Path(source)
+    return FileContent(path, read_bytes(path, remedy, LARGEST_BYTES))

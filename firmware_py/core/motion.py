@@ -10,27 +10,133 @@ multisine    several harmonics at once, different ones for each joint; slower on
 triangle     one slow cycle at constant speed, four periods long: hysteresis without inertia
 steps        lean, hold, lean, hold: creep
 decay        lean, then step back by a fifth of the lean and hold: free vibration
-designed     a Fourier series from a file, see `firmware_py.core.motion_document`
+designed     a Fourier series from a file, see `firmware_py.core.motion`
 ============ ====================================================================================
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from pathlib import Path
+from typing import ClassVar, Final, Literal, get_args
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from firmware_py.core.documents import Document, check_version
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion_document import MotionDocument, check_motion_document
+from firmware_py.core.input_files import convert, read_toml
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 
-__all__ = ["KINDS", "Motion"]
+__all__ = [
+    "KINDS",
+    "FixedMotionDocument",
+    "JointSeries",
+    "Motion",
+    "MotionConfig",
+    "MotionDocument",
+    "read_motion_document",
+]  # fmt: skip
+
 
 Array = NDArray[np.float64]
+FADE_FRACTION: Final = 0.1
+"""Fraction of the duration for easing in, and for easing out; that of the multisine."""
+HIGHEST_FREQUENCY_HZ: Final = 10.0
+"""Highest frequency of a harmonic: six samples a cycle at the nominal period [assumed]."""
+_CORRECT: Final = "correct it after docs/gap/experiment.md"
+
+
+class JointSeries(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Coefficients of one joint, one per harmonic, in rad."""
+
+    sine_rad: tuple[float, ...]
+    cosine_rad: tuple[float, ...]
+
+
+class MotionDocument(Document, frozen=True):
+    """Content of a motion file; the module's text defines the series."""
+
+    VERSION: ClassVar[int] = 1
+    MADE_BY: ClassVar[str] = "dropstitch experiment"
+
+    duration_s: float
+    harmonics: tuple[int, ...]  # Cycles per duration; 0 is a constant lean
+    joints: tuple[JointSeries, ...]  # Coefficients of one or two joints, in joint order
+    payload_kg: float | None = None  # Payload to attach for the run
+    notes: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name of the motion in trials and logs, derived from its series alone."""
+        text = msgspec.json.encode((self.duration_s, self.harmonics, self.joints))
+        return f"designed-{hashlib.sha256(text).hexdigest()[:8]}"
+
+    @property
+    def amplitude_rad(self) -> float:
+        """Largest goal of any joint."""
+        fine_s = np.linspace(0.0, self.duration_s, 4097)
+        return float(np.max(np.abs(self.goal_rad(fine_s))))
+
+    def goal_rad(self, time_s: Array) -> Array:
+        """Return goals at times of shape (...), shape (..., joints); zero outside the motion."""
+        basis = fourier_basis(time_s, self.duration_s, self.harmonics)
+        weights = np.array([[*j.sine_rad, *j.cosine_rad] for j in self.joints])
+        return np.asarray(basis @ weights.T)
+
+
+def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) -> Array:
+    """Return windowed sines and cosines of a series at times of shape (...).
+
+    Returns shape (..., 2 h) for h harmonics, sines first.
+    """
+    fraction = np.clip(np.asarray(time_s, dtype=np.float64) / duration_s, 0.0, 1.0)
+    ramp = np.minimum(fraction, 1.0 - fraction) / FADE_FRACTION
+    window = 0.5 - 0.5 * np.cos(np.pi * np.minimum(ramp, 1.0))
+    turn = 2.0 * np.pi * fraction[..., None] * np.array(harmonics, dtype=np.float64)
+    return np.asarray(window[..., None] * np.concatenate([np.sin(turn), np.cos(turn)], axis=-1))
+
+
+def read_motion_document(path: Path | str) -> MotionDocument:
+    """Read and check a motion file."""
+    path = Path(path)
+    raw = read_toml(path, _CORRECT, _CORRECT)
+    check_version(path, raw, MotionDocument.VERSION, _CORRECT)
+    document = convert(raw, MotionDocument, path, "is no motion", _CORRECT)
+    check_motion_document(document, path)
+    return document
+
+
+def check_motion_document(document: MotionDocument, where: Path | str) -> None:
+    """Refuse values of a series that are out of range or do not fit together."""
+    count = len(document.harmonics)
+    every = [c for j in document.joints for c in (*j.sine_rad, *j.cosine_rad)]
+    payload_kg = 0.0 if document.payload_kg is None else document.payload_kg
+    wrong = ""
+    if len(document.joints) not in (1, 2):
+        wrong = f"is for {len(document.joints)} joints; 1 or 2 can move"
+    elif not 0.1 <= document.duration_s <= 600:
+        wrong = f"lasts {document.duration_s:g} s, outside 0.1 to 600 s"
+    elif not count or len(set(document.harmonics)) < count or min(document.harmonics) < 0:
+        wrong = "needs harmonics that differ and are not negative"
+    elif max(document.harmonics) > HIGHEST_FREQUENCY_HZ * document.duration_s:
+        wrong = f"has a harmonic above {HIGHEST_FREQUENCY_HZ:g} Hz"
+    elif any(len(s) != count for j in document.joints for s in (j.sine_rad, j.cosine_rad)):
+        wrong = f"needs {count} coefficients in each list of a joint, one per harmonic"
+    elif not np.isfinite(every).all():
+        wrong = "has a coefficient that is not finite"
+    elif not 0 <= payload_kg <= 100:
+        wrong = f"has a payload of {payload_kg:g} kg, outside 0 to 100 kg"
+    elif document.amplitude_rad > np.pi / 2:
+        wrong = f"reaches {document.amplitude_rad:.3g} rad, more than 1.57 rad"
+    if wrong:
+        raise InputError(where, wrong, _CORRECT)
+
+
 Kind = Literal["sinusoid", "multisine", "triangle", "steps", "decay"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 """Kinds of motion that have a name; `Motion.designed` makes others."""
@@ -273,3 +379,74 @@ _WAVES: Final[dict[str, tuple[Callable[[Array], Array], int]]] = {
     "decay": (_decay, 1),
 }
 """Shape over one turn, which starts and ends at zero, and the number of turns in the motion."""
+
+
+_MAKE: Final = "write it anew with dropstitch experiment"
+
+
+class FixedMotionDocument(Document, frozen=True):
+    """Motion file with a kind of motion: its keys stand for those of the table `[motion]`."""
+
+    MADE_BY: ClassVar[str] = "dropstitch experiment"
+
+    kind: Kind
+    amplitude_rad: float
+    period_s: float
+    phase_2_rad: float = 0.0
+    payload_kg: float | None = None  # Payload to attach for the run
+    notes: str = ""
+
+
+class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[motion]`: the reference motion, see `firmware_py.core.motion`."""
+
+    kind: Kind = "sinusoid"  # Kind of motion, see `firmware_py.core.motion`
+    amplitude_rad: float = STUDY_AMPLITUDE_RAD  # Largest goal of each joint
+    period_s: float = STUDY_PERIOD_S  # Time of one cycle of the sinusoid
+    phase_2_rad: float = 0.0  # Phase by which joint 2 leads joint 1
+    rest_s: float = 1.0  # Rest before the motion, the reference of the Deformation Index
+    # Motion file, relative to robot.toml, instead of kind, amplitude, period and phase
+    file: str | None = None
+    design: MotionDocument | None = None  # Fourier series of the motion file
+
+    def motion(self, dof: int) -> Motion:
+        """Return the motion for a number of joints."""
+        if self.design is None:
+            return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
+        if len(self.design.joints) != dof:
+            raise InputError(
+                f"motion {self.design.name}",
+                f"has {len(self.design.joints)} joints, the robot {dof}",
+                "give one for this robot",
+            )
+        return Motion.designed(self.design)
+
+    def with_motion(self, wanted: str) -> MotionConfig:
+        """Return the table for another motion: the name of a kind, or the path of a motion file."""
+        if wanted in KINDS:
+            kind = msgspec.convert(wanted, Kind)
+            return msgspec.structs.replace(self, kind=kind, file=None, design=None)
+        if not Path(wanted).exists():
+            raise InputError(
+                f"motion {wanted}", "is no kind of motion and no file",
+                "choose " + ", ".join(KINDS) + " or a motion file",
+            )  # fmt: skip
+        return self.with_file(Path(wanted))
+
+    def with_file(self, path: Path) -> MotionConfig:
+        """Return the table for a motion file: of a kind of motion, or of a Fourier series."""
+        raw = read_toml(path, _MAKE, _MAKE)
+        if "kind" not in raw:
+            series = read_motion_document(path)
+            return msgspec.structs.replace(self, file=str(path), design=series)
+        check_version(path, raw, FixedMotionDocument.VERSION, _MAKE)
+        document = convert(raw, FixedMotionDocument, path, "is no motion", _MAKE)
+        motion = msgspec.structs.replace(
+            self, kind=document.kind, amplitude_rad=document.amplitude_rad,
+            period_s=document.period_s, phase_2_rad=document.phase_2_rad, file=None, design=None,
+        )  # fmt: skip
+        try:
+            motion.motion(1)
+        except InputError as error:
+            raise InputError(path, f"its {error.where} {error.what}", error.remedy) from None
+        return motion

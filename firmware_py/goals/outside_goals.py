@@ -13,25 +13,54 @@ zero-vibration shaper. Both depend on the estimated payload, which is followed a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.goals.goal_channel import GoalChannel
-from firmware_py.goals.goal_map import GoalMap, RestGoals
-from firmware_py.goals.goal_message import (
+from firmware_py.goals.goal_channel import (
+    GoalChannel,
     GoalMessage,
     StatusMessage,
     decode_goal,
     encode_status,
 )
-from firmware_py.goals.zero_vibration import ZeroVibration
+from firmware_py.goals.goal_map import GoalMap, RestGoals
 from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
 from firmware_py.tick_log import Tick
 
-__all__ = ["OutsideGoals"]
+__all__ = ["OutsideGoals", "ZeroVibration"]
+
+
+class ZeroVibration:
+    """Shaper with a history of the latest goals."""
+
+    def __init__(self, start_rad: Sequence[float], longest_s: float, period_s: float) -> None:
+        self._period_s = period_s
+        self._size = math.ceil(longest_s / period_s) + 2
+        self._past = [[value] * self._size for value in start_rad]
+        self._latest = 0
+
+    def next(
+        self, goal_rad: Sequence[float], half_period_s: Sequence[float], decay: Sequence[float]
+    ) -> list[float]:
+        """Return the shaped goals of the next tick, one per joint."""
+        size = self._size
+        now = self._latest = (self._latest + 1) % size
+        result = []
+        for past, goal, seconds, left in zip(
+            self._past, goal_rad, half_period_s, decay, strict=True
+        ):
+            past[now] = goal
+            rows = min(seconds / self._period_s, size - 2.0)
+            whole = int(rows)
+            near, far = past[(now - whole) % size], past[(now - whole - 1) % size]
+            late = near + (rows - whole) * (far - near)
+            result.append((goal + left * late) / (1.0 + left))
+        return result
+
 
 Array = NDArray[np.float64]
 MOST_IN_A_TICK: Final = 4

@@ -9,7 +9,7 @@ parallel, and their rates are interpolated like the goals.
 At a known payload the stiffness of the link is estimated as well
 (`firmware_py.goals.stiffness_estimate`). Goals and estimated tip adopt it at the start of each run
 of the plan, when the arm rests. A probing motion before the first run
-(`firmware_py.goals.probe_estimate`) estimates stiffness and payload; if it is certain, both are
+(`firmware_py.goals.stiffness_estimate`) estimates stiffness and payload; if it is certain, both are
 kept for the whole run.
 """
 
@@ -22,11 +22,9 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.goals.feedback_design import RateFilter, StiffnessSlopes
 from firmware_py.goals.plan_goals import PlanGoals
-from firmware_py.goals.probe_estimate import ProbeEstimate, ProbeFinding
-from firmware_py.goals.stiffness_estimate import StiffnessEstimate
-from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.goals.stiffness_estimate import ProbeEstimate, ProbeFinding, StiffnessEstimate
+from firmware_py.goals.tip_plan import RateFilter, StiffnessSlopes, TipPlan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import TRUSTED_M, Prediction
 from firmware_py.safety.estimate_trust import EstimateTrust, TrustOptions, TrustState

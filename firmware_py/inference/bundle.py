@@ -30,6 +30,7 @@ from typing import Final
 from numpy.typing import ArrayLike
 
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import FileContent
 from firmware_py.inference.batch_prediction import Predictions, predict_rows, predict_run
 from firmware_py.inference.bundle_signature import BundleSignature
 from firmware_py.inference.compiled_observer import CompiledObserver, Runtime
@@ -39,7 +40,6 @@ from firmware_py.inference.estimator import (
     ObserverEstimator,
     load_estimator,
 )
-from firmware_py.inference.file_content import FileContent
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.golden import GOLDEN, Golden, read_golden, verify, verify_equal
 from firmware_py.inference.manifest import (

@@ -20,8 +20,7 @@ import msgspec
 
 from firmware_py.core.documents import Document, check_version, read_document, write_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import convert
-from firmware_py.inference.file_content import FileContent, content_of
+from firmware_py.core.input_files import FileContent, content_of, convert
 
 __all__ = [
     "BundleSignature", "TrustConfig", "check_signature", "key_bytes", "refuse_older",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import FmuRefusal, InputError
-from firmware_py.inference.file_content import Source
+from firmware_py.core.input_files import Source
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import NO_SIGNALS, OnnxGraph
 

@@ -14,10 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.archive_limits import check_archive
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import Source, check_archive, content_of
 from firmware_py.inference.estimator import DeformationEstimator
-from firmware_py.inference.file_content import Source, content_of
 from firmware_py.inference.predictor import Predictor
 
 Array = NDArray[np.float64]

@@ -15,9 +15,9 @@ import msgspec
 from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.core.documents import check_version
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import FileContent, content_of
 from firmware_py.core.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, BundleSignature, check_signature
-from firmware_py.inference.file_content import FileContent, content_of
 
 __all__ = ["BundleFiles", "Manifest", "Quantity", "read_bundle_files", "write_manifest"]
 

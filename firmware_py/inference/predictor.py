@@ -13,9 +13,9 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.memory_limit import limited_memory
+from firmware_py.core.guarded_call import limited_memory
+from firmware_py.core.input_files import Source, content_of
 from firmware_py.core.signals import AGE, feature_names, observer_signals
-from firmware_py.inference.file_content import Source, content_of
 
 __all__ = [
     "NO_SIGNALS", "TRUSTED_M", "InputRange", "OnnxGraph", "OnnxPredictor", "Prediction",

@@ -16,8 +16,6 @@ import threading
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_py.log.live_config import ORIGINS, VIEWERS
-
 __all__ = ["LiveGate"]
 
 _UNDECIDED: Final = 16
@@ -38,8 +36,8 @@ class LiveGate:
         self,
         address: tuple[str, int],
         behind: tuple[str, int],
-        origins: Sequence[str] = ORIGINS,
-        viewers: int = VIEWERS,
+        origins: Sequence[str],
+        viewers: int,
     ) -> None:
         self._listener = socket.create_server(address)
         self.port: int = self._listener.getsockname()[1]

@@ -30,10 +30,17 @@ import msgspec
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.standard_streams import lasting_streams
-from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import require_packages
 from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in
-from firmware_py.log.sinks import LiveSink, McapSink, Sink, TickEncoder, require_live_package
+from firmware_py.log.sinks import (
+    ORIGINS,
+    VIEWERS,
+    LiveSink,
+    McapSink,
+    Sink,
+    TickEncoder,
+    require_live_package,
+)
 from firmware_py.log.telemetry import SocketTelemetry
 
 _READY: Final = b"ready"

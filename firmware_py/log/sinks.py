@@ -18,9 +18,27 @@ import numpy as np
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import tick_dtype
-from firmware_py.log.live_config import ORIGINS, VIEWERS
 from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
 from firmware_py.log.scene import SCENE_SCHEMA, SCENE_TOPIC, SHAPE_KEY, scene_schema
+
+__all__ = ["ORIGINS", "VIEWERS", "LiveConfig"]
+
+
+ORIGINS: Final = ("https://app.foxglove.dev", "file://")
+"""Origins of Foxglove: its web page and its desktop program. Programs that are not browsers send no
+origin and are admitted."""
+VIEWERS: Final = 8
+
+
+class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove."""
+
+    # Address to listen on. Whoever can reach it sees the ticks, but cannot command the robot.
+    host: str = "127.0.0.1"
+    port: int = 8765  # TCP port; 0 chooses a free one
+    origins: tuple[str, ...] = ORIGINS  # Web sites whose pages may connect
+    viewers: int = VIEWERS  # Largest number of viewers
+
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
 _VIEWER_BACKLOG: Final = 256

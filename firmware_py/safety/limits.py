@@ -7,12 +7,18 @@ violation.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Final
 
 import msgspec
 
+from firmware_py.bus.servo_models import MODELS
+from firmware_py.core.errors import InputError
+from firmware_py.link.link_description import LinkDescription, read_link
+
 __all__ = ["Limits"]
+
 
 _ROUNDING: Final = 1.0 + 1e-9
 """Rounding tolerance of a rate or acceleration of goals at the limit, by finite differences."""
@@ -37,7 +43,7 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     tip_max_m: tuple[float, float, float] = (1.2, 1.2, 1.3)  # Upper corner of that box
     persistence_ticks: int = 3  # Consecutive samples beyond a limit that stop the robot
     # Consecutive samples that repeat angle and current of a joint, although its goal moves, that
-    # stop the robot (`firmware_py.safety.frozen_feedback`)
+    # stop the robot (`firmware_py.safety.limits`)
     frozen_ticks: int = 10
     # Consecutive ticks without fresh data, or consecutive missed slots, that stop the robot
     stale_ticks: int = 3
@@ -127,3 +133,89 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                     f"the limit is {self.acceleration_rad_s2:g} rad/s2 (limits.acceleration_rad_s2)"
                 )
         return ""
+
+
+LEAST_MOTION_RAD: Final = 8 * max(model.rad_per_pulse for model in MODELS.values())
+"""Range of a goal that a servo must show: eight pulses of the coarsest encoder, 0.012 rad
+[assumed]. The static friction of a gear holds an angle over some pulses, but not the current."""
+
+
+class FrozenFeedback:
+    """Detector for `dof` joints."""
+
+    def __init__(self, dof: int, ticks: int) -> None:
+        self._dof, self._ticks = dof, ticks
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples, for a new start."""
+        self._sample = [(float("nan"), float("nan"))] * self._dof
+        self._low, self._high = [0.0] * self._dof, [0.0] * self._dof
+        self._repeats = [0] * self._dof
+
+    def joint(
+        self, angle_rad: Sequence[float], current_a: Sequence[float], goal_rad: Sequence[float]
+    ) -> int | None:
+        """Note a fresh sample; return the first frozen joint, from 0, or None.
+
+        `goal_rad`: goals sent before the sample.
+        """
+        frozen = None
+        for j, sample in enumerate(zip(angle_rad, current_a, strict=True)):
+            goal = goal_rad[j]
+            if sample != self._sample[j]:
+                self._sample[j] = sample
+                self._low[j] = self._high[j] = goal
+                self._repeats[j] = 0
+                continue
+            self._low[j], self._high[j] = min(self._low[j], goal), max(self._high[j], goal)
+            if self._high[j] - self._low[j] > LEAST_MOTION_RAD:
+                self._repeats[j] += 1
+                if self._repeats[j] >= self._ticks and frozen is None:
+                    frozen = j
+        return frozen
+
+
+BOX_MARGIN: Final = 1.2
+"""Ratio of the tip's box to the reach of a straight link [assumed]: room for the bend."""
+
+
+def limits_with_link(
+    where: Path, link_file: str, models: Sequence[str], limits: Limits, given: Collection[str]
+) -> Limits:
+    """Return the limits of a configuration that names a link; `given` has its keys of [limits]."""
+    link = read_link(where.parent / link_file)
+    refuse_other_servos(link, models, where)
+    return limits_of_link(link, limits, given)
+
+
+def refuse_other_servos(link: LinkDescription, models: Sequence[str], where: Path | str) -> None:
+    """Refuse servos of another model than the link's."""
+    if len(models) > link.joints:
+        raise InputError(
+            where, f"servos has {len(models)} entries, the link {link.joints} joint",
+            "correct 'servos', or 'joints' in the link's file",
+        )  # fmt: skip
+    for model in models:
+        if model != link.servo.model:
+            raise InputError(
+                where, f"servo {model} is not the link's {link.servo.model}",
+                "correct 'servos', or [servo] in the link's file",
+            )  # fmt: skip
+
+
+def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]) -> Limits:
+    """Return limits in which the link sets the tip's box, current and rate that are not given.
+
+    Current and rate are only lowered, to the limits of the servo.
+    """
+    reach_m = round(BOX_MARGIN * (link.base_offset_m + link.length_m), 3)
+    own = {
+        "tip_min_m": (-reach_m, -reach_m, -reach_m),
+        "tip_max_m": (reach_m, reach_m, reach_m),
+        "current_a": min(limits.current_a, link.preset.current_limit_a),
+        "rate_rad_s": min(limits.rate_rad_s, link.preset.speed_limit_rad_s),
+    }
+    return msgspec.structs.replace(
+        limits, **{key: value for key, value in own.items() if key not in given}
+    )

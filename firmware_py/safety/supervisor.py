@@ -19,10 +19,8 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.blend import Blend
-from firmware_py.safety.frozen_feedback import FrozenFeedback
-from firmware_py.safety.limits import Limits
-from firmware_py.safety.states import ALLOWED, SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED, Fault, StopReason
+from firmware_py.safety.limits import FrozenFeedback, Limits
+from firmware_py.safety.states import ALLOWED, UNRELEASED, Fault, SafetyState, StopReason
 
 __all__ = ["SafetySupervisor", "check_motion"]
 

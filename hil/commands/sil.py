@@ -25,8 +25,7 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_toml
-from firmware_py.core.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, MotionConfig
 from firmware_py.core.units import LENGTH, TIME
 from firmware_py.goals.for_robot import outside_goals
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan

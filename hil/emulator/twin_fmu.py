@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from firmware_py.inference.fmi_platform import platform_here
+from firmware_py.inference.fmu_instance import platform_here
 from fmu.fmu_builder import build_fmu
 from fmu.packaging.platforms import platform_names
 from models.plant.plant import read_plant

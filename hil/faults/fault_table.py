@@ -28,7 +28,7 @@ from signal import (
 from typing import Final
 
 from firmware_py.bus.registers import HARDWARE_ERRORS, Register
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.states import UNRELEASED
 from hil.emulator.line_faults import UNHEARD
 from hil.faults.fault_row import Expectation, FaultRow, Setup
 from hil.faults.feedback_rows import FEEDBACK

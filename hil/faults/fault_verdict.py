@@ -18,7 +18,7 @@ from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.units import TICK_TIME
 from firmware_py.safety.estimate_trust import FADE_S
-from firmware_py.safety.stop_reason import UNRELEASED
+from firmware_py.safety.states import UNRELEASED
 from firmware_py.system.timing import Cause
 from hil.faults.fault_row import FaultRow
 from hil.faults.observation import TOLD_NOTHING, CaseObservation

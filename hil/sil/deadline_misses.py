@@ -39,8 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault, SafetyState
 from firmware_py.system.timing import Cause
 from hil.emulator.emulator import Releases
 from hil.sil.cpu_accounts import ProbeRecord

@@ -15,13 +15,17 @@ from numpy.typing import NDArray
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig
-from firmware_py.goals.for_robot import outside_facts
+from firmware_py.goals.for_robot import (
+    GOALS_NOTE,
+    feedback_of_plan,
+    goals_of_plan,
+    log_facts,
+    outside_facts,
+)
 from firmware_py.goals.goal_source import GoalSource
-from firmware_py.goals.plan_for_robot import feedback_of_plan, goals_of_plan, log_facts
-from firmware_py.goals.plant_of_goals import GOALS_NOTE
 from firmware_py.inference.range_check import RangeWatch
-from firmware_py.log.logged_run import SLOTS_KEY
 from firmware_py.log.recorder import recording
+from firmware_py.log.recording import SLOTS_KEY
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.robot import build_loop, log_metadata

@@ -10,16 +10,14 @@ from typing import Final, Literal
 from firmware_py.bus.servo_models import Model
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import GLIDE_S
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import GLIDE_S, MotionConfig
+from firmware_py.goals.for_robot import note_on_plant
 from firmware_py.goals.outside_goals import OutsideGoals
-from firmware_py.goals.plant_of_goals import note_on_plant
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
-from firmware_py.link.link_limits import limits_of_link
 from firmware_py.safety.estimate_trust import TrustOptions
-from firmware_py.safety.limits import Limits
+from firmware_py.safety.limits import Limits, limits_of_link
 from firmware_py.system.clock import RealTimeOptions
 from hil.emulator.physics import RigSource
 from hil.sil.timing_verdict import MISS_RATE

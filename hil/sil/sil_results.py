@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from firmware_py.goals.payload_beyond_plan import payload_beyond_plan
+from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended

@@ -9,7 +9,7 @@ import numpy as np
 
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
 from firmware_py.link.marker_layout import MarkerLayout
-from firmware_py.log.logged_run import OUTSIDE
+from firmware_py.log.recording import OUTSIDE
 from hil.sil.prediction_error import true_tip_m
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions

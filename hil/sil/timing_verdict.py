@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.documents import Document
 from firmware_py.core.signals import STAGES
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault
 from firmware_py.system.percentiles import Nanoseconds, Percentiles
 from firmware_py.system.timing import Cause, miss_rate_bound
 from hil.emulator.emulator import Releases

@@ -27,8 +27,8 @@ from firmware_py.link.link_description import (
     LinkGravity,
     LinkServo,
     check_link,
+    link_toml,
 )
-from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_corners_m
 from firmware_py.link.servo_presets import PRESETS
 from models.shared.link_scale import LinkScale

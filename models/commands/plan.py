@@ -24,12 +24,11 @@ from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import ANGLE, CURRENT, LENGTH, TIME
-from firmware_py.goals.payload_beyond_plan import recording_beyond_plan
+from firmware_py.goals.plan_goals import recording_beyond_plan
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.link.link_limits import limits_of_link
-from firmware_py.safety.limits import Limits
+from firmware_py.safety.limits import Limits, limits_of_link
 from models.bundle.plant import compare_with_bundle
 from models.commands.output_paths import check_output_file
 from models.plan.paths import DesiredPath, PathOptions, built_in_path, read_path

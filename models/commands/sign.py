@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from firmware_py.core.console import DONE, emit
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
+from firmware_py.core.input_files import content_of
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import (
     SIGNATURE,
@@ -27,7 +28,6 @@ from firmware_py.inference.bundle_signature import (
     key_text,
     signed_message,
 )
-from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import MANIFEST
 
 if TYPE_CHECKING:

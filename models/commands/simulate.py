@@ -18,8 +18,7 @@ import msgspec
 
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import KINDS, STUDY_PERIOD_S
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, MotionConfig
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
 from models.commands.output_paths import check_output_directory
 from models.rig.drawn import rig_named

@@ -27,15 +27,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.goals.feedback_design import (
+from firmware_py.goals.plan_goals import check_plan_goals
+from firmware_py.goals.tip_plan import (
     Columns,
     FeedbackDesign,
     LoopMargins,
     RateFilter,
     StiffnessSlopes,
+    TipPlan,
+    as_columns,
 )
-from firmware_py.goals.plan_goals import check_plan_goals
-from firmware_py.goals.tip_plan import TipPlan, as_columns
 from firmware_py.safety.limits import Limits
 from models.plan.inversion import Inverter
 from models.plan.tip_twin import MOVING_RAD_S, TipTwin, TwinRun

@@ -42,8 +42,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.signals import tip_names
 from firmware_py.goals.plan_goals import check_plan_goals
 from firmware_py.goals.tip_plan import BestRun, LearnedRun, TipPlan, as_columns
-from firmware_py.log.logged_run import logged_run
-from firmware_py.log.recording import read_recording
+from firmware_py.log.recording import logged_run, read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from models.plan.inversion import GoalSplines, gauss_newton, rms

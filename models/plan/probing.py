@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.goals.probe_design import ProbeDesign
+from firmware_py.goals.stiffness_estimate import ProbeDesign
 from firmware_py.goals.tip_plan import as_columns
 from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.safety.limits import Limits

@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 
 from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.input_files import FileContent
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.inference.file_content import FileContent
 from firmware_py.inference.predictor import OnnxGraph
 from firmware_py.summary import RangeReasons
 from models.predictor.onnx_graphs import OUTPUTS

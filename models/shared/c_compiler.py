@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from firmware_py.core.errors import DropstitchError, InputError
-from firmware_py.inference.fmi_platform import platform_here
+from firmware_py.inference.fmu_instance import platform_here
 
 TARGETS: Final[Mapping[str, str]] = {
     "x86_64-linux": "x86_64-linux-gnu.2.17",

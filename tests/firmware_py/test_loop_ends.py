@@ -12,8 +12,7 @@ from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.limits import Limits
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED, Fault
+from firmware_py.safety.states import UNRELEASED, Fault, SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended
 from tests.firmware_py.simulated_loop import (

@@ -129,7 +129,7 @@ def limits_of_robot(file):
 
 def status_message(file):
     """Message of the robot to a program that sends goals."""
-    from firmware_py.goals.goal_message import StatusMessage
+    from firmware_py.goals.goal_channel import StatusMessage
 
     try:
         msgspec.json.decode(file.read_bytes(), type=StatusMessage)

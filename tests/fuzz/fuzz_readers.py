@@ -216,7 +216,7 @@ def _recordings():
 
 def _documents():
     from firmware_py.config import read_config
-    from firmware_py.core.motion_document import read_motion_document
+    from firmware_py.core.motion import read_motion_document
     from firmware_py.goals.goal_map import read_goal_map
     from firmware_py.goals.tip_plan import read_tip_plan
     from firmware_py.link.link_description import read_link
@@ -265,9 +265,9 @@ def _documents():
 
 
 def _outside_goals_and_signatures():
-    from firmware_py.goals.goal_message import decode_goal
+    from firmware_py.core.input_files import content_of
+    from firmware_py.goals.goal_channel import decode_goal
     from firmware_py.inference.bundle_signature import check_signature
-    from firmware_py.inference.file_content import content_of
 
     def goal(file):
         said = decode_goal(file.read_bytes(), 1)
@@ -287,7 +287,7 @@ def _outside_goals_and_signatures():
 
 def _bundle_files(bundle):
     from firmware_py.inference.bundle import ModelBundle, read_manifest
-    from firmware_py.inference.fmu_file import open_fmu
+    from firmware_py.inference.fmu_instance import open_fmu
     from firmware_py.inference.golden import read_golden
     from firmware_py.inference.predictor import OnnxPredictor
 

@@ -198,8 +198,7 @@ def plan():
 
 def link():
     """Description of the study's link."""
-    from firmware_py.link.link_description import STUDY_LINK
-    from firmware_py.link.link_file import link_toml
+    from firmware_py.link.link_description import STUDY_LINK, link_toml
 
     return link_toml(STUDY_LINK, 0.4, 0.1).encode()
 
@@ -223,14 +222,14 @@ def goal_map():
 
 def goal_message():
     """Message of a program that sends goals."""
-    from firmware_py.goals.goal_message import GoalMessage, encode_goal
+    from firmware_py.goals.goal_channel import GoalMessage, encode_goal
 
     return encode_goal(GoalMessage(3, (0.1,)))
 
 
 def status_message():
     """Message of the robot to such a program."""
-    from firmware_py.goals.goal_message import StatusMessage
+    from firmware_py.goals.goal_channel import StatusMessage
 
     return example_of(StatusMessage)
 

@@ -20,7 +20,7 @@ import pytest
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import model_named
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, check_config
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_source import GoalTable
 from firmware_py.inference.no_models import NoModels

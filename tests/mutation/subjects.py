@@ -56,7 +56,7 @@ SUBJECTS = (
     ),
     Subject(
         "goals",
-        ("firmware_py/goals/**/*.py", "!firmware_py/goals/ros2_bridge.py"),
+        ("firmware_py/goals/*.py",),
         ("tests/firmware_py/goals",),
     ),
     Subject(

@@ -53,7 +53,7 @@ class FmuKind(CaseKind[FmuConfig]):
     def run(self, config: FmuConfig, context: CaseContext) -> dict[str, Any]:
         import numpy as np
 
-        from firmware_py.core.motion_config import MotionConfig
+        from firmware_py.core.motion import MotionConfig
         from fmu.fmpy_instance import FmuArchive  # loads FMPy
         from fmu.fmpy_run import simulate_fmu
 

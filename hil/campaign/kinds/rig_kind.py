@@ -67,7 +67,7 @@ class RigKind(CaseKind[RigConfig]):
     def run(self, config: RigConfig, context: CaseContext) -> dict[str, Any]:
         import numpy as np
 
-        from firmware_py.core.motion_config import MotionConfig
+        from firmware_py.core.motion import MotionConfig
         from firmware_py.link.link_description import STUDY_LINK
         from models.plant.identification.evaluation import compare_with_trials
         from models.rig.protocol import TrialCase, run_case  # slow to import

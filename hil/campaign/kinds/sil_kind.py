@@ -171,7 +171,7 @@ def _cached(load: Callable[[Path], Any], path: Path) -> Any:
 def _options(config: SilConfig, out: Path) -> SilOptions:
     from firmware_py.bus.servo_models import model_named
     from firmware_py.core.input_files import read_toml
-    from firmware_py.core.motion_config import MotionConfig
+    from firmware_py.core.motion import MotionConfig
     from firmware_py.goals.tip_plan import read_tip_plan
     from firmware_py.inference.bundle import ModelBundle
     from firmware_py.link.link_description import STUDY_LINK, describes_link, read_link

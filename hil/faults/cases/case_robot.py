@@ -16,13 +16,12 @@ from firmware_py.bus.servo_settings import ServoGains
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion_config import MotionConfig
-from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter
+from firmware_py.core.motion import MotionConfig
+from firmware_py.goals.for_robot import innovation_places
 from firmware_py.goals.goal_source import GoalSource, GoalTable
-from firmware_py.goals.plan_for_robot import innovation_places
 from firmware_py.goals.plan_goals import PlanGoals
 from firmware_py.goals.tip_feedback import Correction
-from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
+from firmware_py.goals.tip_plan import FeedbackDesign, PayloadPlan, RateFilter, TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.robot import build_bus, build_loop

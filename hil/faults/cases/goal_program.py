@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.config import RobotConfig
+from firmware_py.goals.goal_channel import GoalMessage, StatusMessage, encode_goal
 from firmware_py.goals.goal_map import GoalMap, PayloadMap
-from firmware_py.goals.goal_message import GoalMessage, StatusMessage, encode_goal
 from firmware_py.goals.outside_goals import OutsideGoals
 from firmware_py.link.link_facts import STUDY_FACTS
 from hil.faults.host_faults import HostFaults

@@ -13,8 +13,7 @@ import numpy as np
 import tomli_w
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import KINDS, Kind, Motion
-from firmware_py.core.motion import FixedMotionDocument
+from firmware_py.core.motion import KINDS, FixedMotionDocument, Kind, Motion
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits

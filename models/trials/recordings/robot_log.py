@@ -24,8 +24,14 @@ from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import PAYLOAD, joint_signals, tip_names
-from firmware_py.log.logged_run import OUTSIDE, LoggedMotion, LoggedRun, logged_run
-from firmware_py.log.recording import Recording, read_recording
+from firmware_py.log.recording import (
+    OUTSIDE,
+    LoggedMotion,
+    LoggedRun,
+    Recording,
+    logged_run,
+    read_recording,
+)
 from firmware_py.safety.states import SafetyState
 from models.trials.recordings.mapping import RecordingMap, Scalar
 from models.trials.recordings.series import Series

@@ -5,7 +5,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_bus import BusStatus
-from firmware_py.commands.joint_check import PATIENCE_S, turn_joints
+from firmware_py.commands.doctor import PATIENCE_S, turn_joints
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
 

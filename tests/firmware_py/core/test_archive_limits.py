@@ -6,9 +6,9 @@ import zipfile
 import numpy as np
 import pytest
 
-from firmware_py.core import archive_limits
+from firmware_py.core import input_files
 from firmware_py.core.errors import InputError
-from firmware_py.inference.fmu_file import open_fmu
+from firmware_py.inference.fmu_instance import open_fmu
 from firmware_py.inference.golden import Golden, read_golden
 from fmu.fmpy_instance import FmuArchive
 
@@ -24,15 +24,15 @@ def archive(path, members, compression=zipfile.ZIP_DEFLATED):
 
 @pytest.mark.parametrize("read", [open_fmu, FmuArchive], ids=["robot", "FMPy"])
 def test_an_fmu_that_unpacks_to_too_much_is_refused_before_it_is(tmp_path, read, monkeypatch):
-    bomb = bytes(archive_limits.MOST_TEXT_BYTES + 1)  # 4 kB as a file
+    bomb = bytes(input_files.MOST_TEXT_BYTES + 1)  # 4 kB as a file
     path = archive(tmp_path / "a.fmu", [("modelDescription.xml", bomb)])
     with pytest.raises(InputError, match="holds an XML file of more than 4 MB"):
         read(path)
-    monkeypatch.setattr(archive_limits, "MOST_UNPACKED_BYTES", 1000)
+    monkeypatch.setattr(input_files, "MOST_UNPACKED_BYTES", 1000)
     path = archive(tmp_path / "a.fmu", [("modelDescription.xml", XML), ("a.so", bytes(1001))])
     with pytest.raises(InputError, match="unpacks to more than"):
         read(path)
-    many = [(str(k), b"") for k in range(archive_limits.MOST_MEMBERS + 1)]
+    many = [(str(k), b"") for k in range(input_files.MOST_MEMBERS + 1)]
     with pytest.raises(InputError, match="has 1001 members"):
         read(archive(tmp_path / "a.fmu", many))
     with pytest.raises(InputError, match=r"path outside the archive \(\.\./a\)"):

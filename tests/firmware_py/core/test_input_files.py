@@ -11,7 +11,7 @@ from firmware_py.config import read_config
 from firmware_py.core import input_files
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
-from firmware_py.core.motion_document import read_motion_document
+from firmware_py.core.motion import read_motion_document
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.summary import read_run_summary
 from models.plan.paths import read_path

@@ -8,10 +8,10 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
-from firmware_py.core import input_files, memory_limit
+from firmware_py.core import guarded_call, input_files
 from firmware_py.core.errors import InputError
+from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.input_files import read_json
-from firmware_py.core.memory_limit import limited_memory
 from firmware_py.inference.predictor import OnnxPredictor
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="no limit of the address space")
@@ -37,7 +37,7 @@ def test_a_limit_within_a_tighter_one_does_not_loosen_it():
 def test_json_that_grows_in_memory_is_refused(tmp_path, monkeypatch):
     """A single wide character makes four bytes of each."""
     (tmp_path / "a.json").write_text('["😀' + "x" * 45_000_000 + '"]', encoding="utf-8")
-    limited = memory_limit.limited_memory
+    limited = guarded_call.limited_memory
     monkeypatch.setattr(
         input_files, "limited_memory", lambda where, remedy: limited(where, remedy, 50_000_000)
     )

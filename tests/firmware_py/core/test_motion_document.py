@@ -6,9 +6,13 @@ import pytest
 
 from firmware_py.config import read_config
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import Motion
-from firmware_py.core.motion_config import MotionConfig
-from firmware_py.core.motion_document import JointSeries, MotionDocument, read_motion_document
+from firmware_py.core.motion import (
+    JointSeries,
+    Motion,
+    MotionConfig,
+    MotionDocument,
+    read_motion_document,
+)
 
 FILE = """
 schema = 1

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from firmware_py.core.input_files import content_of
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
-from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import MANIFEST
 from firmware_py.link.link_facts import STUDY_FACTS
 

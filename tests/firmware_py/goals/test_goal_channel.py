@@ -10,14 +10,20 @@ import msgspec
 import numpy as np
 import pytest
 
+from examples import ros2_bridge
+from examples.ros2_bridge import GoalFollower
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
-from firmware_py.goals import goal_channel, ros2_bridge
-from firmware_py.goals.goal_channel import SocketChannel, accepted_program, connect
+from firmware_py.goals import goal_channel
+from firmware_py.goals.goal_channel import (
+    SocketChannel,
+    StatusMessage,
+    accepted_program,
+    connect,
+    encode_status,
+)
 from firmware_py.goals.goal_map import RestGoals, read_goal_map
-from firmware_py.goals.goal_message import StatusMessage, encode_status
-from firmware_py.goals.ros2_bridge import GoalFollower
-from firmware_py.goals.zero_vibration import ZeroVibration
+from firmware_py.goals.outside_goals import ZeroVibration
 from firmware_py.summary import Ended
 from tests.firmware_py.goals.scripted_program import linear_map, run
 

@@ -7,7 +7,7 @@ import pytest
 
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.outside_goals import FIRST_WAIT_S, MOST_IN_A_TICK
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault
 from firmware_py.summary import Ended
 from tests.firmware_py.goals.scripted_program import (
     LIMITS,

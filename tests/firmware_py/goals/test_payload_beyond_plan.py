@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.signals import tick_dtype
-from firmware_py.goals.payload_beyond_plan import payload_beyond_plan, recording_beyond_plan
+from firmware_py.goals.plan_goals import payload_beyond_plan, recording_beyond_plan
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.system.timing import Timing

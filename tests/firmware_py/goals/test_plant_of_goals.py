@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from firmware_py.core.errors import InputError
-from firmware_py.goals.plant_of_goals import note_on_plant
+from firmware_py.goals.for_robot import note_on_plant
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import read_bundle_files

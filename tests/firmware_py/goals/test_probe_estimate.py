@@ -9,12 +9,17 @@ import pytest
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.goals.feedback_design import FeedbackDesign, RateFilter, StiffnessSlopes
 from firmware_py.goals.plan_goals import PlanGoals
-from firmware_py.goals.probe_design import ProbeDesign, wrong_in_probe
-from firmware_py.goals.probe_estimate import ProbeEstimate
+from firmware_py.goals.stiffness_estimate import ProbeDesign, ProbeEstimate, wrong_in_probe
 from firmware_py.goals.tip_feedback import TipFeedback
-from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, read_tip_plan
+from firmware_py.goals.tip_plan import (
+    FeedbackDesign,
+    PayloadPlan,
+    RateFilter,
+    StiffnessSlopes,
+    TipPlan,
+    read_tip_plan,
+)
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.link.link_facts import STUDY_FACTS

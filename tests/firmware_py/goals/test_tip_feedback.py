@@ -8,16 +8,17 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.goals.feedback_design import (
-    FeedbackDesign,
-    RateFilter,
-    StiffnessSlopes,
-    wrong_in_feedback,
-)
 from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
 from firmware_py.goals.stiffness_estimate import StiffnessEstimate
 from firmware_py.goals.tip_feedback import TipFeedback
-from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
+from firmware_py.goals.tip_plan import (
+    FeedbackDesign,
+    PayloadPlan,
+    RateFilter,
+    StiffnessSlopes,
+    TipPlan,
+    wrong_in_feedback,
+)
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import Prediction
 from firmware_py.link.link_facts import STUDY_FACTS

@@ -14,12 +14,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
+from firmware_py.core import input_files
 from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
-from firmware_py.inference import file_content
+from firmware_py.core.input_files import content_of
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text
-from firmware_py.inference.file_content import content_of
 from firmware_py.inference.manifest import content_sha256, write_manifest
 from firmware_py.robot import load_bundle
 from models.plant.plant import read_plant
@@ -122,7 +122,7 @@ def test_a_directory_a_pipe_and_a_huge_file_are_no_files(bundle, monkeypatch):
     os.mkfifo(bundle / "plant.json")
     with pytest.raises(InputError, match=r"plant\.json: is no file"):
         ModelBundle.load(bundle)
-    monkeypatch.setattr(file_content, "LARGEST_BYTES", 10)
+    monkeypatch.setattr(input_files, "LARGEST_BYTES", 10)
     with pytest.raises(InputError, match="is larger than"):
         ModelBundle.load(bundle)
 

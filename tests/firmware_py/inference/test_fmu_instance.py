@@ -10,7 +10,7 @@ import pytest
 
 from firmware_py.core.errors import FmuRefusal, InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.inference import fmu_file
+from firmware_py.inference import fmu_instance
 from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
@@ -206,6 +206,6 @@ def test_a_library_that_stays_mapped_may_stay_on_the_disk(tmp_path, monkeypatch)
         raise PermissionError(13, "is mapped", str(name))
 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(fmu_file.ctypes, "PyDLL", lambda name: "loaded")
+    monkeypatch.setattr(fmu_instance.ctypes, "PyDLL", lambda name: "loaded")
     monkeypatch.setattr(os, "unlink", unlink)
-    assert fmu_file._loaded(b"only in this test", "unit.dll") == "loaded"
+    assert fmu_instance._loaded(b"only in this test", "unit.dll") == "loaded"

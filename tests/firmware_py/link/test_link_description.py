@@ -14,9 +14,9 @@ from firmware_py.link.link_description import (
     LinkServo,
     check_link,
     describes_link,
+    link_toml,
     read_link,
 )
-from firmware_py.link.link_file import link_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from firmware_py.link.servo_presets import PRESETS
 

@@ -18,10 +18,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from firmware_py.core.errors import InputError
-from firmware_py.log.live_config import ORIGINS, LiveConfig
 from firmware_py.log.live_gate import LiveGate
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
+from firmware_py.log.sinks import ORIGINS, VIEWERS, LiveConfig
 from firmware_py.summary import Ended
 from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
 from tests.firmware_py.simulated_loop import make
@@ -198,7 +198,7 @@ def test_a_page_of_another_site_is_refused(capfd, origin):
 
 @pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])
 def test_no_end_of_a_line_hides_an_origin(end):
-    gate = LiveGate(("127.0.0.1", 0), ("127.0.0.1", 1))
+    gate = LiveGate(("127.0.0.1", 0), ("127.0.0.1", 1), ORIGINS, VIEWERS)
     try:
         known, foreign = (
             f"GET / HTTP/1.1\r\nA: b{end}origin : {origin}\r\n\r\n".encode()

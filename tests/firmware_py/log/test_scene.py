@@ -9,12 +9,17 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
 from firmware_py.core.signals import tick_dtype
-from firmware_py.link.bundle_shape import shape_of_bundle
 from firmware_py.link.marker_layout import square_layout
-from firmware_py.log.link_shape import LinkShape, pose_link
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import read_recording
-from firmware_py.log.scene import EVERY, SHAPE_KEY, scene_schema
+from firmware_py.log.scene import (
+    EVERY,
+    SHAPE_KEY,
+    LinkShape,
+    pose_link,
+    scene_schema,
+    shape_of_bundle,
+)
 from models.plant.plant import NOMINAL, read_plant
 from models.shared.kinematics import base_corners_m, base_rotation, rigid_tip_m
 

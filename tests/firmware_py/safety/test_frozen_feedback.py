@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.safety.frozen_feedback import LEAST_MOTION_RAD, FrozenFeedback
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.limits import LEAST_MOTION_RAD, FrozenFeedback
+from firmware_py.safety.states import Fault, SafetyState
 from tests.firmware_py.safety.supervised import LIMITS, check, started
 
 PERIOD_S = 0.017

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
-from firmware_py.safety.states import TRANSITIONS, SafetyState
-from firmware_py.safety.stop_reason import UNRELEASED, Fault
+from firmware_py.safety.states import TRANSITIONS, UNRELEASED, Fault, SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from tests.firmware_py.safety.supervised import EXACT_S, LIMITS, check, first_goal_after, started
 

@@ -6,8 +6,7 @@ import pytest
 
 from firmware_py.core.motion import STUDY_PERIOD_S, Motion
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.link.link_description import LinkDescription, LinkServo
-from firmware_py.link.link_file import link_toml
+from firmware_py.link.link_description import LinkDescription, LinkServo, link_toml
 from fmu.fmu_models import FmuParts
 from fmu.packaging.fmu_contents import fmu_contents
 from models.plant.plant import read_plant

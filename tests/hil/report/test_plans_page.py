@@ -7,8 +7,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from firmware_py.goals.feedback_design import FeedbackDesign, LoopMargins, RateFilter
-from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
+from firmware_py.goals.tip_plan import FeedbackDesign, LoopMargins, PayloadPlan, RateFilter, TipPlan
 from firmware_py.link.link_facts import STUDY_FACTS
 from hil.report.plans.planned_runs import PlannedRun, plan_figures, read_planned_runs
 from hil.report.plans.plans_page import write_plans_page

@@ -16,15 +16,14 @@ import pytest
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import Prediction
 from firmware_py.log.recording import read_recording
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault, SafetyState
 from firmware_py.summary import Ended
 from firmware_py.system.timing import Cause
 from fmu.fmu_builder import build_fmu

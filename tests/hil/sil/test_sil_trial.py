@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from firmware_py.core.motion_config import MotionConfig
+from firmware_py.core.motion import MotionConfig
 from firmware_py.link.link_description import STUDY_LINK
 from hil.sil import sil_trial
 from models.trials.files import read_trial, write_trial

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.signals import tick_dtype
-from firmware_py.safety.states import SafetyState
-from firmware_py.safety.stop_reason import Fault
+from firmware_py.safety.states import Fault, SafetyState
 from firmware_py.system.percentiles import Percentiles
 from firmware_py.system.timing import Cause
 from hil.emulator.emulator import Releases

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from firmware_py.goals.feedback_design import wrong_in_feedback
+from firmware_py.goals.tip_plan import wrong_in_feedback
 from models.plan.feedback import (
     as_system,
     design_feedback,

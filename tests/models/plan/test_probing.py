@@ -5,8 +5,7 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.goals.probe_design import wrong_in_probe
-from firmware_py.goals.probe_estimate import ProbeEstimate
+from firmware_py.goals.stiffness_estimate import ProbeEstimate, wrong_in_probe
 from firmware_py.safety.limits import Limits
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path

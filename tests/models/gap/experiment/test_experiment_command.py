@@ -6,8 +6,7 @@ import pytest
 from msgspec import inspect
 
 from dropstitch.__main__ import main
-from firmware_py.core.motion import Motion
-from firmware_py.core.motion import MotionConfig
+from firmware_py.core.motion import Motion, MotionConfig
 from models.gap.report.gap_json import GapDocument
 from models.plant.plant import read_plant
 from models.rig.parameters import read_rig

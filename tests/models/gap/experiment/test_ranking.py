@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import Motion
-from firmware_py.core.motion import MotionConfig
+from firmware_py.core.motion import Motion, MotionConfig
 from firmware_py.safety.limits import Limits
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.experiment.experiment import (

@@ -3,8 +3,7 @@
 import pytest
 
 from firmware_py.core.errors import InputError
-from firmware_py.link.link_description import LinkDescription
-from firmware_py.link.link_file import link_toml
+from firmware_py.link.link_description import LinkDescription, link_toml
 from models.trials.recordings.mapping import RecordingMap, TakeRules, find_takes, read_mapping
 
 TRIAL = """

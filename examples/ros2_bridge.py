@@ -11,7 +11,7 @@ Goals may arrive at any time and rate: in every tick the bridge moves towards th
 `--rate` rad/s or `--speed` m/s. ROS 2 is not a dependency; rclpy is imported when the bridge
 starts:
 
-    python -m firmware_py.goals.ros2_bridge --goals unix:/run/dropstitch/goals
+    python examples/ros2_bridge.py --goals unix:/run/dropstitch/goals
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.goals.goal_channel import connect
-from firmware_py.goals.goal_message import GoalMessage, StatusMessage, encode_goal
+from firmware_py.goals.goal_channel import GoalMessage, StatusMessage, connect, encode_goal
 
 Array = NDArray[np.float64]
 
