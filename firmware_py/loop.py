@@ -29,16 +29,16 @@ from firmware_py.bus.servo_bus import BusStatus, ServoBus
 from firmware_py.core.errors import InputError, SafetyTrip
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_source import GoalSource, OwnGoals
-from firmware_py.goals.tip_feedback import Correction, NoCorrection
+from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.estimator import DeformationEstimator, SampleHold
 from firmware_py.inference.predictor import Predictor
-from firmware_py.log.telemetry import NoTelemetry, Telemetry
+from firmware_py.log.telemetry import Telemetry
 from firmware_py.safety.states import UNRELEASED, Fault, SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import Ended, RunSummary
 from firmware_py.system.clock import Clock
-from firmware_py.system.kernel_counters import Counters, NoCounters
-from firmware_py.system.service import NoService, Service
+from firmware_py.system.kernel_counters import Counters
+from firmware_py.system.service import Service
 from firmware_py.system.stop_signals import signals_to
 from firmware_py.tick_log import LONGEST_STEP_SLOTS, AwayTicks, Tick, TickLog
 
@@ -83,15 +83,15 @@ class ControlLoop:
             )  # fmt: skip
         self._bus, self._clock, self._supervisor = bus, clock, supervisor
         self._estimator, self._predictor = SampleHold(estimator), predictor
-        self._goals, self._correction = goals, correction or NoCorrection(bus.dof)
+        self._goals, self._correction = goals, correction or Correction(bus.dof)
         self._slots = goals.slots if slots is None else slots
         self._period_ns = round(period_s * 1e9)
         self._period_s = self._period_ns * 1e-9
         self._timeout_ns = min(round(reply_timeout_s * 1e9), self._period_ns)
         self._replug_ns = round(replug_s * 1e9)
-        self._service: Service = service or NoService()
+        self._service = service or Service()
         self._log = TickLog(
-            bus.dof, self._period_ns, telemetry or NoTelemetry(), counters or NoCounters(), keep
+            bus.dof, self._period_ns, telemetry or Telemetry(), counters or Counters(), keep
         )
         self._signal = ""
         self._ended = Ended.FINISHED
@@ -225,7 +225,7 @@ class ControlLoop:
         )
         predict_ns = now()
 
-        goals.heed(estimate, step_s)
+        goals.follow(estimate, step_s)
         correction = self._correction
         if missed:
             supervisor.rebase(goals.at(slot - 1) + correction.value_rad)
@@ -237,11 +237,11 @@ class ControlLoop:
         supervisor.check(
             status, bus.alert, bus.angle_rad, bus.current_a, prediction.tip_m, estimate.di, missed
         )
-        if goals.trouble and supervisor.state < SafetyState.STOPPING:
-            supervisor.trip(goals.trouble, Fault.GOAL)
+        if goals.fault and supervisor.state < SafetyState.STOPPING:
+            supervisor.trip(goals.fault, Fault.GOAL)
         if correction.stop_reason and supervisor.state < SafetyState.STOPPING:
             supervisor.trip(correction.stop_reason, Fault.ESTIMATE)
-        self._heed_requests(slot)
+        self._stop_on_request(slot)
         goal_rad = supervisor.admit(desired_rad)
         check_ns = now()
 
@@ -263,7 +263,7 @@ class ControlLoop:
         self._log.close(end_ns)
         return end_ns
 
-    def _heed_requests(self, slot: int) -> None:
+    def _stop_on_request(self, slot: int) -> None:
         """Begin the controlled stop on request, or when the motion is over."""
         if self._signal:
             self._end(Ended.SIGNALLED, self._signal)

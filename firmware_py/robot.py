@@ -6,7 +6,6 @@ A run in simulated time against a servo in memory, without models:
 
 >>> from firmware_py.bus.loopback import LoopbackTransport
 >>> from firmware_py.config import BusConfig, ServoConfig
->>> from firmware_py.inference.no_models import NoModels
 >>> from firmware_py.system.clock import SimClock
 >>> config = RobotConfig(
 ...     bundle="",
@@ -42,8 +41,8 @@ from firmware_py.goals.goal_source import GoalSource, GoalTable
 from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import refuse_older
-from firmware_py.inference.estimator import DeformationEstimator
-from firmware_py.inference.predictor import Predictor
+from firmware_py.inference.estimator import DeformationEstimator, NoEstimator
+from firmware_py.inference.predictor import NoPredictor, Predictor
 from firmware_py.log.scene import SHAPE_KEY, shape_of_bundle
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.loop import ControlLoop
@@ -53,7 +52,7 @@ from firmware_py.system.kernel_counters import Counters
 from firmware_py.system.service import Service
 
 __all__ = [
-    "LoopModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus",
+    "LoopModels", "NoModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus",
     "with_bundle_gains",
 ]  # fmt: skip
 
@@ -62,14 +61,17 @@ class LoopModels(Protocol):
     """Models that the loop evaluates in every tick, such as a `ModelBundle`."""
 
     @property
-    def estimator(self) -> DeformationEstimator:
-        """Estimator of the Deformation Index from angle and current."""
-        ...
+    def estimator(self) -> DeformationEstimator: ...
 
     @property
-    def predictor(self) -> Predictor:
-        """Predictor of the tip from angle, current and DI."""
-        ...
+    def predictor(self) -> Predictor: ...
+
+
+class NoModels:
+    """Models of a loop that estimates and predicts nothing, for benchmarks and tests."""
+
+    def __init__(self) -> None:
+        self.estimator, self.predictor = NoEstimator(), NoPredictor()
 
 
 def load_bundle(config: RobotConfig, path: Path) -> ModelBundle:

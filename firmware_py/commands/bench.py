@@ -21,8 +21,7 @@ from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import STAGES
 from firmware_py.core.units import CPU_TIME
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.no_models import NoModels
-from firmware_py.robot import LoopModels, build_bus, build_loop
+from firmware_py.robot import LoopModels, NoModels, build_bus, build_loop
 from firmware_py.system.clock import DeadlineClock, real_time
 from firmware_py.system.kernel_counters import KernelCounters
 from firmware_py.system.targets import OWN_COST_P99_NS

@@ -53,7 +53,7 @@ from firmware_py.link.link_facts import facts_of_bundle
 from firmware_py.link.servo_presets import PRESETS
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import OUTSIDE, SLOTS_KEY
-from firmware_py.log.telemetry import NoTelemetry, Telemetry
+from firmware_py.log.telemetry import Telemetry
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
 from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
 from firmware_py.system.clock import DeadlineClock, real_time
@@ -295,7 +295,7 @@ def _telemetry(
     facts: dict[str, str],
 ) -> Iterator[tuple[Telemetry, Path | None]]:
     if not (config.record or args.live):
-        yield NoTelemetry(), None
+        yield Telemetry(), None
         return
     started = datetime.now(UTC)
     motion = config.motion.motion(config.dof).name if plan is None else plan.name
@@ -304,16 +304,13 @@ def _telemetry(
     name = f"{started:%Y%m%dT%H%M%SZ}_{motion}"
     own = args.log or _free_log(args.config.parent / config.logs, name)
     log = own if config.record else None
-    live = config.live
-    address = (live.host, live.port) if args.live else None
+    live = config.live if args.live else None
     metadata = log_metadata(config, bundle, started, settings) | facts
     if plan is not None:
         metadata |= log_facts(plan, config)
     if args.goals is not None:
         metadata |= outside_facts()
-    with recording(
-        log, config.dof, time.time_ns(), metadata, address, live.origins, live.viewers
-    ) as telemetry:
+    with recording(log, config.dof, time.time_ns(), metadata, live) as telemetry:
         yield telemetry, log
 
 

@@ -91,7 +91,7 @@ def feedback_of_plan(
     """Return the feedback of a plan; None if it has none, or if robot.toml switches it off."""
     if plan.feedback is None or not config.feedback.use:
         return None
-    places = innovation_places(bundle.told, plan.dof)
+    places = innovation_places(bundle.signal_names, plan.dof)
     if not places:
         raise InputError(
             f"plan {plan.path}", f"has feedback, but the estimator of {bundle.directory} does not "
@@ -101,10 +101,10 @@ def feedback_of_plan(
     return TipFeedback(plan, goals, config.feedback, places, bundle.assume_payload)
 
 
-def innovation_places(told: Sequence[str], dof: int) -> list[int]:
+def innovation_places(signals: Sequence[str], dof: int) -> list[int]:
     """Return the indices of the currents' innovations among the signals of an estimate."""
     names = [f"innovation_{j}_a" for j in range(1, dof + 1)]
-    return [told.index(name) for name in names if name in told]
+    return [signals.index(name) for name in names if name in signals]
 
 
 def log_facts(plan: TipPlan, config: RobotConfig) -> dict[str, str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from firmware_py.core.documents import Document, read_document
 from firmware_py.core.errors import InputError
+from firmware_py.goals.goal_source import interval_of
 from firmware_py.link.link_facts import LinkFacts
 
 __all__ = ["GoalMap", "PayloadMap", "RestGoals", "read_goal_map"]
@@ -85,8 +86,7 @@ class RestGoals:
         places = found.places_m
         self._low, self._step = places[0], (places[-1] - places[0]) / (len(places) - 1)
         self._count, self._dof = len(places), found.dof
-        self._grid = [own.payload_kg for own in found.payloads]
-        self.lowest_kg, self.highest_kg = self._grid[0], self._grid[-1]
+        self.grid_kg = [own.payload_kg for own in found.payloads]
         # Lists, not arrays: a tick reads few numbers, one at a time.
         self._goals = [[list(column) for column in own.goals_rad] for own in found.payloads]
         self._half = [own.half_period_s for own in found.payloads]
@@ -110,7 +110,7 @@ class RestGoals:
                 for index, weight in corners
                 for side in (0, 1)
             ]
-        low, part = self._place_of(payload_kg)
+        low, part = interval_of(self.grid_kg, payload_kg)
         result = [0.0] * self._dof
         high = low + 1 if part else low
         for table, share in ((self._goals[low], 1.0 - part), (self._goals[high], part)):
@@ -128,19 +128,9 @@ class RestGoals:
 
         `payload_kg`: mass at the tip, clipped to the grid.
         """
-        low, part = self._place_of(payload_kg)
+        low, part = interval_of(self.grid_kg, payload_kg)
         high = low + 1 if part else low
         return (
             [a + part * (b - a) for a, b in zip(self._half[low], self._half[high], strict=True)],
             [a + part * (b - a) for a, b in zip(self._decay[low], self._decay[high], strict=True)],
         )
-
-    def _place_of(self, payload_kg: float) -> tuple[int, float]:
-        """Return the index of the next lower payload, and the fraction along the interval."""
-        grid = self._grid
-        k = 0
-        while k < len(grid) - 2 and payload_kg > grid[k + 1]:
-            k += 1
-        if len(grid) == 1:
-            return 0, 0.0
-        return k, min(max((payload_kg - grid[k]) / (grid[k + 1] - grid[k]), 0.0), 1.0)

@@ -6,6 +6,8 @@ each goal and may replace it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +17,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.inference.estimator import Estimate
 from firmware_py.tick_log import Tick
 
-__all__ = ["GoalSource", "GoalTable", "OwnGoals"]
+__all__ = ["FollowedPayload", "GoalSource", "GoalTable", "OwnGoals", "interval_of"]
 
 Array = NDArray[np.float64]
 
@@ -34,38 +36,19 @@ class GoalSource(Protocol):
         Number of slots after which the goals repeat.
     lead : int
         Number of slots of a probing motion before slot 0; 0 without one.
-    trouble : str
+    fault : str
         Fault of the source that must stop the robot, as a sentence; empty for none.
     ended : str
         Reason why the run is over without a fault, as a sentence; empty before.
     """
 
-    @property
-    def trouble(self) -> str:
-        """Fault of the source that must stop the robot; empty for none."""
-        ...
+    dof: int
+    slots: int
+    lead: int
+    fault: str
+    ended: str
 
-    @property
-    def ended(self) -> str:
-        """Reason why the run is over without a fault; empty before."""
-        ...
-
-    @property
-    def dof(self) -> int:
-        """Number of joints."""
-        ...
-
-    @property
-    def slots(self) -> int:
-        """Number of slots after which the goals repeat."""
-        ...
-
-    @property
-    def lead(self) -> int:
-        """Number of slots of a probing motion before slot 0."""
-        ...
-
-    def heed(self, estimate: Estimate, step_s: float) -> None:
+    def follow(self, estimate: Estimate, step_s: float) -> None:
         """Process the estimate of a tick, before `at`.
 
         Parameters
@@ -106,8 +89,11 @@ class GoalSource(Protocol):
 class OwnGoals:
     """Base of sources whose goals come from the robot itself, so that they are known in advance."""
 
-    trouble = ended = ""
+    fault = ended = ""
     lead = 0
+
+    def follow(self, estimate: Estimate, step_s: float) -> None:
+        """Do nothing."""
 
     def report(self, tick: Tick, reason: str) -> None:
         """Do nothing."""
@@ -124,8 +110,38 @@ class GoalTable(OwnGoals):
         self._goals = np.ascontiguousarray(goals_rad, dtype=np.float64)
         self.slots, self.dof = self._goals.shape
 
-    def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Do nothing."""
-
     def at(self, slot: int) -> Array:
         return np.asarray(self._goals[max(slot, 0) % self.slots])
+
+
+class FollowedPayload:
+    """Payload on a grid: the known one, or the estimate, followed at a limited rate.
+
+    So goals do not jump with the estimate. It starts in the middle of the grid.
+    """
+
+    def __init__(self, grid_kg: Sequence[float], known_kg: float | None, rate_kg_s: float) -> None:
+        self._low_kg, self._high_kg, self._rate_kg_s = grid_kg[0], grid_kg[-1], rate_kg_s
+        self.is_known = known_kg is not None
+        self.kg = 0.5 * (self._low_kg + self._high_kg) if known_kg is None else float(known_kg)
+
+    def follow(self, estimated_kg: float, step_s: float) -> None:
+        """Move towards an estimate; ignore one that is not finite."""
+        if self.is_known or not math.isfinite(estimated_kg):
+            return
+        wanted_kg = min(max(estimated_kg, self._low_kg), self._high_kg)
+        most_kg = self._rate_kg_s * step_s
+        self.kg += min(max(wanted_kg - self.kg, -most_kg), most_kg)
+
+
+def interval_of(grid: Sequence[float], value: float) -> tuple[int, float]:
+    """Return the interval of a rising grid that contains a value, and the fraction along it.
+
+    A value beyond the grid counts as its end; a grid of one node has the interval (0, 0.0).
+    """
+    if len(grid) == 1:
+        return 0, 0.0
+    k = 0
+    while k < len(grid) - 2 and value > grid[k + 1]:
+        k += 1
+    return k, min(max((value - grid[k]) / (grid[k + 1] - grid[k]), 0.0), 1.0)

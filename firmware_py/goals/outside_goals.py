@@ -27,6 +27,7 @@ from firmware_py.goals.goal_channel import (
     encode_status,
 )
 from firmware_py.goals.goal_map import GoalMap, RestGoals
+from firmware_py.goals.goal_source import FollowedPayload
 from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
 from firmware_py.tick_log import Tick
@@ -89,29 +90,27 @@ class OutsideGoals:
         goal_map: GoalMap | None = None, payload_kg: float | None = None, note: str = "",
     ) -> None:  # fmt: skip
         self.dof, self.slots, self.lead = dof, ENDLESS, 0
-        self.trouble = self.ended = ""
+        self.fault = self.ended = ""
         self.note = note
         self._channel, self._limits, self._period_s = channel, limits, period_s
         self._rest = RestGoals(goal_map) if goal_map else None
-        self._known = payload_kg is not None
-        self.payload_kg = 0.0
+        self._payload = FollowedPayload([0.0], 0.0, 0.0)
         self._shaper: ZeroVibration | None = None
         if self._rest is not None:
-            low, high = self._rest.lowest_kg, self._rest.highest_kg
-            self.payload_kg = 0.5 * (low + high) if payload_kg is None else payload_kg
+            self._payload = FollowedPayload(self._rest.grid_kg, payload_kg, PAYLOAD_RATE_KG_S)
             self._shaper = ZeroVibration([0.0] * dof, self._rest.longest_s, period_s)
-        self._slot, self._told, self._answered = -1, -1, -1
+        self._slot, self._reported, self._answered = -1, -1, -1
         self._missing = 0
         self._wanted, self._rate = [0.0] * dof, [0.0] * dof
         self._goal, self._before = np.zeros(dof), np.zeros(dof)
 
-    def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload at a limited rate; ignore one that is not finite."""
-        if self._rest is None or self._known or not math.isfinite(estimate.payload_kg):
-            return
-        wanted = min(max(estimate.payload_kg, self._rest.lowest_kg), self._rest.highest_kg)
-        most = PAYLOAD_RATE_KG_S * step_s
-        self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
+    @property
+    def payload_kg(self) -> float:
+        """Payload of this tick; 0 without a map."""
+        return self._payload.kg
+
+    def follow(self, estimate: Estimate, step_s: float) -> None:
+        self._payload.follow(estimate.payload_kg, step_s)
 
     def at(self, slot: int) -> Array:
         """Return the goals of a slot, shape (dof,); zero before slot 0.
@@ -121,8 +120,8 @@ class OutsideGoals:
         if slot < 0 or slot <= self._slot:
             return self._goal if slot == self._slot else self._before
         steps, self._slot = min(slot - self._slot, 100), slot
-        if not (self.trouble or self.ended):
-            self._hear(slot, steps)
+        if not (self.fault or self.ended):
+            self._process_messages(slot, steps)
         self._goal[:] = self._shaped(steps)
         return self._goal
 
@@ -136,9 +135,9 @@ class OutsideGoals:
             tuple(tick.angle_rad.tolist()), tuple(tip.tolist()), bool(tick.prediction.in_range),
             payload if math.isfinite(payload) else None, reason,
         )))  # fmt: skip
-        self._told = tick.slot
+        self._reported = tick.slot
 
-    def _hear(self, slot: int, steps: int) -> None:
+    def _process_messages(self, slot: int, steps: int) -> None:
         """Receive and check the messages of this tick, and follow the newest goals."""
         found = self._channel.receive(MOST_IN_A_TICK + 1)
         if len(found) > MOST_IN_A_TICK:
@@ -151,9 +150,9 @@ class OutsideGoals:
             if isinstance(message, str):
                 self._refuse(f"sends a message that {message}")
                 return
-            if not self._answered <= message.tick <= self._told:
-                told = f"after {self._answered} of {self._told}"
-                self._refuse(f"answers status {message.tick}, {told}")
+            if not self._answered <= message.tick <= self._reported:
+                span = f"after {self._answered} of {self._reported}"
+                self._refuse(f"answers status {message.tick}, {span}")
                 return
             self._answered, ends = message.tick, message.end
             if ends:
@@ -169,11 +168,11 @@ class OutsideGoals:
             self._refuse("has gone")
         elif not ends:
             self._miss(slot, steps)
-        if ends and not self.trouble:
+        if ends and not self.fault:
             self.ended = "the program that sends the goals has ended the run"
 
     def _refuse(self, what: str) -> None:
-        self.trouble = f"the program that sends the goals {what}"
+        self.fault = f"the program that sends the goals {what}"
         self._rate = [0.0] * self.dof
 
     def _miss(self, slot: int, steps: int) -> None:
@@ -192,13 +191,13 @@ class OutsideGoals:
         self._wanted = [min(max(at + ahead_s * rate, low), high) for at, rate in pairs]
 
     def _permitted(self, message: GoalMessage) -> list[float] | None:
-        """Return the goals of a message; None, with `trouble` set, if the arm must not go there."""
+        """Return the goals of a message; None, with `fault` set, if the arm must not go there."""
         goals = list(message.joint_rad or ())
         if message.tip_m is not None:
             if self._rest is None:
                 self._refuse("sends places of the tip, but there is no map (--goal-map)")
                 return None
-            found = self._rest.goals_rad(message.tip_m, self.payload_kg)
+            found = self._rest.goals_rad(message.tip_m, self._payload.kg)
             if found is None:
                 place = ", ".join(f"{v:g}" for v in message.tip_m)
                 self._refuse(f"wants the tip at ({place}) m, which is out of reach")
@@ -231,7 +230,7 @@ class OutsideGoals:
             pairs = zip(result, self._rate, strict=True)
             self._before[:] = [at - self._period_s * rate for at, rate in pairs]
             return result
-        half_period_s, decay = self._rest.mode(self.payload_kg)
+        half_period_s, decay = self._rest.mode(self._payload.kg)
         self._before[:] = self._goal
         for step in range(steps):
             if step:

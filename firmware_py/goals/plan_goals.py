@@ -7,7 +7,6 @@ keep the limits. The check before the run includes the rate that a changing payl
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 import msgspec
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
-from firmware_py.goals.goal_source import OwnGoals
+from firmware_py.goals.goal_source import FollowedPayload, OwnGoals, interval_of
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
@@ -45,24 +44,26 @@ class PlanGoals(OwnGoals):
         if probes and plan.probe is not None:
             self._probe = np.transpose(plan.probe.goals_rad)
         self.lead = len(self._probe)
-        low, high = self._grid[0], self._grid[-1]
-        if payload_kg is not None and not low <= payload_kg <= high:
+        if payload_kg is not None and not self._grid[0] <= payload_kg <= self._grid[-1]:
             raise InputError(
                 "payload_kg",
                 f"is {payload_kg:g} kg, the plan {plan.path} holds {plan.payloads_in_words}",
                 "plan again with --payloads that enclose it, or correct payload_kg",
             )  # fmt: skip
-        self.known = payload_kg is not None
-        self._rate_kg_s = plan.payload_rate_kg_s
-        self.payload_kg = 0.5 * (low + high) if payload_kg is None else float(payload_kg)
+        self._payload = FollowedPayload(self._grid, payload_kg, plan.payload_rate_kg_s)
 
-    def heed(self, estimate: Estimate, step_s: float) -> None:
-        """Follow the estimated payload at a limited rate; ignore one that is not finite."""
-        if self.known or not math.isfinite(estimate.payload_kg):
-            return
-        wanted = min(max(estimate.payload_kg, self._grid[0]), self._grid[-1])
-        most = self._rate_kg_s * step_s
-        self.payload_kg += min(max(wanted - self.payload_kg, -most), most)
+    @property
+    def known_kg(self) -> float | None:
+        """Known payload; None if it is estimated."""
+        return self._payload.kg if self._payload.is_known else None
+
+    @property
+    def payload_kg(self) -> float:
+        """Payload of this tick."""
+        return self._payload.kg
+
+    def follow(self, estimate: Estimate, step_s: float) -> None:
+        self._payload.follow(estimate.payload_kg, step_s)
 
     def at(self, slot: int) -> Array:
         """Return the goals of a slot for the payload, shape (dof,).
@@ -70,37 +71,16 @@ class PlanGoals(OwnGoals):
         Before slot 0 they probe the link, or wait at the first row.
         """
         if -self.lead <= slot < 0:
-            return np.asarray(self.between(self._goals, 0) + self._probe[slot])
-        return self.between(self._goals, max(slot, 0) % self.slots)
+            return np.asarray(self.interpolated(self._goals[:, 0]) + self._probe[slot])
+        return self.interpolated(self._goals[:, max(slot, 0) % self.slots])
 
-    def between(self, tables: Array, row: int) -> Array:
-        """Interpolate a row of the tables of all payloads, shape (p, n, dof), to shape (dof,)."""
-        k, part = self._place()
-        below = tables[k, row]
-        return np.asarray(below + part * (tables[k + 1, row] - below) if part else below)
-
-    def along(self, tables: Array, payload_kg: float | None = None) -> Array:
-        """Interpolate the tables of all payloads, shape (p, n, dof), to shape (n, dof).
+    def interpolated(self, values: Array, payload_kg: float | None = None) -> Array:
+        """Interpolate values of all payloads, shape (p, ...), to shape (...).
 
         `payload_kg`: clipped to the grid; by default the payload of this tick.
         """
-        k, part = self._place(payload_kg)
-        return np.asarray(tables[k] + part * (tables[k + 1] - tables[k]) if part else tables[k])
-
-    def blend(self, values: Array) -> Array:
-        """Interpolate the values of all payloads, shape (p, dof), to shape (dof,)."""
-        k, part = self._place()
+        k, part = interval_of(self._grid, self._payload.kg if payload_kg is None else payload_kg)
         return np.asarray(values[k] + part * (values[k + 1] - values[k]) if part else values[k])
-
-    def _place(self, payload_kg: float | None = None) -> tuple[int, float]:
-        """Return the interval of the grid that contains the payload, and the fraction along it."""
-        grid, k = self._grid, 0
-        if len(grid) == 1:
-            return 0, 0.0
-        at_kg = self.payload_kg if payload_kg is None else min(max(payload_kg, grid[0]), grid[-1])
-        while k < len(grid) - 2 and at_kg > grid[k + 1]:
-            k += 1
-        return k, (at_kg - grid[k]) / (grid[k + 1] - grid[k])
 
 
 def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
@@ -174,14 +154,14 @@ TOLERANCE: Final = 0.05
 [assumed: the estimate of a payload at the end of the grid may exceed it by as much]."""
 
 
-def payload_beyond_plan(plan: TipPlan, told_kg: float | None, summary: RunSummary) -> str:
+def payload_beyond_plan(plan: TipPlan, known_kg: float | None, summary: RunSummary) -> str:
     """Return a sentence if the estimated payload was outside the range of the plan, or "".
 
     The estimate is the median over the second half of the motion, when it has settled.
 
-    `told_kg`: known payload of the run; None if it was estimated.
+    `known_kg`: known payload of the run; None if it was estimated.
     """
-    if told_kg is not None:
+    if known_kg is not None:
         return ""
     records = summary.records
     moving = (records["tick"] >= 0) & (records["state"] < SafetyState.STOPPING)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import TRUSTED_M, Prediction
 from firmware_py.safety.estimate_trust import EstimateTrust, TrustOptions, TrustState
 
-__all__ = ["Correction", "NoCorrection", "TipFeedback"]
+__all__ = ["Correction", "TipFeedback"]
 
 Array = NDArray[np.float64]
 WIDEST_M: Final = 0.06
@@ -37,25 +37,15 @@ WIDEST_M: Final = 0.06
 because the interval widens with the innovation for a wrong stiffness, which feedback corrects."""
 
 
-class Correction(Protocol):
-    """Interface of a correction that is added to the goals of a source."""
+class Correction:
+    """Correction that is added to the goals of a source; this one is zero."""
 
-    value_rad: Array  # (dof,), correction of the latest tick
+    trust: TrustState = TrustState.NONE  # Trust in the estimated tip
+    lost_because = ""  # Reason of the latest loss of trust; empty without one
+    stop_reason = ""  # Reason why the robot must stop; empty for none
 
-    @property
-    def trust(self) -> TrustState:
-        """Trust in the estimated tip."""
-        ...
-
-    @property
-    def lost_because(self) -> str:
-        """Reason of the latest loss of trust; empty without one."""
-        ...
-
-    @property
-    def stop_reason(self) -> str:
-        """Reason why the robot must stop; empty for none."""
-        ...
+    def __init__(self, dof: int) -> None:
+        self.value_rad = np.zeros(dof)  # Correction of the latest tick
 
     def update(
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
@@ -65,36 +55,22 @@ class Correction(Protocol):
 
         `following`: whether the goals follow the source, without a blend or a stop in progress.
         """
-        ...
-
-
-class NoCorrection:
-    trust: TrustState = TrustState.NONE
-    stop_reason = lost_because = ""
-
-    def __init__(self, dof: int) -> None:
-        self.value_rad = np.zeros(dof)
-
-    def update(
-        self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
-        prediction: Prediction, following: bool = True,
-    ) -> Array:  # fmt: skip
-        """Return zeros."""
         return self.value_rad
 
 
-class TipFeedback:
+class TipFeedback(Correction):
     """Feedback of a plan as `Correction`.
 
     `innovations`: indices of the currents' innovations among the signals of an estimate.
-    `tell`: called after a probing motion with the payload that the observer must assume, or None if
-    it has to estimate it anew.
+    `assume_payload`: called after a probing motion with the payload that the observer must assume,
+    or None if it has to estimate it anew.
     """
 
     def __init__(
         self, plan: TipPlan, goals: PlanGoals, options: TrustOptions, innovations: list[int],
-        tell: Callable[[float | None], None] = lambda payload_kg: None,
+        assume_payload: Callable[[float | None], None] = lambda payload_kg: None,
     ) -> None:  # fmt: skip
+        super().__init__(plan.dof)
         if plan.feedback is None:
             raise ValueError("the plan has no feedback")
         design, self._goals, self._innovations = plan.feedback, goals, innovations
@@ -108,37 +84,18 @@ class TipFeedback:
         self._tables = _tables(plan)
         # At a known payload the tables are interpolated once, not in every tick.
         self._slopes: dict[str, Array] | None = None
-        if goals.known and self._tables:
-            self._slopes = {n: goals.along(table) for n, table in self._tables.items()}
+        if goals.known_kg is not None and self._tables:
+            self._slopes = {n: goals.interpolated(table) for n, table in self._tables.items()}
         self._estimate = StiffnessEstimate(plan.dof)
-        self.stiffness, self._tell = 0.0, tell
+        self.stiffness, self._assume_payload = 0.0, assume_payload
         self.found: ProbeFinding | None = None
-        self._known_kg = goals.payload_kg if goals.known else None
+        self._known_kg = goals.known_kg
         self._probing: ProbeEstimate | None = None
         if plan.probe is not None and goals.lead and self._tables:
             self._probing = ProbeEstimate(plan.probe, self._known_kg)
         self._integral = np.zeros(plan.dof)
-        self.value_rad = np.zeros(plan.dof)
         self._trust = EstimateTrust(options, plan.period_s)
-
-    @property
-    def trust(self) -> TrustState:
-        return self._trust.state
-
-    @property
-    def losses(self) -> int:
-        """Number of losses of trust."""
-        return self._trust.losses
-
-    @property
-    def lost_because(self) -> str:
-        return self._trust.reason
-
-    @property
-    def stop_reason(self) -> str:
-        if not self._trust.stops:
-            return ""
-        return f"the estimated tip is no longer trusted: {self._trust.reason}"
+        self.trust = self._trust.state
 
     def update(
         self, slot: int, step_s: float, fresh: bool, current_a: Array, estimate: Estimate,
@@ -154,6 +111,9 @@ class TipFeedback:
         trust = self._trust
         doubt = self._doubt(fresh, estimate, prediction)
         trust.update(doubt, step_s)
+        self.trust, self.lost_because = trust.state, trust.reason
+        if trust.stops:
+            self.stop_reason = f"the estimated tip is no longer trusted: {trust.reason}"
         if slot < 0:
             return self.value_rad
         row = slot % self._rows
@@ -179,9 +139,11 @@ class TipFeedback:
             self.found, self.stiffness = found, found.stiffness
             if payload_kg is None:
                 payload_kg = found.payload_kg
-                along = self._goals.along
-                self._slopes = {n: along(table, payload_kg) for n, table in self._tables.items()}
-        self._tell(payload_kg)
+                interpolated = self._goals.interpolated
+                self._slopes = {
+                    n: interpolated(table, payload_kg) for n, table in self._tables.items()
+                }
+        self._assume_payload(payload_kg)
 
     def _doubt(self, fresh: bool, estimate: Estimate, prediction: Prediction) -> str:
         if not fresh:
@@ -217,7 +179,7 @@ class TipFeedback:
             error -= self.stiffness * slopes["unseen_m"][row]
         rates = self._c @ self._x + self._d @ error
         self._x = self._a @ self._x + self._b @ error
-        rate = _within(self._goals.blend(rates.reshape(-1, dof)), self._rate_rad_s)
+        rate = _within(self._goals.interpolated(rates.reshape(-1, dof)), self._rate_rad_s)
         self._integral = _within(self._integral + step_s * rate, self._size_rad)
 
 

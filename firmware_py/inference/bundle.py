@@ -116,10 +116,12 @@ class ModelBundle:
         return "compiled" if isinstance(self.predictor, CompiledObserver) else "onnx"
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def signal_names(self) -> tuple[str, ...]:
         """Names of the estimator's further signals (`Estimate.signals`), in order."""
         predictor = self.predictor
-        return predictor.told if isinstance(predictor, CompiledObserver) else predictor.wanted
+        if isinstance(predictor, CompiledObserver):
+            return predictor.signal_names
+        return predictor.wanted
 
     def assume_payload(self, payload_kg: float | None) -> None:
         """Set the payload of an estimator that uses it; other estimators are not changed.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.errors import FmuRefusal, InputError
+from firmware_py.core.errors import InputError
 from firmware_py.core.signals import AGE, IN_RANGE, tip_names
 from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
@@ -39,18 +38,14 @@ class CompiledObserver(ObserverEstimator):
                 "build it with 'dropstitch fmu build --unit observer' in a checkout, or choose "
                 'runtime = "onnx"',
             )  # fmt: skip
-        joints = range(1, dof + 1)
-        inputs = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
+        innovations = (f"innovation_{j}_a" for j in range(1, dof + 1))
+        self.signal_names = tuple(name for name in innovations if name in fmu.variables)
         aged = [AGE.name] if AGE.name in fmu.variables else []
-        self.told = tuple(n for n in (f"innovation_{j}_a" for j in joints) if n in fmu.variables)
-        outputs = ["di", "payload_kg", *PREDICTED, *self.told]
-        self._tick = fmu.tick_channel([*inputs, *aged], outputs)
+        super().__init__(fmu, dof, [*PREDICTED, *self.signal_names], aged)
+        outputs = self._tick.outputs
+        self._prediction = Prediction(outputs[2:5], outputs[5:6], outputs[6:9])
+        self._signals = outputs[9:]
         self._age = self._tick.inputs[2 * dof :]
-        answer = self._tick.outputs[2:]
-        self._prediction = Prediction(answer[:3], answer[3:4], answer[4:7])
-        self._told_values = answer[7:]
-        self._updated = False
-        super().__init__(fmu, dof)
 
     @staticmethod
     def offered_by(fmu: FmuInstance) -> bool:
@@ -62,17 +57,9 @@ class CompiledObserver(ObserverEstimator):
         self._updated = False
 
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
-        """Process one sample; see `DeformationEstimator.update`.
-
-        The FMU refuses a sample with NaN and keeps its state. Estimate and prediction are then NaN
-        and out of range.
-        """
         self._updated = True
-        self._sample(angle_rad, current_a)
-        if not self._run(step_s, 0.0):
-            return Estimate(math.nan, math.nan, self._told_values)
-        di, payload_kg = float(self._tick.outputs[0]), float(self._tick.outputs[1])
-        return Estimate(di, payload_kg, self._told_values)
+        self._set_age(0.0)
+        return super().update(angle_rad, current_a, step_s)
 
     def predict(
         self,
@@ -87,15 +74,15 @@ class CompiledObserver(ObserverEstimator):
         Before the first `update` the link is assumed to rest at the sample passed here.
         """
         if not self._updated:
-            self._sample(angle_rad, current_a)
-            self._run(0.0, age_s)
+            self._set_sample(angle_rad, current_a)
+            self._predict_again(age_s)
         elif age_s == 0.0 and not self._refused and not self._had(angle_rad, current_a):
             raise InputError(
                 "predict", "is given a sample that update has not had",
                 "give the observer every sample, or use ModelBundle.predict_many",
             )  # fmt: skip
         elif age_s != self._known_age_s and not self._refused:
-            self._run(0.0, age_s)
+            self._predict_again(age_s)
         return self._prediction.copy()
 
     def _had(self, angle_rad: Array, current_a: Array) -> bool:
@@ -105,19 +92,10 @@ class CompiledObserver(ObserverEstimator):
             inputs[j] == angle_rad[j] and inputs[dof + j] == current_a[j] for j in range(dof)
         )
 
-    def _sample(self, angle_rad: Array, current_a: Array) -> None:
-        inputs, dof = self._tick.inputs, self._dof
-        inputs[:dof] = angle_rad
-        inputs[dof : 2 * dof] = current_a
+    def _set_age(self, age_s: float) -> None:
+        self._age[:] = self._known_age_s = age_s
 
-    def _run(self, step_s: float, age_s: float) -> bool:
-        self._known_age_s = age_s
-        self._age[:] = age_s
-        try:
-            self._tick.run(step_s)
-        except FmuRefusal:
-            self._tick.outputs[:] = math.nan
-            self._refused = True
-            return False
-        self._refused = False
-        return True
+    def _predict_again(self, age_s: float) -> None:
+        """Predict for another age of the sample, without a step of the observer."""
+        self._set_age(age_s)
+        self._run(0.0)

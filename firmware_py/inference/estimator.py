@@ -139,20 +139,25 @@ class ObserverEstimator:
 
     Before the first sample the link is assumed to have rested at that sample.
 
-    `fmu`: FMU with the inputs `angle_j_rad` and `current_j_a` and the outputs `di` and
-    `payload_kg`.
+    `wanted`: outputs beside `di` and `payload_kg`, for `Estimate.signals`.
     """
 
     waits_for_fresh: ClassVar[bool] = True
 
-    def __init__(self, fmu: FmuInstance, dof: int, wanted: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        fmu: FmuInstance,
+        dof: int,
+        wanted: Sequence[str] = (),
+        further_inputs: Sequence[str] = (),
+    ) -> None:
         joints = range(1, dof + 1)
-        names = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
+        inputs = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]
         self._fmu, self._dof = fmu, dof
-        self._inputs = fmu.channel(names)
-        self._outputs = fmu.channel(["di", "payload_kg", *wanted])
-        self._signals, self._unknown = self._outputs.values[2:], np.full(len(wanted), np.nan)
+        self._tick = fmu.tick_channel([*inputs, *further_inputs], ["di", "payload_kg", *wanted])
+        self._signals = self._tick.outputs[2:]
         self._payload_kg: float | None = None
+        self._refused = False
         self.reset()
 
     def assume_payload(self, payload_kg: float | None) -> None:
@@ -175,18 +180,26 @@ class ObserverEstimator:
     def update(self, angle_rad: Array, current_a: Array, step_s: float) -> Estimate:
         """Process one sample; see `DeformationEstimator.update`.
 
-        The FMU refuses a sample with NaN and keeps its state; the estimate is then NaN.
+        The FMU refuses a sample with NaN and keeps its state; its outputs are then NaN.
         """
-        self._inputs.values[: self._dof] = angle_rad
-        self._inputs.values[self._dof :] = current_a
+        self._set_sample(angle_rad, current_a)
+        self._run(step_s)
+        outputs = self._tick.outputs
+        return Estimate(float(outputs[0]), float(outputs[1]), self._signals)
+
+    def _set_sample(self, angle_rad: Array, current_a: Array) -> None:
+        inputs, dof = self._tick.inputs, self._dof
+        inputs[:dof] = angle_rad
+        inputs[dof : 2 * dof] = current_a
+
+    def _run(self, step_s: float) -> None:
         try:
-            self._inputs.send()
-            self._fmu.step(step_s)
-            self._outputs.receive()
+            self._tick.run(step_s)
         except FmuRefusal:
-            return Estimate(math.nan, math.nan, self._unknown)
-        di, payload_kg = float(self._outputs.values[0]), float(self._outputs.values[1])
-        return Estimate(di, payload_kg, self._signals)
+            self._tick.outputs[:] = math.nan
+            self._refused = True
+        else:
+            self._refused = False
 
 
 class SampleHold:

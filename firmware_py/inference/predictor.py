@@ -189,6 +189,23 @@ class OnnxPredictor:
         return self._prediction.copy()
 
 
+class NoPredictor:
+    """Predictor that returns a constant tip, 1 m above the base, for benchmarks and tests."""
+
+    def __init__(self) -> None:
+        self._prediction = Prediction(np.array([0.0, 0.0, 1.0]), np.ones(1), np.zeros(3))
+
+    def predict(
+        self,
+        angle_rad: Array,
+        current_a: Array,
+        di: float,
+        signals: Array = NO_SIGNALS,
+        age_s: float = 0.0,
+    ) -> Prediction:
+        return self._prediction
+
+
 class InputRange(msgspec.Struct, frozen=True):
     """Input column of a graph, from its metadata."""
 

@@ -90,7 +90,7 @@ class RangeWatch:
         self.estimator, self.predictor = bundle.estimator, self
         self._watched = bundle.predictor
         measured = feature_names(bundle.manifest.dof)
-        names = (*measured, *(bundle.told if bundle.ranges else ()))
+        names = (*measured, *(bundle.signal_names if bundle.ranges else ()))
         self._signals = slice(0, len(names) - len(measured))
         known = {q.name: InputRange(q.name, q.minimum, q.maximum) for q in bundle.manifest.features}
         known |= {r.name: r for r in bundle.ranges}

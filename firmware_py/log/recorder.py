@@ -33,8 +33,7 @@ from firmware_py.core.standard_streams import lasting_streams
 from firmware_py.log.recording import require_packages
 from firmware_py.log.scene import SCENE_TOPIC, SceneEncoder, shape_in
 from firmware_py.log.sinks import (
-    ORIGINS,
-    VIEWERS,
+    LiveConfig,
     LiveSink,
     McapSink,
     Sink,
@@ -56,9 +55,7 @@ class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     fd: int  # Descriptor of the socket, inherited
     path: str | None
-    live: tuple[str, int] | None = None  # Host and port of the live view
-    origins: tuple[str, ...] = ORIGINS  # Permitted origins of the live view
-    viewers: int = VIEWERS  # Largest number of viewers
+    live: LiveConfig | None = None  # None serves no live view
     dof: int  # Number of joints, which determines the layout of a record
     start_ns: int  # Wall time of the start of the run, to which `time_s` of a tick is added
     metadata: dict[str, str]
@@ -70,9 +67,7 @@ def recording(
     dof: int,
     start_ns: int,
     metadata: dict[str, str],
-    live: tuple[str, int] | None = None,
-    origins: tuple[str, ...] = ORIGINS,
-    viewers: int = VIEWERS,
+    live: LiveConfig | None = None,
 ) -> Iterator[SocketTelemetry]:
     """Run a recorder during the context, and yield the telemetry for the loop.
 
@@ -87,7 +82,7 @@ def recording(
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     task = RecorderTask(
         fd=theirs.fileno(), path=None if path is None else str(path), live=live, dof=dof,
-        origins=origins, viewers=viewers, start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
+        start_ns=start_ns, metadata={"dof": str(dof)} | metadata,
     )  # fmt: skip
     process = _spawned(theirs)
     theirs.close()
@@ -199,7 +194,7 @@ def _sinks(task: RecorderTask) -> Iterator[Sink]:
     """Open the sinks of a task; the live view first, because it never waits."""
     if task.live is not None:
         shown = shape_in(task.metadata) is not None
-        live = LiveSink(*task.live, task.dof, task.origins, task.viewers, shown)
+        live = LiveSink(task.live, task.dof, shown)
         print(f"live view at {live.url}: 'Open connection' in Foxglove", file=sys.stderr)
         yield live
     if task.path is not None:

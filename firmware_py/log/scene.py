@@ -204,9 +204,6 @@ class SceneEncoder:
         self._dtype, self._shape = tick_dtype(dof), shape
         self._angles = [f"angle_{j}_rad" for j in range(1, dof + 1)]
         self._records = 0
-        self._templates = {
-            True: _Template(shape, IN_RANGE), False: _Template(shape, OUT_OF_RANGE)
-        }  # fmt: skip
 
     def __call__(self, record: bytes, time_ns: int) -> bytes | None:
         """Return the scene of every `EVERY`-th record; None for others and without a tip."""
@@ -221,47 +218,13 @@ class SceneEncoder:
             return None
         half = np.array([tick[f"half_width_{axis}_m"] for axis in "xyz"])
         size_m = np.maximum(2.0 * np.nan_to_num(half), MARKER_SIZE_M)
-        template = self._templates[bool(tick["in_range"])]
-        return template.filled(pose_link(self._shape, angle, tip), size_m, time_ns)
+        colour = IN_RANGE if tick["in_range"] else OUT_OF_RANGE
+        return _scene(pose_link(self._shape, angle, tip), size_m, self._shape, colour, time_ns)
 
 
-class _Template:
-    """Encoded scene without coordinates and times; filling them in takes microseconds.
-
-    The offsets of the coordinates follow from encoding a scene of unique numbers.
-    """
-
-    def __init__(self, shape: LinkShape, tip_colour: Colour) -> None:
-        like = pose_link(shape, np.zeros(1), np.array([0.0, 0.0, 1.0]))
-        parts = (like.edges, like.centre, like.rigid_tip, like.markers, np.zeros(3))
-        unique = 1.0 + 2.0**-40 * np.arange(1, sum(part.size for part in parts) + 1)
-        cuts = np.cumsum([part.size for part in parts])[:-1]
-        edges, centre, rigid, markers, size = (
-            v.reshape(p.shape) for v, p in zip(np.split(unique, cuts), parts, strict=True)
-        )
-        own = LinkPose(centre=centre, edges=edges, markers=markers, rigid_tip=rigid)
-        self._text = _scene(own, size, shape, tip_colour)
-        places = [self._text.index(struct.pack("<d", value)) for value in unique.tolist()]
-        # The tip's sphere is at the end of the centre line, so this position occurs twice.
-        tips = [self._text.rindex(struct.pack("<d", value)) for value in centre[-1].tolist()]
-        self._places = (np.array(places + tips)[:, None] + np.arange(8)).ravel()
-
-    def filled(self, pose: LinkPose, tip_size_m: Array, time_ns: int) -> bytes:
-        seconds, nanos = divmod(time_ns, 1_000_000_000)
-        text = bytearray(
-            self._text.replace(_SECONDS, _varint5(seconds)).replace(_NANOS, _varint5(nanos))
-        )
-        values = np.concatenate([
-            pose.edges.ravel(), pose.centre.ravel(), pose.rigid_tip, pose.markers.ravel(),
-            tip_size_m, pose.centre[-1],
-        ])  # fmt: skip
-        rounded = np.round(values / _STEP_M) * _STEP_M
-        np.frombuffer(text, np.uint8)[self._places] = rounded.astype("<f8").view(np.uint8)
-        return bytes(text)
-
-
-def _scene(pose: LinkPose, tip_size_m: Array, shape: LinkShape, tip_colour: Colour) -> bytes:
-    """Encode a scene with placeholder times, which `_Template.filled` replaces."""
+def _scene(
+    pose: LinkPose, tip_size_m: Array, shape: LinkShape, tip_colour: Colour, time_ns: int
+) -> bytes:
     link = [
         (12, _surface(pose.edges, shape)),
         (11, _line(pose.centre, AXIS)),
@@ -271,12 +234,13 @@ def _scene(pose: LinkPose, tip_size_m: Array, shape: LinkShape, tip_colour: Colo
     markers = [(9, _sphere(place, size_m, MARKER)) for place in pose.markers]
     tip = [(9, _sphere(pose.centre[-1], tip_size_m, tip_colour))]
     entities = (("link", link), ("markers", markers), ("tip", tip))
-    return b"".join(_entity(name, parts) for name, parts in entities)
+    return b"".join(_entity(name, time_ns, parts) for name, parts in entities)
 
 
-def _entity(name: str, parts: Iterable[tuple[int, bytes]]) -> bytes:
+def _entity(name: str, time_ns: int, parts: Iterable[tuple[int, bytes]]) -> bytes:
     """Encode an entity of a scene, which replaces the previous one of the same name."""
-    stamp = bytes([1 << 3]) + _SECONDS + bytes([2 << 3]) + _NANOS  # wire type 0
+    seconds, nanos = divmod(time_ns, 1_000_000_000)
+    stamp = bytes([1 << 3]) + _varint(seconds) + bytes([2 << 3]) + _varint(nanos)  # wire type 0
     content = _part(1, stamp) + _part(2, FRAME.encode()) + _part(3, name.encode())
     return _part(2, content + b"".join(_part(number, part) for number, part in parts))
 
@@ -309,8 +273,9 @@ def _points(number: int, points_m: Array) -> bytes:
     return b"".join(_part(number, _vector(point)) for point in points_m)
 
 
-def _vector(values: Array) -> bytes:
-    return b"".join(_double(k, value) for k, value in enumerate(values.tolist(), start=1))
+def _vector(values_m: Array) -> bytes:
+    rounded = np.round(values_m / _STEP_M) * _STEP_M
+    return b"".join(_double(k, value) for k, value in enumerate(rounded.tolist(), start=1))
 
 
 def _colour(colour: Colour) -> bytes:
@@ -333,14 +298,3 @@ def _varint(value: int) -> bytes:
         digits.append(value & 0x7F | 0x80)
         value >>= 7
     return bytes([*digits, value])
-
-
-def _varint5(value: int) -> bytes:
-    """Encode an integer below 2³⁵ in exactly five bytes."""
-    digits = [value >> shift & 0x7F for shift in (0, 7, 14, 21, 28)]
-    return bytes([*(digit | 0x80 for digit in digits[:4]), digits[4]])
-
-
-_SECONDS: Final = _varint5(2**35 - 1)
-_NANOS: Final = _varint5(2**35 - 2)
-"""Placeholder times of a template, which no time of a run equals."""

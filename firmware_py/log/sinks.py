@@ -10,7 +10,6 @@ import importlib.util
 import math
 import os
 import secrets
-from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 import msgspec
@@ -21,14 +20,6 @@ from firmware_py.core.signals import tick_dtype
 from firmware_py.log.recording import CHUNK_BYTES, METADATA, SCHEMA_NAME, TOPIC, tick_schema
 from firmware_py.log.scene import SCENE_SCHEMA, SCENE_TOPIC, SHAPE_KEY, scene_schema
 
-__all__ = ["ORIGINS", "VIEWERS", "LiveConfig"]
-
-
-ORIGINS: Final = ("https://app.foxglove.dev", "file://")
-"""Origins of Foxglove: its web page and its desktop program. Programs that are not browsers send no
-origin and are admitted."""
-VIEWERS: Final = 8
-
 
 class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Table `[live]`: address at which `dropstitch run --live` serves the ticks to Foxglove."""
@@ -36,8 +27,10 @@ class LiveConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     # Address to listen on. Whoever can reach it sees the ticks, but cannot command the robot.
     host: str = "127.0.0.1"
     port: int = 8765  # TCP port; 0 chooses a free one
-    origins: tuple[str, ...] = ORIGINS  # Web sites whose pages may connect
-    viewers: int = VIEWERS  # Largest number of viewers
+    # Web sites whose pages may connect: Foxglove's page and desktop program. A program that is no
+    # browser sends no origin and is admitted.
+    origins: tuple[str, ...] = ("https://app.foxglove.dev", "file://")
+    viewers: int = 8  # Largest number of viewers
 
 
 _INFINITIES: Final = {math.inf: "Infinity", -math.inf: "-Infinity"}
@@ -153,15 +146,7 @@ class LiveSink:
 
     ticks = None
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        dof: int,
-        origins: Sequence[str] = ORIGINS,
-        viewers: int = VIEWERS,
-        scene: bool = False,
-    ) -> None:
+    def __init__(self, live: LiveConfig, dof: int, scene: bool) -> None:
         import foxglove
 
         from firmware_py.log.live_gate import LiveGate
@@ -182,13 +167,14 @@ class LiveSink:
                 name="dropstitch", host=hidden, port=0, message_backlog_size=_VIEWER_BACKLOG
             )
             behind = (hidden, self._server.port)
-            self._gate = LiveGate((host, port), behind, origins, viewers)
+            address = live.host, live.port
+            self._gate = LiveGate(address, behind, live.origins, live.viewers)
         except (RuntimeError, OSError) as error:
             raise InputError(
-                "live", f"{host}:{port} cannot be listened at ({error})",
+                "live", f"{live.host}:{live.port} cannot be listened at ({error})",
                 "correct [live] in robot.toml, or end the program that uses the port",
             ) from None  # fmt: skip
-        self.url = f"ws://{host}:{self._gate.port}"
+        self.url = f"ws://{live.host}:{self._gate.port}"
 
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
         self._channels[topic].log(data, log_time=time_ns)

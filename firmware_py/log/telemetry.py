@@ -9,38 +9,24 @@ waits.
 from __future__ import annotations
 
 import socket
-from typing import Protocol
 
 
-class Telemetry(Protocol):
-    """Receiver of finished tick records."""
+class Telemetry:
+    """Receiver of complete tick records; this one discards them."""
 
-    drops: int  # Records that were not delivered
-    logged: int | None  # Ticks in the complete log; None if unknown
+    drops = 0  # Records that were not delivered
+    logged: int | None = None  # Ticks in the complete log; None if unknown
 
     def put(self, record: memoryview) -> None:
         """Send one record; never blocks, never raises."""
-        ...
 
 
-class NoTelemetry:
-    """Telemetry that discards the records."""
-
-    drops = 0
-    logged: int | None = None
-
-    def put(self, record: memoryview) -> None:
-        """Do nothing."""
-
-
-class SocketTelemetry:
+class SocketTelemetry(Telemetry):
     """Telemetry over a SEQPACKET socket."""
 
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self._send = end.send
-        self.drops = 0
-        self.logged: int | None = None
 
     def put(self, record: memoryview) -> None:
         """Send one record, or count it as dropped if the recorder is behind or gone."""

@@ -50,20 +50,19 @@ class EstimateTrust:
     def __init__(self, options: TrustOptions, period_s: float) -> None:
         self._options, self._period_s = options, period_s
         self.state, self.fraction = TrustState.TRUSTED, 1.0
-        self.reason, self.losses = "", 0
+        self.reason = ""
         self._bad, self._good_s = 0, 0.0
 
     @property
     def stops(self) -> bool:
         """Whether trust was lost and the options demand a stop."""
-        return self.losses > 0 and self._options.when_lost == "stop"
+        return bool(self.reason) and self._options.when_lost == "stop"
 
     def update(self, doubt: str, step_s: float) -> None:
         """Update with the reason to reject the estimate of a tick; empty if it is accepted."""
         self._bad = self._bad + max(1, math.floor(step_s / self._period_s + 0.5)) if doubt else 0
         if self.state is TrustState.TRUSTED and self._bad >= self._options.bad_ticks:
             self.state, self.reason = TrustState.FADING, doubt
-            self.losses += 1
             self._good_s = 0.0
         if self.state is TrustState.FADING:
             self.fraction = max(self.fraction - step_s / FADE_S, 0.0)

@@ -7,45 +7,29 @@ import os
 import sys
 import threading
 import time
-from typing import Protocol
 
 if sys.platform != "win32":  # Windows imports the loop for planning
     import resource
 
-__all__ = ["Counters", "KernelCounters", "NoCounters"]
+__all__ = ["Counters", "KernelCounters"]
 
 
-class Counters(Protocol):
-    """Counters of the kernel for the loop's thread."""
+class Counters:
+    """Counters for the loop's thread; these read zero, for simulated time."""
 
     def run_delay_ns(self) -> int:
         """Return the run-queue delay: the time in which the thread was ready but did not run."""
-        ...
-
-    def start_computing(self) -> None:
-        """Mark the time from which on the thread does not sleep voluntarily."""
-        ...
-
-    def delays_ns(self) -> tuple[int, int]:
-        """Return `run_delay_ns`, and the steal time of the processor since `start_computing`."""
-        ...
-
-
-class NoCounters:
-    """Counters for simulated time, in which nothing is preempted."""
-
-    def run_delay_ns(self) -> int:
         return 0
 
     def start_computing(self) -> None:
-        """Do nothing."""
+        """Mark the time from which on the thread does not sleep voluntarily."""
 
     def delays_ns(self) -> tuple[int, int]:
-        """Return a steal time of zero."""
+        """Return `run_delay_ns`, and the steal time of the processor since `start_computing`."""
         return self.run_delay_ns(), 0
 
 
-class KernelCounters:
+class KernelCounters(Counters):
     """Counters of the kernel for the thread that creates this object.
 
     The file stays open, so that a reading is one system call of 1 µs. A missing counter reads zero.
@@ -62,7 +46,7 @@ class KernelCounters:
         self._start = (time.monotonic_ns(), *self._ran_and_delayed_ns(), _sleeps())
 
     def delays_ns(self) -> tuple[int, int]:
-        """Return run-queue delay and steal time; see `Counters.delays_ns`.
+        """Return run-queue delay and steal time.
 
         A thread that does not sleep is running, is waiting in the run queue, or has lost its
         processor to the hypervisor, which the kernel counts as neither. If the thread has slept,

@@ -11,7 +11,7 @@ import contextlib
 import os
 import socket
 from collections.abc import Mapping
-from typing import Final, Protocol
+from typing import Final
 
 from firmware_py.system.clock import Clock
 
@@ -19,21 +19,14 @@ _NOTIFICATIONS: Final = 4
 """Number of notifications within the timeout of systemd."""
 
 
-class Service(Protocol):
-    """Watchdog of the process."""
+class Service:
+    """Watchdog of the process; this one is none."""
 
     def alive(self) -> None:
         """Notify that the loop is running; never blocks, never raises."""
 
 
-class NoService:
-    """No watchdog."""
-
-    def alive(self) -> None:
-        """Do nothing."""
-
-
-class SystemdService:
+class SystemdService(Service):
     """Watchdog of systemd; it does nothing if the environment names no socket.
 
     `clock`: clock of the notifications; there are four within the timeout of systemd.

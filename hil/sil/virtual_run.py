@@ -6,10 +6,10 @@ import hashlib
 import time
 
 from firmware_py.inference.range_check import RangeWatch
-from firmware_py.log.telemetry import NoTelemetry, SocketTelemetry
+from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.robot import build_bus
 from firmware_py.system.clock import SimClock
-from firmware_py.system.kernel_counters import NoCounters
+from firmware_py.system.kernel_counters import Counters
 from hil.emulator.emulator import EmulatorOutcome, EmulatorSpecification, Releases, build_line
 from hil.emulator.line import VirtualTransport
 from hil.sil.cpu_accounts import ProbeRecord
@@ -24,7 +24,7 @@ def run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificatio
     config = sil_config(options, "virtual")
     bus = build_bus(config, VirtualTransport(line, clock), clock)
     watch = RangeWatch(options.bundle)
-    loop = build_sil_loop(options, watch, config, bus, clock, NoTelemetry(), NoCounters())
+    loop = build_sil_loop(options, watch, config, bus, clock, Telemetry(), Counters())
     start_s, start_busy_s = time.perf_counter(), time.process_time()
     summary = loop.run()
     wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s

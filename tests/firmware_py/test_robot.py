@@ -23,14 +23,13 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
-from firmware_py.inference.no_models import NoModels
 from firmware_py.log.recording import Recording
-from firmware_py.log.telemetry import NoTelemetry
-from firmware_py.robot import build_bus, build_loop, load_bundle
+from firmware_py.log.telemetry import Telemetry
+from firmware_py.robot import NoModels, build_bus, build_loop, load_bundle
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import Ended
 from firmware_py.system.clock import SimClock
-from firmware_py.system.service import NoService
+from firmware_py.system.service import Service
 
 CONFIG = """
 bundle = "bundle"
@@ -221,13 +220,13 @@ def test_a_servo_without_a_watchdog_is_told_the_rate_limit_in_force():
 
 
 def test_telemetry_counters_and_service_are_the_callers():
-    class Kept(NoTelemetry):
+    class Kept(Telemetry):
         count = 0
 
         def put(self, record):
             self.count += 1
 
-    class Heard(NoService):
+    class Heard(Service):
         count = 0
 
         def alive(self):

@@ -14,7 +14,7 @@ from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import STAGES
 from firmware_py.goals.goal_source import GoalTable
-from firmware_py.goals.tip_feedback import NoCorrection
+from firmware_py.goals.tip_feedback import Correction
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.loop import ControlLoop
 from firmware_py.safety.estimate_trust import TrustState
@@ -22,7 +22,7 @@ from firmware_py.safety.limits import Limits
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.summary import FeedbackUse
 from firmware_py.system.clock import SimClock
-from firmware_py.system.kernel_counters import NoCounters
+from firmware_py.system.kernel_counters import Counters
 from tests.firmware_py.simulated_loop import (
     PERIOD_NS,
     StillPredictor,
@@ -109,7 +109,7 @@ def test_a_tick_leaves_no_memory_behind():
 
 
 def test_lost_data_is_the_hosts_where_it_held_the_thread_up():
-    class Delays(NoCounters):
+    class Delays(Counters):
         """2 ms of delay in the ticks 19 and 40."""
 
         calls = 0
@@ -127,7 +127,7 @@ def test_lost_data_is_the_hosts_where_it_held_the_thread_up():
     assert summary.held_up_ticks == 1
 
 
-class Doubting(NoCorrection):
+class Doubting(Correction):
     """Feedback that is not trusted in some slots, before slot 0 and during the stop too."""
 
     lost_because = "it is out of range"

@@ -23,8 +23,7 @@ from firmware_py.config import BusConfig, RobotConfig, ServoConfig, check_config
 from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.goals.goal_source import GoalTable
-from firmware_py.inference.no_models import NoModels
-from firmware_py.robot import build_loop, open_bus
+from firmware_py.robot import NoModels, build_loop, open_bus
 from firmware_py.safety.limits import Limits
 from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 

@@ -201,7 +201,7 @@ def case_source(
                                 rate_rad_s=0.16, innovation_a=0.8),
     )  # fmt: skip
     source = PlanGoals(plan, 1.0)
-    places = innovation_places(robot.bundle.told, robot.dof)
+    places = innovation_places(robot.bundle.signal_names, robot.dof)
     correction = FaultyFeedback(plan, source, TrustOptions(when_lost=setup.feedback), places)
     correction.host = host
     return source, correction

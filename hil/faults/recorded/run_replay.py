@@ -21,6 +21,7 @@ from firmware_py.loop import ControlLoop
 from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
 from firmware_py.system.clock import SimClock
+from firmware_py.system.service import Service
 from hil.faults.cases.case_robot import case_goals
 from hil.faults.fault_row import Setup
 from hil.faults.recorded.recorded_run import RunTape, TapeFacts
@@ -36,7 +37,7 @@ class _RunsOnError(DropstitchError):
     """The loop reads a tick after the recorded end."""
 
 
-class _Playback:
+class _Playback(Service):
     """Bus, clock, estimator, predictor and service of a recorded run."""
 
     waits_for_fresh: ClassVar[bool] = False

@@ -48,7 +48,7 @@ def plan():
 )
 def test_goals_of_a_known_payload_lie_between_their_neighbours(plan, payload_kg, factor):
     goals = PlanGoals(plan, payload_kg)
-    goals.heed(Estimate(0.0, 1.9), 10.0)
+    goals.follow(Estimate(0.0, 1.9), 10.0)
     table = np.array([goals.at(slot) for slot in range(ROWS)])
     assert table[:, 0] == pytest.approx(np.array(column(factor)), abs=1e-12)
 
@@ -62,15 +62,15 @@ def test_goals_wait_before_the_first_slot_and_repeat_after_the_last(plan):
 def test_the_payload_follows_the_estimate_at_a_limited_rate(plan):
     goals = PlanGoals(plan)
     assert goals.payload_kg == 1.0
-    goals.heed(Estimate(0.0, 2.0), 0.1)
+    goals.follow(Estimate(0.0, 2.0), 0.1)
     assert goals.payload_kg == pytest.approx(1.05)
-    goals.heed(Estimate(0.0, math.nan), 0.1)
+    goals.follow(Estimate(0.0, math.nan), 0.1)
     assert goals.payload_kg == pytest.approx(1.05)
-    goals.heed(Estimate(0.0, math.inf), 0.1)
+    goals.follow(Estimate(0.0, math.inf), 0.1)
     assert goals.payload_kg == pytest.approx(1.05)
-    goals.heed(Estimate(0.0, 5.0), 60.0)
+    goals.follow(Estimate(0.0, 5.0), 60.0)
     assert goals.payload_kg == 2.0, "the end of the grid"
-    goals.heed(Estimate(0.0, -1.0), 60.0)
+    goals.follow(Estimate(0.0, -1.0), 60.0)
     assert goals.payload_kg == 0.0
 
 
@@ -84,7 +84,7 @@ def test_no_estimate_brings_a_checked_plan_beyond_a_limit(plan):
         supervisor.arm(goals.at(0))
         supervisor.start()
         for slot in range(ROWS):
-            goals.heed(Estimate(0.0, rng.choice([0.0, 2.0])), PERIOD_S)
+            goals.follow(Estimate(0.0, rng.choice([0.0, 2.0])), PERIOD_S)
             supervisor.admit(goals.at(slot))
             assert not supervisor.tripped, supervisor.reason
 

@@ -166,7 +166,7 @@ def test_an_observer_misled_by_the_probe_does_not_cost_the_trust():
     robot = Robot(0.12, 1.1, when_lost="stop")
     robot.probe(innovation=2.0)
     assert robot.feedback.trust is TrustState.TRUSTED
-    assert robot.feedback.losses == 0 and robot.feedback.stop_reason == ""
+    assert robot.feedback.lost_because == robot.feedback.stop_reason == ""
 
 
 @pytest.mark.parametrize(

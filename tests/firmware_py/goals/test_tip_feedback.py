@@ -113,7 +113,7 @@ def test_corrections_fade_within_200_ms_and_come_back(wrong, reason):
     assert faded[-1] == 0.0
     assert max(-np.diff(faded)) <= RATE * PERIOD_S + 1e-12
     assert feedback.stop_reason == ""
-    assert feedback.losses == 1
+    assert feedback.lost_because
     regained = [tick(feedback, -0.01) for _ in range(70)]
     assert feedback.trust is TrustState.TRUSTED
     assert regained[50] == 0.0

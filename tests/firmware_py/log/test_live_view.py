@@ -21,12 +21,13 @@ from firmware_py.core.errors import InputError
 from firmware_py.log.live_gate import LiveGate
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import SCHEMA_NAME, TOPIC, read_recording, tick_schema
-from firmware_py.log.sinks import ORIGINS, VIEWERS, LiveConfig
+from firmware_py.log.sinks import LiveConfig
 from firmware_py.summary import Ended
 from tests.firmware_py.log.test_recorder import ROOT, assert_same, put_all, ticks
 from tests.firmware_py.simulated_loop import make
 
-ANYWHERE = ("127.0.0.1", 0)
+ANYWHERE = LiveConfig(port=0)
+ORIGINS = LiveConfig().origins
 PATIENCE_S = 30
 
 
@@ -166,7 +167,7 @@ def test_an_address_that_cannot_be_listened_at_is_refused_before_the_start(capfd
         port = taken.getsockname()[1]
         with (
             pytest.raises(InputError, match=rf"127\.0\.0\.1:{port} cannot be listened at"),
-            recording(None, 1, 0, {}, live=("127.0.0.1", port)),
+            recording(None, 1, 0, {}, live=LiveConfig(port=port)),
         ):
             pytest.fail("the loop must not start")
     assert capfd.readouterr().err == ""
@@ -198,7 +199,7 @@ def test_a_page_of_another_site_is_refused(capfd, origin):
 
 @pytest.mark.parametrize("end", ["\r\n", "\n", "\r"])
 def test_no_end_of_a_line_hides_an_origin(end):
-    gate = LiveGate(("127.0.0.1", 0), ("127.0.0.1", 1), ORIGINS, VIEWERS)
+    gate = LiveGate(("127.0.0.1", 0), ("127.0.0.1", 1), ORIGINS, 8)
     try:
         known, foreign = (
             f"GET / HTTP/1.1\r\nA: b{end}origin : {origin}\r\n\r\n".encode()
@@ -219,7 +220,7 @@ def test_foxglove_and_programs_that_are_no_browser_are_admitted(capfd, origin):
 
 
 def test_one_viewer_too_many_is_refused_until_another_leaves(capfd):
-    with recording(None, 1, 0, {}, live=ANYWHERE, viewers=2):
+    with recording(None, 1, 0, {}, live=LiveConfig(port=0, viewers=2)):
         url = url_of(capfd)
         with subscribed(url):
             with subscribed(url):
@@ -248,7 +249,10 @@ def test_a_request_without_an_end_is_dropped_and_others_are_served(capfd, reques
 
 
 def test_connections_that_say_nothing_are_bounded(capfd):
-    with recording(None, 1, 0, {}, live=ANYWHERE, viewers=1), contextlib.ExitStack() as stack:
+    with (
+        recording(None, 1, 0, {}, live=LiveConfig(port=0, viewers=1)),
+        contextlib.ExitStack() as stack,
+    ):
         port = int(url_of(capfd).rpartition(":")[2])
         ends = [
             stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(40)

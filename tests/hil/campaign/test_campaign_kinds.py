@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from firmware_py.core.errors import InputError
-from firmware_py.log.telemetry import NoTelemetry
+from firmware_py.log.telemetry import Telemetry
 from hil.campaign.case_task import canonical_json
 from hil.campaign.code_version import ROOT
 from hil.campaign.kinds.case_kind import KINDS, CaseContext, load_kind
@@ -51,7 +51,7 @@ def test_a_run_in_software_does_not_depend_on_the_runs_before_it(tmp_path, toy_b
     assert not list(tmp_path.glob("*.mcap"))
 
 
-class StopRequest(NoTelemetry):
+class StopRequest(Telemetry):
     """Sends this process SIGTERM after the first tick."""
 
     def put(self, record):
@@ -59,7 +59,7 @@ class StopRequest(NoTelemetry):
 
 
 def test_a_part_of_a_run_in_software_is_no_result(tmp_path, toy_bundle, monkeypatch):
-    monkeypatch.setattr("hil.sil.virtual_run.NoTelemetry", StopRequest)
+    monkeypatch.setattr("hil.sil.virtual_run.Telemetry", StopRequest)
     kind = load_kind("sil")
     with pytest.raises(InputError, match=r"SIGTERM ended the run after \d of 59 slots"):
         result_of(kind, tmp_path, bundle=str(toy_bundle), seconds=1.0)
