@@ -30,10 +30,6 @@ from firmware_py.safety.limits import Limits, limits_with_link
 from firmware_py.safety.supervisor import check_motion
 from firmware_py.system.clock import RealTimeOptions
 
-__all__ = [
-    "BusConfig", "RobotConfig", "ServoConfig", "check_config", "read_config",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
 UNWATCHED_RATE_RAD_S: Final = 1.0
@@ -66,7 +62,6 @@ class ServoConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     gains: ServoGains | None = None
 
     def assumed(self) -> AssumedSettings:
-        """Return the settings that the plant assumes of the servo."""
         gains = self.gains.registers() if self.gains else {}
         return AssumedSettings(self.reverse, self.homing_offset_rad, gains)
 
@@ -96,7 +91,6 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
         return len(self.servos)
 
     @property
@@ -118,7 +112,6 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def transmission_budget_s(self) -> float:
-        """Largest transmission time of a tick."""
         return bus_plan.available_s(self.period_s, self.bus.reply_timeout_s)
 
     def bus_plans(self) -> list[bus_plan.Plan]:
@@ -145,7 +138,6 @@ class RobotConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def read_config(path: Path | str) -> RobotConfig:
-    """Read and check `robot.toml`."""
     path = Path(path)
     document = read_toml(path, "copy the commented robot.toml and adapt it")
     config = convert(document, RobotConfig, path, "", "see the commented robot.toml for every key")

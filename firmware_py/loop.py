@@ -42,8 +42,6 @@ from firmware_py.system.service import Service
 from firmware_py.system.stop_signals import signals_to
 from firmware_py.tick_log import LONGEST_STEP_SLOTS, AwayTicks, Tick, TickLog
 
-__all__ = ["ControlLoop"]
-
 _START_DELAY_NS: Final = 2_000_000
 _REPLUG_POLL_NS: Final = 50_000_000
 

@@ -51,11 +51,6 @@ from firmware_py.system.clock import Clock
 from firmware_py.system.kernel_counters import Counters
 from firmware_py.system.service import Service
 
-__all__ = [
-    "LoopModels", "NoModels", "build_bus", "build_loop", "load_bundle", "log_metadata", "open_bus",
-    "with_bundle_gains",
-]  # fmt: skip
-
 
 class LoopModels(Protocol):
     """Models that the loop evaluates in every tick, such as a `ModelBundle`."""
@@ -191,7 +186,6 @@ def log_metadata(
     started: datetime,
     settings: Sequence[Mapping[str, int]] = (),
 ) -> dict[str, str]:
-    """Return the metadata of the log of a run."""
     shape = shape_of_bundle(bundle.directory)
     drawn = {SHAPE_KEY: msgspec.json.encode(shape).decode()} if shape else {}
     return drawn | {

@@ -11,15 +11,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document
 from firmware_py.core.units import LENGTH, SMALL_CURRENT, signal_unit, signal_words
 from firmware_py.safety.states import Fault
 from firmware_py.system.timing import Timing, TimingSummary
-
-__all__ = [
-    "Ended", "FeedbackUse", "InputBeyond", "RangeReasons", "RunDocument", "RunSummary",
-    "read_run_summary", "write_run_summary",
-]  # fmt: skip
 
 
 class Ended(Enum):
@@ -122,7 +117,6 @@ class RunSummary:
         logged_ticks: int | None = None,
         out_of_range_reasons: RangeReasons | None = None,
     ) -> RunDocument:
-        """Return a document with everything except the records."""
         return RunDocument(
             schema=RunDocument.VERSION, ended=self.ended.value, reason=self.reason,
             ticks=self.ticks, bus_faults=self.bus_faults, out_of_range=self.out_of_range,
@@ -160,11 +154,3 @@ class RunDocument(Document, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     logged_ticks: int | None = None
     # Inputs of the predictor that were beyond their ranges
     out_of_range_reasons: RangeReasons = RangeReasons()
-
-
-def read_run_summary(path: Path) -> RunDocument:
-    return read_document(path, RunDocument)
-
-
-def write_run_summary(path: Path, document: RunDocument) -> None:
-    write_document(path, document)

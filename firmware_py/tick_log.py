@@ -101,8 +101,6 @@ _HELD_UP_NS: Final = 1_000_000
 
 
 class Tick(NamedTuple):
-    """Inputs, results and time marks of one tick."""
-
     slot: int
     missed: int  # Slots skipped since the previous tick
     goal_rad: Array  # Goals sent, shape (dof,) as are the measured angles and currents
@@ -140,12 +138,10 @@ class TickLog:
 
     @property
     def ticks(self) -> int:
-        """Ticks logged since the start."""
         return self._ring.count
 
     @property
     def drops(self) -> int:
-        """Records that the telemetry dropped."""
         return self._telemetry.drops
 
     def records(self) -> NDArray[np.void]:

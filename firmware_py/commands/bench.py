@@ -35,7 +35,6 @@ LEAST_S, MOST_S = 0.1, 86400.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument(
         "--bundle",
         type=Path,

@@ -29,9 +29,6 @@ from firmware_py.robot import open_bus
 from firmware_py.system.clock import Clock, DeadlineClock
 from firmware_py.system.doctor_checks import Severity, examine
 
-__all__ = ["JointTurn", "turn_joints"]
-
-
 Array = NDArray[np.float64]
 
 LEAST_TURN_RAD: Final = 0.087
@@ -52,7 +49,6 @@ class JointTurn(NamedTuple):
     change_rad: float
 
     def told(self, ids: Sequence[int]) -> str:
-        """Return the result as a sentence."""
         change = ANGLE.text(self.change_rad)
         if self.found == self.joint:
             return (
@@ -82,8 +78,6 @@ def turn_joints(
 
 
 class _Watch:
-    """Measurement of joints that the operator turns."""
-
     def __init__(self, bus: ServoBus, clock: Clock, timeout_s: float) -> None:
         self._bus, self._clock = bus, clock
         self._timeout_ns = round(timeout_s * 1e9)
@@ -131,7 +125,6 @@ _MARKS = {Severity.GOOD: "  ", Severity.NOTE: "? ", Severity.SPOILS: "! ",
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--bus", action="store_true", help="print the bus's time budget instead")
     parser.add_argument(
         "--check-joints",

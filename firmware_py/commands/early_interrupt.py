@@ -7,8 +7,6 @@ almost nothing.
 import sys
 from types import TracebackType
 
-__all__ = ["quiet_interrupt"]
-
 
 def quiet_interrupt(prog: str) -> None:
     """Report an unhandled Ctrl-C in one sentence instead of a traceback."""

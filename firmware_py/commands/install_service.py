@@ -98,7 +98,6 @@ ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}=
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
     parser.add_argument(
         "--user", default=os.environ.get("SUDO_USER") or getpass.getuser(),

@@ -23,8 +23,6 @@ from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import RunSummary
 
-__all__ = ["PayloadEstimate", "contradicted_payload", "unused_payload"]
-
 Array = NDArray[np.float64]
 
 LONGEST_S: Final = 60.0
@@ -45,8 +43,6 @@ _PRIOR_DEVIATION: Final = "parameters.payload_spread_kg"
 
 
 class PayloadEstimate(NamedTuple):
-    """Estimate of the payload from the currents of a run."""
-
     payload_kg: float
     # Standard deviation of the estimate; the prior one if nothing moved
     deviation_kg: float

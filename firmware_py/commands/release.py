@@ -50,7 +50,6 @@ class DrivenRobot(msgspec.Struct, frozen=True):
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
 
 
@@ -68,7 +67,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def read_driven_robot(path: Path) -> DrivenRobot:
-    """Read the servos and their bus from robot.toml."""
     tables = read_toml(path, "copy the commented robot.toml", tables=("bus", "servos"))
     robot = convert(tables, DrivenRobot, path, "", "see the commented robot.toml for every key")
     if robot.bus.baud not in BAUD_RATES:

@@ -36,7 +36,6 @@ class Seams(NamedTuple):
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("log", type=Path, nargs="?", help="MCAP log of 'dropstitch run'")
     parser.add_argument(
         "--bundle",

@@ -31,6 +31,7 @@ from firmware_py.bus.servo_settings import GAINS
 from firmware_py.commands.payload_check import contradicted_payload, unused_payload
 from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.core.console import DONE, NEGATIVE, emit
+from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError, SafetyTrip
 from firmware_py.core.motion import KINDS
 from firmware_py.core.units import CPU_TIME, DURATION
@@ -55,7 +56,7 @@ from firmware_py.log.recorder import recording
 from firmware_py.log.recording import OUTSIDE, SLOTS_KEY
 from firmware_py.log.telemetry import Telemetry
 from firmware_py.robot import build_loop, load_bundle, log_metadata, open_bus, with_bundle_gains
-from firmware_py.summary import Ended, RunDocument, RunSummary, write_run_summary
+from firmware_py.summary import Ended, RunDocument, RunSummary
 from firmware_py.system.clock import DeadlineClock, real_time
 from firmware_py.system.kernel_counters import KernelCounters
 from firmware_py.system.service import SystemdService
@@ -65,7 +66,6 @@ EXAMPLE = "dropstitch run --config robot.toml --seconds 30"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
     parser.add_argument("--config", type=Path, required=True, metavar="ROBOT", help="robot.toml")
     parser.add_argument(
         "--seconds", type=float, help="repeat the motion for this time (default: run it once)"
@@ -103,7 +103,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the loop and report its summary."""
     config = _overridden(read_config(args.config), args)
     plan = read_tip_plan(args.plan) if args.plan is not None else None
     bundle = load_bundle(config, args.config)
@@ -180,7 +179,7 @@ def _say(who: str, *sentences: str) -> None:
 def _write_summary(path: Path, document: RunDocument) -> None:
     """Write the summary beside the log; a full disk must not hide the result of the run."""
     try:
-        write_run_summary(path, document)
+        write_document(path, document)
     except OSError as error:
         print(f"dropstitch: {path}: cannot be written ({error.strerror})", file=sys.stderr)
 
@@ -315,7 +314,6 @@ def _telemetry(
 
 
 def describe(summary: RunSummary, document: RunDocument) -> str:
-    """Return the summary of a run as text."""
     busy, own = (summary.timing.stages[name].summary() for name in ("busy", "own"))
     faults = ", ".join(f"{n} {name}" for name, n in summary.bus_faults.items()) or "none"
     lines = [

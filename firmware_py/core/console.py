@@ -302,7 +302,6 @@ def _refused_by_system(error: OSError) -> InputError:
 
 
 def emit(args: argparse.Namespace, data: dict[str, Any], text: str) -> None:
-    """Print the result of a command on stdout."""
     if args.json:
         import json
 

@@ -17,8 +17,6 @@ from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.input_files import MOST_JSON_BYTES, check_json, convert, read_bytes
 from firmware_py.core.output_files import write_whole
 
-__all__ = ["Document", "check_version", "read_document", "write_document"]
-
 T = TypeVar("T", bound="Document")
 
 

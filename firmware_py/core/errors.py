@@ -15,9 +15,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-__all__ = ["DropstitchError", "FmuRefusal", "InputError", "SafetyTrip"]
-
-
 _LONGEST: Final = 800
 """Longest part of a message in characters; the rest, from the content of a file, is cut."""
 

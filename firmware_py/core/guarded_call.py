@@ -1,7 +1,8 @@
-"""Work in a child process with limits of memory, time and file size.
+"""Limits of memory, time and file size for reading foreign files, here or in a child process.
 
 Libraries that read binary formats may crash, hang or allocate without bound on damaged files. In a
-child process, each of these becomes an error message of the parent.
+child process (`guarded_call`), each of these becomes an error message of the parent. Where no
+library can crash, `limited_memory` limits the memory of this process for a moment.
 """
 
 from __future__ import annotations
@@ -26,9 +27,6 @@ import msgspec
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import DATA_SIZE
-
-__all__ = ["MEMORY_BYTES", "SECONDS", "guarded_call", "limit_memory", "limited_memory"]
-
 
 MEMORY_BYTES: Final = 350_000_000
 """Additional memory for reading a file: an importer with 100 MB of loaded libraries stays below
@@ -138,7 +136,6 @@ def _raise_sent(kind: bytes, content: bytes, where: Path | str, remedy: str) -> 
 
 
 def _failure(error: Exception) -> str:
-    """Return the message about an unexpected exception."""
     return f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:300]})"
 
 

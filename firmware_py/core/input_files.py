@@ -1,4 +1,4 @@
-"""Bounded reading of files from outside: bytes, text, TOML, JSON.
+"""Bounded reading of files from outside: bytes, text, TOML, JSON, archives.
 
 Every reader of this project uses these functions, so that all refuse the same faults in one
 sentence: a missing file, no regular file, too large a file, or another format. The limits are in
@@ -27,25 +27,6 @@ import msgspec
 from firmware_py.core.errors import InputError
 from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.units import DATA_SIZE
-
-__all__ = [
-    "ARCHIVE_DAMAGE",
-    "MOST_BYTES",
-    "MOST_CELLS",
-    "FileContent",
-    "Source",
-    "check_archive",
-    "check_json",
-    "content_of",
-    "convert",
-    "open_bounded",
-    "read_bytes",
-    "read_json",
-    "read_lines",
-    "read_text",
-    "read_toml",
-]  # fmt: skip
-
 
 T = TypeVar("T")
 
@@ -100,7 +81,6 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
 
 
 def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
-    """Return the content of a file of at most `most` bytes."""
     with open_bounded(path, remedy, most) as file:
         try:
             data = file.read(most + 1)  # the file may have grown
@@ -114,7 +94,6 @@ def read_bytes(path: Path | str, remedy: str, most: int = MOST_BYTES) -> bytes:
 
 
 def read_text(path: Path | str, remedy: str, most: int = MOST_BYTES) -> str:
-    """Return the text of a UTF-8 file of at most `most` bytes."""
     data = read_bytes(path, remedy, most)
     try:
         return data.decode("utf-8-sig")
@@ -173,7 +152,6 @@ def read_toml(
 
 
 def _no_utf_8(path: Path | str, data: bytes, error: UnicodeDecodeError) -> InputError:
-    """Return the error about text in another encoding."""
     is_utf_16 = data.startswith(_UTF_16_MARKS)
     what = "is UTF-16 text" if is_utf_16 else f"is not UTF-8 text ({error})"
     return InputError(path, what, "save it as UTF-8")
@@ -205,7 +183,6 @@ def check_json(path: Path | str, data: bytes, remedy: str) -> None:
 
 
 def read_json(path: Path | str, remedy: str, most: int = MOST_JSON_BYTES) -> Any:
-    """Return the value of a JSON file."""
     data = read_bytes(path, remedy, most)
     check_json(path, data, remedy)
     try:
@@ -280,6 +257,8 @@ LARGEST_BYTES: Final = 64_000_000
 
 
 class FileContent(NamedTuple):
+    """Content of a file, read once, so that the hashed bytes are the ones in use."""
+
     path: Path  # Origin, for messages
     data: bytes
 

@@ -1,4 +1,4 @@
-"""Reference motions: goal angles as a function of time.
+"""Reference motions: goal angles as a function of time, and the files that describe them.
 
 Rig and robot run the same motions. Before time zero a motion rests at zero. After its end it
 returns to zero within `GLIDE_S`: a wave that still moves at its end is faded out, since an abrupt
@@ -10,8 +10,23 @@ multisine    several harmonics at once, different ones for each joint; slower on
 triangle     one slow cycle at constant speed, four periods long: hysteresis without inertia
 steps        lean, hold, lean, hold: creep
 decay        lean, then step back by a fifth of the lean and hold: free vibration
-designed     a Fourier series from a file, see `firmware_py.core.motion`
+designed     a Fourier series from a file
 ============ ====================================================================================
+
+A motion file names a kind with its amplitude and period (`FixedMotionDocument`), or it holds a
+Fourier series of each joint (`MotionDocument`). The goal of a joint is then
+w(t) Σ (a_k sin(2π h_k t / T) + b_k cos(2π h_k t / T)): h_k are the harmonics, T is the duration,
+and the window w eases in and out, so that the motion begins and ends at rest at zero. Series of few
+harmonics are the usual form of motions that excite a robot (Swevers et al., IEEE Trans. Robotics
+and Automation 13, 1997)::
+
+    schema = 1
+    duration_s = 10.0
+    harmonics = [1, 2, 5]                  # cycles in the duration; 0 is a constant lean
+
+    [[joints]]
+    sine_rad = [0.2, -0.1, 0.02]
+    cosine_rad = [0.1, 0.0, 0.01]
 """
 
 from __future__ import annotations
@@ -31,17 +46,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
-
-__all__ = [
-    "KINDS",
-    "FixedMotionDocument",
-    "JointSeries",
-    "Motion",
-    "MotionConfig",
-    "MotionDocument",
-    "read_motion_document",
-]  # fmt: skip
-
 
 Array = NDArray[np.float64]
 FADE_FRACTION: Final = 0.1
@@ -78,7 +82,6 @@ class MotionDocument(Document, frozen=True):
 
     @property
     def amplitude_rad(self) -> float:
-        """Largest goal of any joint."""
         fine_s = np.linspace(0.0, self.duration_s, 4097)
         return float(np.max(np.abs(self.goal_rad(fine_s))))
 
@@ -102,7 +105,6 @@ def fourier_basis(time_s: Array, duration_s: float, harmonics: tuple[int, ...]) 
 
 
 def read_motion_document(path: Path | str) -> MotionDocument:
-    """Read and check a motion file."""
     path = Path(path)
     raw = read_toml(path, _CORRECT, _CORRECT)
     check_version(path, raw, MotionDocument.VERSION, _CORRECT)
@@ -410,7 +412,6 @@ class MotionConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     design: MotionDocument | None = None  # Fourier series of the motion file
 
     def motion(self, dof: int) -> Motion:
-        """Return the motion for a number of joints."""
         if self.design is None:
             return Motion(self.kind, self.amplitude_rad, self.period_s, self.phase_2_rad, dof)
         if len(self.design.joints) != dof:

@@ -101,7 +101,6 @@ def marker_signals(markers: int) -> tuple[Signal, ...]:
 
 
 def trial_signals(dof: int, markers: int = STUDY_MARKERS) -> tuple[Signal, ...]:
-    """Return the columns of a trial of the link, in order (docs/architecture.md)."""
     return (TIME, *joint_signals(dof), *_TIP, *marker_signals(markers))
 
 

@@ -34,13 +34,11 @@ class LastingStream:
         return len(text)
 
     def flush(self) -> None:
-        """Flush the buffer."""
         if self._stream is not None and not self._gone:
             with self._survived():
                 self._stream.flush()
 
     def isatty(self) -> bool:
-        """Whether the stream is a terminal."""
         return self._stream is not None and self._stream.isatty()
 
     def __getattr__(self, name: str) -> Any:

@@ -88,12 +88,10 @@ def symbol_of(unit: str) -> str:
 
 
 def value_unit(unit: str) -> DisplayUnit:
-    """Return the display unit of a value in an SI unit."""
     return VALUE_UNITS.get(unit, DisplayUnit(symbol_of(unit), 1.0, 3))
 
 
 def error_unit(unit: str) -> DisplayUnit:
-    """Return the display unit of an error in an SI unit."""
     return ERROR_UNITS.get(unit, DisplayUnit(symbol_of(unit), 1.0, 3))
 
 

@@ -1,4 +1,4 @@
-"""Goals from another program for one robot: channel, matching map, metadata of the log."""
+"""Goals for one robot: of a plan or of another program, checked against robot and bundle."""
 
 from __future__ import annotations
 
@@ -22,12 +22,6 @@ from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import LinkFacts, facts_of_bundle, other_link
 from firmware_py.log.recording import OUTSIDE
-
-__all__ = [
-    "feedback_of_plan", "goals_of_plan", "innovation_places", "log_facts", "note_on_plant",
-    "outside_facts", "outside_goals",
-]  # fmt: skip
-
 
 GOALS_NOTE: Final = "goals_note"
 """Key of the sentence in the metadata of a log."""

@@ -1,7 +1,9 @@
-"""Channel to the program that sends goals: a Unix socket that preserves message boundaries.
+"""Channel to the program that sends goals: its messages, and the socket that carries them.
 
-`SOCK_SEQPACKET` delivers whole messages in order and reports at once that the other side has
-closed. The robot listens, accepts one program, and never waits for it in a tick.
+In every tick the robot sends a `StatusMessage`; the program answers with a `GoalMessage`, one JSON
+object each (docs/tip/goals.md). The Unix socket preserves message boundaries: `SOCK_SEQPACKET`
+delivers whole messages in order and reports at once that the other side has closed. The robot
+listens, accepts one program, and never waits for it in a tick.
 """
 
 from __future__ import annotations
@@ -18,12 +20,6 @@ import msgspec
 
 from firmware_py.core.errors import InputError
 
-__all__ = [
-    "GoalChannel", "GoalMessage", "SocketChannel", "StatusMessage", "accepted_program", "connect",
-    "decode_goal", "encode_goal", "encode_status",
-]  # fmt: skip
-
-
 MOST_BYTES: Final = 512
 """Length of the longest message that is read [assumed]; a message for two joints has 70."""
 
@@ -39,8 +35,6 @@ class GoalMessage(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_
 
 
 class StatusMessage(msgspec.Struct, frozen=True):
-    """State of the robot after a tick."""
-
     tick: int
     time_s: float  # Time since the start of the motion
     state: str  # State of the safety supervisor
@@ -75,7 +69,6 @@ def decode_goal(data: bytes, dof: int) -> GoalMessage | str:
 
 
 def encode_goal(goal: GoalMessage) -> bytes:
-    """Return the message of goals, for programs in Python."""
     return _ENCODER.encode(goal)
 
 
@@ -92,9 +85,7 @@ class GoalChannel(Protocol):
 
     gone: bool  # Whether the program has closed its side
 
-    def receive(self, most: int) -> list[bytes]:
-        """Return the messages that have arrived, oldest first."""
-        ...
+    def receive(self, most: int) -> list[bytes]: ...
 
     def send(self, data: bytes) -> None:
         """Send a message, which is dropped if the program does not read."""

@@ -19,15 +19,11 @@ from firmware_py.core.errors import InputError
 from firmware_py.goals.goal_source import interval_of
 from firmware_py.link.link_facts import LinkFacts
 
-__all__ = ["GoalMap", "PayloadMap", "RestGoals", "read_goal_map"]
-
 MOST_PLACES: Final = 201
 """Most positions along an axis of a map that is read [assumed]."""
 
 
 class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Map for one payload."""
-
     payload_kg: float
     # Goals of each joint at each position, the last coordinate varying fastest; null where the tip
     # cannot rest
@@ -37,8 +33,6 @@ class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class GoalMap(Document, frozen=True):
-    """Goals at which the tip rests, by tip position and payload."""
-
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch goalmap"
 
@@ -51,7 +45,6 @@ class GoalMap(Document, frozen=True):
 
 
 def read_goal_map(path: Path) -> GoalMap:
-    """Read and check a map."""
     found = read_document(path, GoalMap)
     if wrong := _wrong_in(found):
         raise InputError(path, wrong, f"write it anew with {GoalMap.MADE_BY}")
@@ -80,8 +73,6 @@ def _wrong_in(found: GoalMap) -> str:
 
 
 class RestGoals:
-    """Interpolation of a map in position and payload."""
-
     def __init__(self, found: GoalMap) -> None:
         places = found.places_m
         self._low, self._step = places[0], (places[-1] - places[0]) / (len(places) - 1)

@@ -17,8 +17,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.inference.estimator import Estimate
 from firmware_py.tick_log import Tick
 
-__all__ = ["FollowedPayload", "GoalSource", "GoalTable", "OwnGoals", "interval_of"]
-
 Array = NDArray[np.float64]
 
 

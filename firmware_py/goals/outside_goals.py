@@ -32,11 +32,14 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
 from firmware_py.tick_log import Tick
 
-__all__ = ["OutsideGoals", "ZeroVibration"]
-
 
 class ZeroVibration:
-    """Shaper with a history of the latest goals."""
+    """Zero-vibration shaper of goals whose future is unknown.
+
+    Each goal is sent in two parts, the second half a period of the first mode later and smaller by
+    its decay, so that the two vibrations cancel (Singer and Seering, *ASME J. Dynamic Systems* 112,
+    1990). The mode may change in every tick, with the estimated payload.
+    """
 
     def __init__(self, start_rad: Sequence[float], longest_s: float, period_s: float) -> None:
         self._period_s = period_s

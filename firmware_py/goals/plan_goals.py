@@ -1,8 +1,9 @@
 """Goals of a plan: interpolated between the plans for two payloads, by the payload at the tip.
 
-The payload is known, or it is the observer's estimate, which the interpolation follows at a limited
-rate, so that goals do not jump with the estimate. Every goal lies between those of two plans that
-keep the limits. The check before the run includes the rate that a changing payload adds.
+The payload is known, or it is the observer's estimate. A known payload beyond those of the plan is
+refused before the run; an estimate beyond them is reported after it, since the goals were then
+those of the nearest payload. Every goal lies between those of two plans that keep the limits. The
+check before the run includes the rate that a changing payload adds.
 """
 
 from __future__ import annotations
@@ -20,9 +21,6 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import RunSummary
-
-__all__ = ["PlanGoals", "check_plan_goals", "payload_beyond_plan", "recording_beyond_plan"]
-
 
 Array = NDArray[np.float64]
 _REMEDY = "make the path slower or smaller, or widen the limit"
@@ -54,12 +52,10 @@ class PlanGoals(OwnGoals):
 
     @property
     def known_kg(self) -> float | None:
-        """Known payload; None if it is estimated."""
         return self._payload.kg if self._payload.is_known else None
 
     @property
     def payload_kg(self) -> float:
-        """Payload of this tick."""
         return self._payload.kg
 
     def follow(self, estimate: Estimate, step_s: float) -> None:

@@ -1,9 +1,23 @@
-"""Estimate of a link's stiffness relative to the plant's, from the current along a plan.
+"""Stiffness of a link relative to its plant: from a probing motion, and from the current of a plan.
 
-At a known payload, a link that is stiffer than the plant bends less, and its current differs from
-the plan's by a curve that planning has computed (`StiffnessSlopes`). Recursive least squares
-estimate the relative stiffness together with a deviation of friction and a constant current of each
-joint [Ljung, *System Identification* (1999), section 11.2].
+In slow motion a stiffer link and a lighter payload need the same current. Near the first mode of
+the link they do not: the mode's frequency determines their ratio, and the magnitude of the currents
+the payload. So a **probing motion** (`ProbeDesign`) precedes a plan. Its goals are the same for
+every payload. Planning has reduced the currents of the whole motion to a few linear features z, and
+has computed their expectation over a grid of relative stiffness k and payload m. The features are
+whitened: their noise, including friction and the other uncertain parameters of the plant, is
+uncorrelated with standard deviation 1. `ProbeEstimate` minimises::
+
+    |z - expected(k, m)|^2 + (k / PROBE_PRIOR_DEVIATION)^2  [+ ((m - known) / KNOWN)^2]
+
+It starts at the best node of the grid and takes Gauss–Newton steps on the quadratic through the
+nodes around it.
+
+At a known payload the current **along the plan** shows the stiffness as well: a stiffer link bends
+less, and its current differs from the plan's by a curve that planning has computed
+(`StiffnessSlopes`). Recursive least squares (`StiffnessEstimate`) estimate the relative stiffness
+together with a deviation of friction and a constant current of each joint [Ljung, *System
+Identification* (1999), section 11.2].
 """
 
 from __future__ import annotations
@@ -15,9 +29,6 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-
-__all__ = ["ProbeDesign", "ProbeEstimate", "ProbeFinding", "StiffnessEstimate", "wrong_in_probe"]
-
 
 Columns = tuple[tuple[float, ...], ...]
 MOST_ROWS: Final = 2_000
@@ -44,7 +55,6 @@ class ProbeDesign(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def rows(self) -> int:
-        """Number of control periods."""
         return len(self.goals_rad[0])
 
 
@@ -99,8 +109,6 @@ ENOUGH: Final = 1e-4
 
 
 class ProbeFinding(NamedTuple):
-    """Result of a probing motion."""
-
     stiffness: float  # Relative stiffness, 0 for the plant's
     payload_kg: float
     deviation: float  # Standard deviation of the stiffness
@@ -108,7 +116,6 @@ class ProbeFinding(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the estimate is accepted."""
         return self.deviation <= CERTAIN and self.misfit <= MOST_MISFIT
 
 

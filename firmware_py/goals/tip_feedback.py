@@ -29,8 +29,6 @@ from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import TRUSTED_M, Prediction
 from firmware_py.safety.estimate_trust import EstimateTrust, TrustOptions, TrustState
 
-__all__ = ["Correction", "TipFeedback"]
-
 Array = NDArray[np.float64]
 WIDEST_M: Final = 0.06
 """Half width above which feedback rejects the tip, too [assumed]. It is larger than `TRUSTED_M`,

@@ -1,4 +1,4 @@
-"""Document of a plan: goals over a grid of payloads that lead the tip along a path.
+"""Document of a plan: goals over a grid of payloads that lead the tip along a path; feedback.
 
 `dropstitch plan` writes it, the robot reads it. Each row is a control period. A plan rests,
 moves to the path, along it, and back to rest, so that it can be repeated.
@@ -17,12 +17,6 @@ from firmware_py.core.documents import Document, read_document
 from firmware_py.core.errors import InputError
 from firmware_py.goals.stiffness_estimate import ProbeDesign, wrong_in_probe
 from firmware_py.link.link_facts import LinkFacts
-
-__all__ = [
-    "BestRun", "FeedbackDesign", "LearnedRun", "LoopMargins", "PayloadPlan", "RateFilter",
-    "StiffnessSlopes", "TipPlan", "as_columns", "read_tip_plan", "wrong_in_feedback",
-]  # fmt: skip
-
 
 Columns = tuple[tuple[float, ...], ...]
 MOST_STATES: Final = 20
@@ -154,8 +148,6 @@ class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class TipPlan(Document, frozen=True):
-    """Plan that leads the tip along a path."""
-
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch plan"
 
@@ -190,13 +182,11 @@ class TipPlan(Document, frozen=True):
 
     @property
     def name(self) -> str:
-        """Name of the motion in trials and logs."""
         words = "".join(c if c.isalnum() else "_" for c in self.path)
         return f"plan_{words}" if self.method == "inverse" else f"plan_{words}_{self.method}"
 
     @property
     def rows(self) -> int:
-        """Number of control periods."""
         return len(self.desired_m[0])
 
     @property
@@ -239,7 +229,6 @@ def as_columns(table: Array, decimals: int) -> Columns:
 
 
 def read_tip_plan(path: Path) -> TipPlan:
-    """Read and check a plan."""
     plan = read_document(path, TipPlan)
     if wrong := _wrong_in(plan):
         raise InputError(path, wrong, _MAKE)

@@ -13,8 +13,6 @@ from firmware_py.core.signals import DI, IN_RANGE, PAYLOAD, tip_names
 from firmware_py.inference.estimator import DeformationEstimator
 from firmware_py.inference.predictor import NO_SIGNALS, OnnxPredictor, Predictor
 
-__all__ = ["Predictions", "predict_rows", "predict_run"]
-
 Array = NDArray[np.float64]
 
 

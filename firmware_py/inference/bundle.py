@@ -49,8 +49,6 @@ from firmware_py.inference.manifest import (
 )
 from firmware_py.inference.predictor import InputRange, OnnxPredictor
 
-__all__ = ["ModelBundle", "read_manifest"]
-
 PREDICTOR: Final = "predictor.onnx"
 POLYNOMIAL: Final = "polynomial.onnx"
 OBSERVER: Final = "observer.fmu"

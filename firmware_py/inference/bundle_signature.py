@@ -22,11 +22,6 @@ from firmware_py.core.documents import Document, check_version, read_document, w
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import FileContent, content_of, convert
 
-__all__ = [
-    "BundleSignature", "TrustConfig", "check_signature", "key_bytes", "refuse_older",
-    "signed_message",
-]  # fmt: skip
-
 SIGNATURE: Final = "manifest.sig"
 _PREFIX: Final = "ed25519:"
 _KEY_BYTES: Final = 32
@@ -48,8 +43,6 @@ class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class BundleSignature(Document, frozen=True, kw_only=True):
-    """Contents of `manifest.sig`."""
-
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "dropstitch sign"
 
@@ -67,7 +60,6 @@ class NewestBundle(Document, frozen=True, kw_only=True):
 
 
 def signed_message(manifest: FileContent, signed_utc: datetime) -> bytes:
-    """Return the bytes that the signature of a bundle covers."""
     return f"{_CONTEXT}{signed_utc.isoformat()}\n".encode() + manifest.data
 
 
@@ -99,12 +91,10 @@ def refuse_older(signature: BundleSignature, bundle: Path, memory: Path) -> None
 
 
 def key_text(raw: bytes) -> str:
-    """Return the text of a public key, as in robot.toml."""
     return _PREFIX + base64.b64encode(raw).decode()
 
 
 def key_bytes(text: str, where: Path | str) -> bytes:
-    """Return the 32 bytes of a public key."""
     raw = _decoded(text.removeprefix(_PREFIX))
     if not text.startswith(_PREFIX) or len(raw) != _KEY_BYTES:
         raise InputError(

@@ -13,8 +13,6 @@ from firmware_py.inference.estimator import Estimate, ObserverEstimator
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction
 
-__all__ = ["CompiledObserver", "Runtime"]
-
 Array = NDArray[np.float64]
 Runtime = Literal["onnx", "compiled"]
 """What evaluates the predictor: onnxruntime beside the observer, or the observer's own library."""
@@ -49,7 +47,6 @@ class CompiledObserver(ObserverEstimator):
 
     @staticmethod
     def offered_by(fmu: FmuInstance) -> bool:
-        """Whether an observer holds a compiled predictor."""
         return fmu.ticks and all(name in fmu.variables for name in PREDICTED)
 
     def reset(self) -> None:

@@ -19,16 +19,6 @@ from firmware_py.core.input_files import Source
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.predictor import NO_SIGNALS, OnnxGraph
 
-__all__ = [
-    "DeformationEstimator",
-    "Estimate",
-    "LaggedEstimator",
-    "NoEstimator",
-    "ObserverEstimator",
-    "SampleHold",
-    "load_estimator",
-]
-
 Array = NDArray[np.float64]
 
 _LONGEST_STEP_S: Final = 1.7
@@ -217,7 +207,6 @@ class SampleHold:
         self._usual_s = math.inf
 
     def reset(self) -> None:
-        """Discard the state: the next sample is the first of a run that starts at rest."""
         self._estimator.reset()
         self._latest = None
         self.age_s = self._gap_s = self._without_s = self._late_s = 0.0

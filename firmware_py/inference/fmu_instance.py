@@ -1,7 +1,7 @@
-"""Instance of an FMI 3.0 co-simulation FMU, called through ctypes: the observer of the bundle.
+"""FMI 3.0 co-simulation FMU, called through ctypes: the observer of the bundle.
 
-It supports scalars of type Float64 and Boolean and one instance per FMU. The loop uses a `Channel`,
-whose buffers are allocated once; everything else uses `set` and `get` by name.
+It supports scalars of type Float64 and Boolean and one instance per FMU. The loop uses a
+`TickChannel`, whose buffers are allocated once; everything else uses `set` and `get` by name.
 """
 
 from __future__ import annotations
@@ -22,9 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from firmware_py.core.errors import FmuRefusal, InputError
 from firmware_py.core.input_files import ARCHIVE_DAMAGE, Source, check_archive, content_of
-
-__all__ = ["Channel", "FmuInstance", "InstanceVariable", "TickChannel", "open_fmu"]
-
 
 _MACHINES: Final = {"amd64": "x86_64", "arm64": "aarch64"}
 """FMI name of a processor by the operating system's name in lower case (Windows: capitals)."""
@@ -152,11 +149,9 @@ class Channel:
         self._fmu = fmu
 
     def send(self) -> None:
-        """Set the variables to `values`."""
         self._fmu.call("fmi3SetFloat64", *self._arguments)
 
     def receive(self) -> None:
-        """Read the variables into `values`."""
         self._fmu.call("fmi3GetFloat64", *self._arguments)
 
 
@@ -184,7 +179,6 @@ class TickChannel:
         self._together = fmu.ticks
 
     def run(self, step_s: float) -> None:
-        """Set the inputs, step, get the outputs."""
         if self._together:
             self._step_s.value = step_s
             self._fmu.tick(step_s, self._arguments)
@@ -242,7 +236,6 @@ class FmuInstance:
         self.time_s = 0.0
 
     def call(self, name: str, *arguments: Any) -> None:
-        """Call an FMI function on this instance."""
         if getattr(self._library, name)(self._instance, *arguments) > _FMI_WARNING:
             raise FmuRefusal(f"{self.path}: {self._message or name + ' failed.'}")
 
@@ -256,11 +249,9 @@ class FmuInstance:
         return found
 
     def channel(self, names: Sequence[str]) -> Channel:
-        """Return a channel for variables of type Float64 that are transferred together."""
         return Channel(self, names)
 
     def tick_channel(self, inputs: Sequence[str], outputs: Sequence[str]) -> TickChannel:
-        """Return a channel that runs a tick in one call."""
         return TickChannel(self, inputs, outputs)
 
     def set(self, names: Sequence[str], values: ArrayLike) -> None:
@@ -289,7 +280,6 @@ class FmuInstance:
         self._initializing = False
 
     def step(self, step_s: float) -> None:
-        """Advance with the inputs that are set."""
         if self._initializing:
             self.start()
         self.call(
@@ -300,7 +290,6 @@ class FmuInstance:
 
     @property
     def ticks(self) -> bool:
-        """Whether the binary can run a tick in one call."""
         return hasattr(self._library, _TICK)
 
     def tick(self, step_s: float, arguments: Sequence[Any]) -> None:

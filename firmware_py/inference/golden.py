@@ -32,8 +32,6 @@ _LEAST_WAY_RAD: Final = 1e-3
 
 
 class Golden(NamedTuple):
-    """Measurements and results, one row per tick."""
-
     angle_rad: Array  # (n, dof)
     current_a: Array
     step_s: float
@@ -69,7 +67,6 @@ def write_golden(path: Path, golden: Golden) -> None:
 
 
 def read_golden(source: Source, dof: int) -> Golden:
-    """Read the golden ticks."""
     path, data = content_of(source)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:

@@ -19,8 +19,6 @@ from firmware_py.core.input_files import FileContent, content_of
 from firmware_py.core.output_files import replacing
 from firmware_py.inference.bundle_signature import SIGNATURE, BundleSignature, check_signature
 
-__all__ = ["BundleFiles", "Manifest", "Quantity", "read_bundle_files", "write_manifest"]
-
 SCHEMA: Final = 1
 MANIFEST: Final = "manifest.json"
 FILES: Final = frozenset(
@@ -47,8 +45,6 @@ _LARGEST_COEFFICIENT: Final = 1e15
 
 
 class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Feature or output of the predictor."""
-
     name: str
     unit: str  # SI unit; "1" for none
     minimum: float  # Range in the training data
@@ -56,8 +52,6 @@ class Quantity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Contents of `manifest.json`."""
-
     schema: int = SCHEMA
     dof: int
     period_s: float  # Control period of the training data

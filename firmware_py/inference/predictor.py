@@ -17,11 +17,6 @@ from firmware_py.core.guarded_call import limited_memory
 from firmware_py.core.input_files import Source, content_of
 from firmware_py.core.signals import AGE, feature_names, observer_signals
 
-__all__ = [
-    "NO_SIGNALS", "TRUSTED_M", "InputRange", "OnnxGraph", "OnnxPredictor", "Prediction",
-    "Predictor", "named_inputs",
-]  # fmt: skip
-
 Array = NDArray[np.float64]
 AXES: Final = 3
 MOST_INPUTS: Final = 1000
@@ -39,7 +34,6 @@ class Prediction:
         self.tip_m, self._in_range, self.half_width_m = tip_m, in_range, half_width_m
 
     def copy(self) -> Prediction:
-        """Return a copy in new arrays."""
         return Prediction(self.tip_m.copy(), self._in_range.copy(), self.half_width_m.copy())
 
     @property
@@ -139,7 +133,6 @@ class OnnxGraph:
             raise InputError(path, f"cannot be evaluated ({error})", remedy) from None
 
     def run(self) -> None:
-        """Evaluate the graph on `row` into `results`."""
         self._session.run_with_iobinding(self._binding)  # a RunOptions would cost 21 µs
 
 

@@ -23,8 +23,6 @@ from firmware_py.inference.predictor import (
 )
 from firmware_py.summary import InputBeyond, RangeReasons
 
-__all__ = ["RangeCount", "RangeWatch"]
-
 _UNBOUNDED: Final = (-np.inf, np.inf)
 
 
@@ -114,5 +112,4 @@ class RangeWatch:
         return prediction
 
     def reasons(self) -> RangeReasons:
-        """Return the causes since the start."""
         return self._count.reasons()

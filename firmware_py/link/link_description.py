@@ -1,7 +1,7 @@
 """Description of a link, `link.toml`, which trial, plant, rig and robot.toml share.
 
 The default is the study's link (`STUDY_LINK`). `dropstitch new LINK.toml` writes a file with
-every key.
+every key (`link_toml`).
 """
 
 from __future__ import annotations
@@ -17,16 +17,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
 from firmware_py.link.servo_presets import PRESETS, ServoPreset, check_servo, preset_named
-
-__all__ = [
-    "STUDY_LINK",
-    "LinkDescription",
-    "LinkGravity",
-    "LinkServo",
-    "describes_link",
-    "read_link",
-]  # fmt: skip
-
 
 Vector = tuple[float, float, float]
 Mounting = Literal["upright", "horizontal", "hanging", "balloon"]
@@ -74,7 +64,6 @@ class LinkGravity(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
     @property
     def unit(self) -> Vector:
-        """Unit vector along gravity."""
         x, y, z = self.direction or DIRECTIONS[self.mounting]
         size = math.hypot(x, y, z)
         return (x / size, y / size, z / size)
@@ -140,7 +129,6 @@ class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     @cached_property
     def layout(self) -> MarkerLayout:
-        """Positions of the markers."""
         return self.markers or square_layout(self.length_m, self.marker_width_m)
 
     @property
@@ -190,7 +178,6 @@ def describes_link(document: Any) -> bool:
 
 
 def read_link(path: Path | str) -> LinkDescription:
-    """Read and check `link.toml`."""
     path = Path(path)
     document = read_toml(path, "write one with 'dropstitch new LINK.toml'")
     link = convert(document, LinkDescription, path, "", "see docs/plant/link.md for every key")
@@ -325,7 +312,6 @@ def link_toml(link: LinkDescription, mass_kg: float, tip_mass_kg: float) -> str:
 
 
 def _row(key: str, value: Any, meaning: str) -> str:
-    """Return one line; the comments are aligned if the value is short enough."""
     text = f'"{_quoted(value)}"' if isinstance(value, str) else repr(value)
     line = f"{key} = {text}"
     return f"{line:34}  # {meaning}" if meaning else line

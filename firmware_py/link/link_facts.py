@@ -16,16 +16,12 @@ import msgspec
 from firmware_py.core.input_files import read_json
 from firmware_py.link.link_description import STANDARD_GRAVITY_M_S2, STUDY_LINK, LinkDescription
 
-__all__ = ["LinkFacts", "facts_of_bundle", "facts_of_plant", "other_link"]
-
 PLANT: Final = "plant.json"
 _SAME: Final = 1e-6
 """Relative or absolute tolerance for the comparison of two numbers [assumed]."""
 
 
 class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Facts that distinguish one link from another."""
-
     joints: int  # Number of joints
     length_m: float  # From the base plate to the last marker row
     width_m: float  # Side (or diameter) of the section

@@ -10,8 +10,6 @@ import msgspec
 
 from firmware_py.core.errors import InputError
 
-__all__ = ["MarkerLayout", "square_corners_m", "square_layout"]
-
 MOST_MARKERS: Final = 99
 """Most markers, because their names have two digits."""
 
@@ -33,22 +31,18 @@ class MarkerLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def rows(self) -> int:
-        """Number of rows."""
         return len(self.rows_m)
 
     @property
     def corners(self) -> int:
-        """Number of markers in a row."""
         return len(self.corners_m)
 
     @property
     def count(self) -> int:
-        """Number of markers."""
         return self.rows * self.corners
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the markers in order, m01 first."""
         return tuple(f"m{k:02d}" for k in range(1, self.count + 1))
 
     def row(self, number: int) -> tuple[str, ...]:

@@ -16,8 +16,6 @@ import threading
 from collections.abc import Sequence
 from typing import Final
 
-__all__ = ["LiveGate"]
-
 _UNDECIDED: Final = 16
 """Most connections whose request has not arrived yet, in addition to the viewers."""
 _HEAD_BYTES: Final = 8192
@@ -61,7 +59,6 @@ class LiveGate:
         self._loop.close()
 
     def close(self) -> None:
-        """End every connection."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._listener.close()

@@ -51,8 +51,6 @@ _NICENESS: Final = 5
 
 
 class RecorderTask(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Task of the recorder process."""
-
     fd: int  # Descriptor of the socket, inherited
     path: str | None
     live: LiveConfig | None = None  # None serves no live view
@@ -121,7 +119,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _hand_over(task: RecorderTask, process: subprocess.Popen[bytes]) -> None:
-    """Write the task to the stdin of the recorder."""
     if process.stdin is not None:
         with contextlib.suppress(BrokenPipeError):
             process.stdin.write(msgspec.json.encode(task))

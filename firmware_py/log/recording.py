@@ -1,4 +1,4 @@
-"""Log file of a run: an MCAP file with one message per tick.
+"""Log file of a run: an MCAP file with one message per tick, and the facts about the run in it.
 
 `firmware_py.log.recorder` writes it in another process. `read_recording` reads it; a truncated file
 is read up to its last complete chunk. The process of the loop does not import the packages mcap and
@@ -27,17 +27,6 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes
 from firmware_py.core.motion import MotionDocument, check_motion_document
 from firmware_py.core.signals import tick_dtype, tick_signals
-
-__all__ = [
-    "OUTSIDE",
-    "SLOTS_KEY",
-    "LoggedMotion",
-    "LoggedRun",
-    "Recording",
-    "logged_run",
-    "read_recording",
-]  # fmt: skip
-
 
 TOPIC: Final = "/tick"
 METADATA: Final = "dropstitch"
@@ -76,12 +65,10 @@ class Recording:
 
     @property
     def dof(self) -> int:
-        """Number of joints."""
         return int(self.metadata["dof"])
 
 
 def tick_schema(dof: int) -> dict[str, Any]:
-    """Return the JSON Schema of a tick, with unit and description of every column."""
     return {
         "title": SCHEMA_NAME,
         "type": "object",
@@ -93,7 +80,6 @@ def tick_schema(dof: int) -> dict[str, Any]:
 
 
 def require_packages() -> None:
-    """Check that the packages for log files are installed."""
     missing = [name for name in ("mcap", "lz4") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(
@@ -120,7 +106,6 @@ class _TickColumn:
         self._values.append(value)  # a TypeError for text instead of an integer
 
     def take_back(self, count: int) -> None:
-        """Keep the first `count` values."""
         del self._values[count:]
 
     def result(self) -> NDArray[Any]:
@@ -292,7 +277,6 @@ class LoggedRun(msgspec.Struct, frozen=True):
 
 
 def logged_run(log: Recording) -> LoggedRun:
-    """Decode the facts in the metadata of a log."""
     config = _decoded(log, "config", "{}", _LoggedConfig)
     period_s = _decoded(log, "period_s", "null", float | None)  # type: ignore[arg-type]
     if period_s is not None and not 1e-3 <= period_s <= 1.0:

@@ -1,5 +1,11 @@
 """Scene of a run for a 3-D viewer: link, markers and predicted tip as `foxglove.SceneUpdate`.
 
+A tick determines the pose of the base plate and the position of the tip. Between them the link has
+the slope of the plant's link under a tip force (`models.plant.components.link`): root bend φ at the
+plate, and (2σ − σ²) of the span's bend ψ at the fraction σ of the length, with ψ/φ from the plant's
+stiffnesses. φ is chosen so that the lateral distance of the tip is the predicted one. The residual
+along the link, a few millimetres, is distributed over its length.
+
 Each message is complete, so a viewer may begin anywhere in a log. It is protobuf, encoded here
 field by field, so that the robot's recorder needs no further package. `scene_update.binpb` is the
 descriptor for readers, as foxglove-sdk defines it.
@@ -20,20 +26,6 @@ from numpy.typing import NDArray
 from firmware_py.core.input_files import read_json
 from firmware_py.core.signals import tick_dtype, tip_names
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-
-__all__ = [
-    "SCENE_SCHEMA",
-    "SCENE_TOPIC",
-    "SHAPE_KEY",
-    "LinkPose",
-    "LinkShape",
-    "SceneEncoder",
-    "pose_link",
-    "scene_schema",
-    "shape_in",
-    "shape_of_bundle",
-]  # fmt: skip
-
 
 Array = NDArray[np.float64]
 
@@ -113,7 +105,6 @@ def _sections(
 
 
 def _slope(shape: LinkShape, root_rad: float, fractions: Array) -> Array:
-    """Return the angles between sections and base plate."""
     spread = 2.0 * fractions - fractions**2
     return np.asarray(root_rad * (1.0 + shape.bend_ratio * spread))
 
@@ -198,8 +189,6 @@ def shape_in(metadata: dict[str, str]) -> LinkShape | None:
 
 
 class SceneEncoder:
-    """Encoder of tick records as scenes."""
-
     def __init__(self, dof: int, shape: LinkShape) -> None:
         self._dtype, self._shape = tick_dtype(dof), shape
         self._angles = [f"angle_{j}_rad" for j in range(1, dof + 1)]

@@ -39,8 +39,6 @@ _VIEWER_BACKLOG: Final = 256
 
 
 class Sink(Protocol):
-    """Receiver of ticks in the recorder process."""
-
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
         """Write one message."""
 
@@ -121,7 +119,6 @@ class McapSink:
             os.remove(path)
 
     def write(self, time_ns: int, data: bytes, topic: str = TOPIC) -> None:
-        """Add one message."""
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns, self._sequence)
         self._sequence += 1
         self._taken += topic == TOPIC
@@ -129,7 +126,6 @@ class McapSink:
             self._flush()
 
     def finish(self) -> None:
-        """Write the last chunk and the index."""
         self._writer.finish()
         self._flush()
         self._stream.close()
@@ -180,13 +176,11 @@ class LiveSink:
         self._channels[topic].log(data, log_time=time_ns)
 
     def finish(self) -> None:
-        """Stop the server."""
         self._gate.close()
         self._server.stop()
 
 
 def require_live_package() -> None:
-    """Check that the package of the live view is installed."""
     if importlib.util.find_spec("foxglove") is None:
         raise InputError(
             "--live", "needs the package foxglove-sdk", "pip install 'dropstitch[live]'"

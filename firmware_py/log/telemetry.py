@@ -22,8 +22,6 @@ class Telemetry:
 
 
 class SocketTelemetry(Telemetry):
-    """Telemetry over a SEQPACKET socket."""
-
     def __init__(self, end: socket.socket) -> None:
         end.setblocking(False)
         self._send = end.send

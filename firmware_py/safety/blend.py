@@ -74,7 +74,6 @@ class Blend:
 
     @property
     def active(self) -> bool:
-        """Whether a blend is in progress."""
         return self._tick < self._ticks
 
     def join(self, goal: Sequence[float], ahead: Iterable[Sequence[float]] = ()) -> None:
@@ -131,7 +130,6 @@ class Blend:
         return math.ceil(least_s / self._period_s)
 
     def next(self, desired: list[float]) -> list[float]:
-        """Return the goals of the next tick."""
         if not self.active:
             return desired
         self._tick += 1

@@ -19,8 +19,6 @@ from typing import Final, Literal
 
 import msgspec
 
-__all__ = ["EstimateTrust", "TrustOptions", "TrustState"]
-
 FADE_S: Final = 0.2
 """Time in which corrections fade out (requirement)."""
 

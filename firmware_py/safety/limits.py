@@ -1,4 +1,4 @@
-"""Limits of goals and measurements, and the checks against them.
+"""Limits of goals and measurements, the checks against them, and the limits that a link sets.
 
 A limit is the last permitted value. `firmware_py.safety.supervisor` decides how to react to a
 violation.
@@ -16,9 +16,6 @@ import msgspec
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import LinkDescription, read_link
-
-__all__ = ["Limits"]
-
 
 _ROUNDING: Final = 1.0 + 1e-9
 """Rounding tolerance of a rate or acceleration of goals at the limit, by finite differences."""
@@ -141,14 +138,21 @@ LEAST_MOTION_RAD: Final = 8 * max(model.rad_per_pulse for model in MODELS.values
 
 
 class FrozenFeedback:
-    """Detector for `dof` joints."""
+    """Detector of servos that repeat their measurement although their goal moves.
+
+    A sensor, a servo or an adapter may keep answering, well-formed and in time, with an old value.
+    The following error shows it only in large motions. But a driven joint whose goal has moved by
+    more than its encoder resolves changes its angle, or else its current, because the position loop
+    pushes. So a joint counts as frozen if angle and current are both identical for `ticks` fresh
+    samples after its goal has moved that far. A joint at rest, or in a motion too slow to show,
+    never does.
+    """
 
     def __init__(self, dof: int, ticks: int) -> None:
         self._dof, self._ticks = dof, ticks
         self.reset()
 
     def reset(self) -> None:
-        """Forget all samples, for a new start."""
         self._sample = [(float("nan"), float("nan"))] * self._dof
         self._low, self._high = [0.0] * self._dof, [0.0] * self._dof
         self._repeats = [0] * self._dof

@@ -1,4 +1,4 @@
-"""States of the safety supervisor and the transitions between them.
+"""States of the safety supervisor, the transitions between them, and the reason of a stop.
 
 ::
 
@@ -20,8 +20,6 @@ from __future__ import annotations
 
 from enum import Enum, IntEnum, auto
 from typing import Final, NamedTuple
-
-__all__ = ["UNRELEASED", "Fault", "StopReason"]
 
 
 class SafetyState(IntEnum):
@@ -87,6 +85,11 @@ class Fault(Enum):
 
 
 class StopReason:
+    """Cause of a stop, then the faults detected while the robot stopped.
+
+    A robot that starts again keeps the reasons of earlier stops, for the summary of the run.
+    """
+
     def __init__(self) -> None:
         self.text, self.tripped = "", False
         self.faults: set[Fault] = set()
@@ -106,7 +109,6 @@ class StopReason:
         self.text, self.tripped, self.faults = "", False, set()
 
     def begin(self, text: str, fault: Fault | None = None) -> None:
-        """Set the cause of a stop; a requested stop has no fault."""
         self.text = text
         self.tripped = fault is not None
         self.faults = set() if fault is None else {fault}

@@ -22,8 +22,6 @@ from firmware_py.safety.blend import Blend
 from firmware_py.safety.limits import FrozenFeedback, Limits
 from firmware_py.safety.states import ALLOWED, UNRELEASED, Fault, SafetyState, StopReason
 
-__all__ = ["SafetySupervisor", "check_motion"]
-
 Array = NDArray[np.float64]
 
 

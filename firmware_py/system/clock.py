@@ -23,8 +23,6 @@ import msgspec
 if sys.platform != "win32":  # Windows uses `SimClock`
     import resource
 
-__all__ = ["Clock", "DeadlineClock", "RealTimeOptions", "SimClock", "may_lock_memory", "real_time"]
-
 _PR_SET_TIMERSLACK: Final = 29
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK: Final = 14
@@ -34,9 +32,7 @@ _CAP_IPC_LOCK: Final = 14
 class Clock(Protocol):
     """Clock of loop, port and emulated line."""
 
-    def now_ns(self) -> int:
-        """Return the monotonic time."""
-        ...
+    def now_ns(self) -> int: ...
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Wait until a deadline; return at once if it has passed."""

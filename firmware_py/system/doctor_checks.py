@@ -42,8 +42,6 @@ class Severity(Enum):
 
 
 class Finding(NamedTuple):
-    """Result of one check."""
-
     name: str
     verdict: Severity  # Effect on the timing
     found: str

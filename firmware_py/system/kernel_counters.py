@@ -11,8 +11,6 @@ import time
 if sys.platform != "win32":  # Windows imports the loop for planning
     import resource
 
-__all__ = ["Counters", "KernelCounters"]
-
 
 class Counters:
     """Counters for the loop's thread; these read zero, for simulated time."""
@@ -66,7 +64,6 @@ class KernelCounters(Counters):
         return int(ran), int(delayed)
 
     def close(self) -> None:
-        """Close the file."""
         if self._schedule is not None:
             os.close(self._schedule)
 

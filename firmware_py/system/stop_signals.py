@@ -17,8 +17,6 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Final
 
-__all__ = ["STOP_SIGNALS", "signals_to"]
-
 _UNHANDLED: Final = frozenset({
     "SIGKILL", "SIGSTOP",
     "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT", "SIGTRAP", "SIGSYS",

@@ -18,10 +18,11 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.config import read_config
+from firmware_py.core.documents import read_document
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import write_manifest
 from firmware_py.log.recording import read_recording
-from firmware_py.summary import read_run_summary
+from firmware_py.summary import RunDocument
 from models.plant.plant import read_plant
 
 CONFIG = """
@@ -92,7 +93,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     assert len(log.columns["tick"]) == result["logged_ticks"]
     assert log.metadata["slots"] == str(len(read_config(config).goals_rad()))
     assert servos.get(1, Register.TORQUE_ENABLE) == 0
-    summary = read_run_summary((tmp_path / result["log"]).with_suffix(".timing.json"))
+    summary = read_document((tmp_path / result["log"]).with_suffix(".timing.json"), RunDocument)
     assert json.loads(msgspec.json.encode(summary)) == result
 
     code, output = call(capsys, "replay", result["log"], "--json")

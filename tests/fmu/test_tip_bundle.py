@@ -128,8 +128,8 @@ def answers(models, samples, ages_s):
 def test_compiled_and_onnx_give_the_same_answers_also_to_what_is_old_or_no_number(observed):
     onnx, compiled = (ModelBundle.load(observed, runtime=runtime) for runtime in ("onnx", None))
     assert (onnx.runtime, compiled.runtime) == ("onnx", "compiled")
-    assert compiled.told == ("innovation_1_a",), "feedback of the tip ends its trust by it"
-    assert onnx.told.index("innovation_1_a") >= 0
+    assert compiled.signal_names == ("innovation_1_a",), "feedback of the tip ends its trust by it"
+    assert onnx.signal_names.index("innovation_1_a") >= 0
     k = np.arange(40)
     samples = np.column_stack([0.2 * np.sin(0.1 * k), 0.8 * np.cos(0.1 * k)])
     samples[20, 1] = np.nan

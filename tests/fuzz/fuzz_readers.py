@@ -216,11 +216,12 @@ def _recordings():
 
 def _documents():
     from firmware_py.config import read_config
+    from firmware_py.core.documents import read_document
     from firmware_py.core.motion import read_motion_document
     from firmware_py.goals.goal_map import read_goal_map
     from firmware_py.goals.tip_plan import read_tip_plan
     from firmware_py.link.link_description import read_link
-    from firmware_py.summary import RunDocument, read_run_summary
+    from firmware_py.summary import RunDocument
     from models.gap.report.gap_json import GapDocument, read_gap_document
     from models.plan.paths import read_path
     from models.plant.plant import read_plant
@@ -257,7 +258,7 @@ def _documents():
     yield document("plan", "a.json", valid_files.plan(), of_json, read_tip_plan)
     yield document("path", "a.csv", path, of_text, lambda file: read_path(file, 2, 0.017))
     for name, kind, read in (
-        ("gap.json", GapDocument, read_gap_document), ("summary", RunDocument, read_run_summary),
+        ("gap.json", GapDocument, read_gap_document), ("summary", RunDocument, lambda file: read_document(file, RunDocument)),
     ):  # fmt: skip
         yield document(name, "a.json", valid_files.example_of(kind), of_json, read)
     yield document("goalmap", "a.json", valid_files.goal_map(), of_json, read_goal_map)

@@ -9,11 +9,12 @@ import pytest
 
 from firmware_py.config import read_config
 from firmware_py.core import input_files
+from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
 from firmware_py.core.motion import read_motion_document
 from firmware_py.inference.manifest import MANIFEST
-from firmware_py.summary import read_run_summary
+from firmware_py.summary import RunDocument
 from models.plan.paths import read_path
 from models.plant.plant import read_plant
 from models.rig.parameters import read_parameters
@@ -22,7 +23,8 @@ from models.trials.recordings.mapping import read_mapping
 READERS = {
     "robot.toml": read_config, "motion.toml": read_motion_document, "plant.toml": read_plant,
     "plant.json": read_plant, "rig.toml": read_parameters, "map.toml": read_mapping,
-    "run.timing.json": read_run_summary, "path.csv": lambda path: read_path(path, 2, 0.017),
+    "run.timing.json": lambda path: read_document(path, RunDocument),
+    "path.csv": lambda path: read_path(path, 2, 0.017),
 }  # fmt: skip
 HOSTILE = {
     "Latin-1": "schema = 'é'".encode("latin-1"), "zeros": bytes(100), "nothing": b"",

@@ -9,10 +9,11 @@ import pytest
 
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.core.documents import read_document
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.predictor import InputRange
 from firmware_py.inference.range_check import RangeCount, RangeWatch
-from firmware_py.summary import read_run_summary
+from firmware_py.summary import RunDocument
 from tests.firmware_py import test_robot_commands as robot
 
 servos, config, call = robot.servos, robot.config, robot.call
@@ -103,7 +104,7 @@ def test_the_summary_of_a_run_names_the_input(servos, config, toy_bundle, tmp_pa
     (line,) = (line for line in output.out.splitlines() if "training range" in line)
     assert "current 1 reached 19996.6" in line and "mA in" in line and "trained from -" in line
     (path,) = tmp_path.rglob("*.timing.json")
-    document = read_run_summary(path)
+    document = read_document(path, RunDocument)
     beyond = {row.name: row for row in document.out_of_range_reasons.inputs}["current_1_a"]
     assert beyond.ticks == document.out_of_range == document.ticks
     assert beyond.extreme == pytest.approx(current_a, abs=0.1)
