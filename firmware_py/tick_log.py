@@ -168,7 +168,11 @@ class TickLog:
         self._counters.start_computing()
 
     def hand_over(self) -> None:
-        """Count the previous tick and send its record, which is complete only after its end."""
+        """Count the previous tick and send its record.
+
+        This belongs to the log stage, whose time is in the record: sending takes a good part of
+        that stage. So a record is complete, and can be sent, only after the end of its own tick.
+        """
         if self._ring.count:
             self.timing.add(*self._finished)
             self._telemetry.put(self._ring.latest())

@@ -48,7 +48,7 @@ class JointTurn(NamedTuple):
     found: int  # Number of the joint whose angle changed most
     change_rad: float
 
-    def told(self, ids: Sequence[int]) -> str:
+    def sentence(self, ids: Sequence[int]) -> str:
         change = ANGLE.text(self.change_rad)
         if self.found == self.joint:
             return (
@@ -160,8 +160,10 @@ def _machine(args: argparse.Namespace) -> int:
         if finding.remedy:
             lines.append(f"      {finding.remedy}")
     missing = [f.name for f in findings if f.verdict is Severity.UNCHECKED]
-    said = "nothing that was checked spoils the timing" if good else "correct what is marked with !"
-    lines.append(f"{said}; not checked: {', '.join(missing)}" if missing else said)
+    verdict = (
+        "nothing that was checked spoils the timing" if good else "correct what is marked with !"
+    )
+    lines.append(f"{verdict}; not checked: {', '.join(missing)}" if missing else verdict)
     rows = [finding._asdict() | {"verdict": finding.verdict.value} for finding in findings]
     emit(args, {"good": good, "not_checked": missing, "findings": rows}, "\n".join(lines))
     return DONE if good else NEGATIVE
@@ -178,7 +180,7 @@ def _joints(args: argparse.Namespace, config: RobotConfig) -> int:
         )  # fmt: skip
     good = all(turn.found == turn.joint for turn in turns)
     rows = [turn._asdict() for turn in turns]
-    emit(args, {"good": good, "turns": rows}, "\n".join(turn.told(ids) for turn in turns))
+    emit(args, {"good": good, "turns": rows}, "\n".join(turn.sentence(ids) for turn in turns))
     return DONE if good else NEGATIVE
 
 

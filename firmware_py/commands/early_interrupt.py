@@ -12,7 +12,7 @@ def quiet_interrupt(prog: str) -> None:
     """Report an unhandled Ctrl-C in one sentence instead of a traceback."""
     before = sys.excepthook
 
-    def said(
+    def report(
         kind: type[BaseException], error: BaseException, trace: TracebackType | None
     ) -> None:  # fmt: skip
         if issubclass(kind, KeyboardInterrupt):
@@ -20,4 +20,4 @@ def quiet_interrupt(prog: str) -> None:
         else:
             before(kind, error, trace)
 
-    sys.excepthook = said
+    sys.excepthook = report

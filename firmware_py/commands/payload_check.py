@@ -48,23 +48,23 @@ class PayloadEstimate(NamedTuple):
     deviation_kg: float
     prior_deviation_kg: float  # Standard deviation before the first sample
 
-    def contradicts(self, told_kg: float) -> bool:
+    def contradicts(self, known_kg: float) -> bool:
         """Whether the estimate differs significantly from a payload."""
         least_kg = max(
             LEAST_DIFFERENCE * self.prior_deviation_kg, LEAST_DEVIATIONS * self.deviation_kg
         )
-        return abs(self.payload_kg - told_kg) > least_kg
+        return abs(self.payload_kg - known_kg) > least_kg
 
 
-def unused_payload(bundle: ModelBundle, told_kg: float | None) -> str:
+def unused_payload(bundle: ModelBundle, known_kg: float | None) -> str:
     """Return a sentence if the models of a bundle do not use a known payload, or "".
 
-    `told_kg`: `payload_kg` of the run; the log and the goals of a plan use it anyway.
+    `known_kg`: `payload_kg` of the run; the log and the goals of a plan use it anyway.
     """
-    if told_kg is None or isinstance(bundle.estimator, ObserverEstimator):
+    if known_kg is None or isinstance(bundle.estimator, ObserverEstimator):
         return ""
     return (
-        f"payload_kg = {told_kg:g} changes no prediction and is not checked: the bundle "
+        f"payload_kg = {known_kg:g} changes no prediction and is not checked: the bundle "
         f"{bundle.directory} has no observer, which alone uses it; the log and a plan take the "
         "value as it is"
     )
@@ -72,7 +72,7 @@ def unused_payload(bundle: ModelBundle, told_kg: float | None) -> str:
 
 def contradicted_payload(
     bundle: ModelBundle,
-    told_kg: float | None,
+    known_kg: float | None,
     period_s: float,
     summary: RunSummary,
     log: Path | None = None,
@@ -82,10 +82,10 @@ def contradicted_payload(
     It never raises, since the run is over: an error of the comparison becomes a sentence. Without
     an observer in the bundle there is no comparison; the state of an observer is not changed.
 
-    `told_kg`: `payload_kg` of the run; None if it was estimated anyway.
+    `known_kg`: `payload_kg` of the run; None if it was estimated anyway.
     `log`: log of the run, because the records in memory may lack its begin.
     """
-    if told_kg is None or not isinstance(bundle.estimator, ObserverEstimator):
+    if known_kg is None or not isinstance(bundle.estimator, ObserverEstimator):
         return ""
     try:
         ticks = _first_ticks(summary, log, math.ceil(LONGEST_S / period_s))
@@ -93,11 +93,11 @@ def contradicted_payload(
     except (Exception, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
         return f"payload_kg could not be compared with the currents of this run ({reason})"
-    if found is None or not found.contradicts(told_kg):
+    if found is None or not found.contradicts(known_kg):
         return ""
     return (
         f"the currents of this run fit a payload of {found.payload_kg:.2f} kg, the robot was told "
-        f"{told_kg:g} kg (payload_kg): the predicted tip may be off by centimetres and be called "
+        f"{known_kg:g} kg (payload_kg): the predicted tip may be off by centimetres and be called "
         "in range; weigh the load and correct payload_kg, or leave it out to have it estimated; "
         "if it is right, the link is no longer that of the bundle's plant"
     )

@@ -136,7 +136,7 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
     # Logs without this column come from a loop that treated every sample as punctual.
     late_s = np.nan_to_num(columns.get("sample_late_ns", np.zeros(len(replayed)))) * 1e-9
     slot = columns.get("tick", np.zeros(len(replayed)))
-    told = int(np.argmax(slot >= 0)) if facts.probed else -1
+    end_of_probe = int(np.argmax(slot >= 0)) if facts.probed else -1
     restarted = find_seams(log).restarted
     for k, (angle, current) in enumerate(zip(angle_rad, current_a, strict=True)):
         if restarted[k]:
@@ -146,15 +146,15 @@ def compare(log: Recording, bundle: ModelBundle) -> dict[str, float]:
             angle, current, estimate.di, estimate.signals, hold.age_s
         ).tip_m
         replayed[k] = (estimate.di, estimate.payload_kg, *tip_m)
-        if k == told and slot[k] >= 0:
-            bundle.assume_payload(_told_payload_kg(facts, columns["payload_kg"][k + 1 :]))
+        if k == end_of_probe and slot[k] >= 0:
+            bundle.assume_payload(_assumed_payload_kg(facts, columns["payload_kg"][k + 1 :]))
     difference = np.abs(replayed - recorded)
     difference[np.isnan(replayed) & np.isnan(recorded)] = 0.0
     difference[np.isnan(difference)] = np.inf
     return dict(zip(_COMPARED, difference.max(axis=0).tolist(), strict=True))
 
 
-def _told_payload_kg(facts: LoggedRun, later_kg: NDArray[np.float64]) -> float | None:
+def _assumed_payload_kg(facts: LoggedRun, later_kg: NDArray[np.float64]) -> float | None:
     """Return the payload that a probing motion set in the observer; None if it was estimated.
 
     A payload that was set is constant in all later ticks; an estimate changes.

@@ -191,8 +191,8 @@ def _live(
         try:
             answer = _RESULT + work()
         except InputError as error:
-            said = (error.where, error.what, error.remedy)
-            answer = _REFUSED + msgspec.msgpack.encode(said)
+            refusal = (error.where, error.what, error.remedy)
+            answer = _REFUSED + msgspec.msgpack.encode(refusal)
         except MemoryError:
             answer = _MEMORY
         except Exception as error:

@@ -246,8 +246,8 @@ def check_archive(archive: zipfile.ZipFile, path: Path, remedy: str) -> None:
     elif any(m.filename.endswith(".xml") and m.file_size > MOST_TEXT_BYTES for m in members):
         wrong = f"holds an XML file of more than {DATA_SIZE.number(MOST_TEXT_BYTES)} MB"
     else:
-        astray = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
-        wrong = f"holds a file with a path outside the archive ({astray[0]})" if astray else ""
+        outside = [n for n in names if PurePosixPath(n).is_absolute() or ".." in n.split("/")]
+        wrong = f"holds a file with a path outside the archive ({outside[0]})" if outside else ""
     if wrong:
         raise InputError(path, wrong, remedy)
 

@@ -55,15 +55,7 @@ def goals_of_plan(plan: TipPlan, config: RobotConfig, bundle: ModelBundle) -> Pl
     A plan for another robot, bundle or link is refused, and one that violates the limits.
     """
     where = f"plan {plan.path}"
-    if plan.dof != config.dof:
-        raise InputError(
-            where, f"is for {plan.dof} joints, the robot has {config.dof}", "plan for this robot"
-        )
-    if not math.isclose(plan.period_s, config.period_s):
-        raise InputError(
-            where, f"has a period of {plan.period_s:g} s, the robot {config.period_s:g} s",
-            "plan for this robot",
-        )  # fmt: skip
+    _check_fit(where, plan, config, "plan for this robot")
     if plan.bundle_sha256 != bundle.manifest_sha256:
         raise InputError(
             where, f"was made for another bundle than {bundle.directory}",
@@ -135,7 +127,8 @@ def outside_goals(
         )  # fmt: skip
     goal_map, note = None, ""
     if map_path is not None:
-        goal_map = _fitting(map_path, config)
+        goal_map = read_goal_map(map_path)
+        _check_fit(map_path, goal_map, config, "make it anew")
         note = note_on_plant(str(map_path), goal_map.plant_sha256, goal_map.link, bundle)
     print(f"waiting at {address} for the program that sends the goals", file=sys.stderr)
     with accepted_program(address, WAIT_S, patience_s) as channel:
@@ -145,18 +138,18 @@ def outside_goals(
         )  # fmt: skip
 
 
-def _fitting(path: Path, config: RobotConfig) -> GoalMap:
-    found = read_goal_map(path)
-    if found.dof != config.dof:
+def _check_fit(
+    where: Path | str, goals: TipPlan | GoalMap, config: RobotConfig, remedy: str
+) -> None:
+    """Refuse goals for another number of joints or another period than the robot's."""
+    if goals.dof != config.dof:
         raise InputError(
-            path, f"is for {found.dof} joints, the robot has {config.dof}", "make anew"
-        )
-    if not math.isclose(found.period_s, config.period_s):
-        raise InputError(
-            path, f"has a period of {found.period_s:g} s, the robot {config.period_s:g} s",
-            "make it anew",
+            where, f"is for {goals.dof} joints, the robot has {config.dof}", remedy
         )  # fmt: skip
-    return found
+    if not math.isclose(goals.period_s, config.period_s):
+        raise InputError(
+            where, f"has a period of {goals.period_s:g} s, the robot {config.period_s:g} s", remedy
+        )
 
 
 def outside_facts() -> dict[str, str]:

@@ -24,6 +24,8 @@ MOST_PLACES: Final = 201
 
 
 class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Map for one payload."""
+
     payload_kg: float
     # Goals of each joint at each position, the last coordinate varying fastest; null where the tip
     # cannot rest
@@ -33,6 +35,8 @@ class PayloadMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
 
 class GoalMap(Document, frozen=True):
+    """Goals at which the tip rests, by tip position and payload."""
+
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch goalmap"
 
@@ -45,44 +49,46 @@ class GoalMap(Document, frozen=True):
 
 
 def read_goal_map(path: Path) -> GoalMap:
-    found = read_document(path, GoalMap)
-    if wrong := _wrong_in(found):
+    goal_map = read_document(path, GoalMap)
+    if wrong := _wrong_in(goal_map):
         raise InputError(path, wrong, f"write it anew with {GoalMap.MADE_BY}")
-    return found
+    return goal_map
 
 
-def _wrong_in(found: GoalMap) -> str:
-    places, count = np.array(found.places_m), len(found.places_m)
-    if found.dof not in (1, 2):
-        return f"is for {found.dof} joints; 1 or 2 can move"
+def _wrong_in(goal_map: GoalMap) -> str:
+    places, count = np.array(goal_map.places_m), len(goal_map.places_m)
+    if goal_map.dof not in (1, 2):
+        return f"is for {goal_map.dof} joints; 1 or 2 can move"
     if not 2 <= count <= MOST_PLACES or not np.isfinite(places).all():
         return f"needs 2 to {MOST_PLACES} finite places_m"
     steps = np.diff(places)
     if steps[0] <= 0 or not np.allclose(steps, steps[0]):
         return "has places_m that do not rise evenly"
-    grid = [own.payload_kg for own in found.payloads]
+    grid = [payload.payload_kg for payload in goal_map.payloads]
     if not grid or grid[0] < 0 or not all(b > a for a, b in pairwise(grid)):
         return "has payloads that are negative or do not rise, or none"
-    for own in found.payloads:
-        if [len(c) for c in own.goals_rad] != [count**found.dof] * found.dof:
-            return f"needs {found.dof} columns of {count**found.dof} goals"
-        modes = (*own.half_period_s, *own.decay)
-        if len(modes) != 2 * found.dof or not all(0.0 < v < 10.0 for v in modes):
+    for payload in goal_map.payloads:
+        if [len(c) for c in payload.goals_rad] != [count**goal_map.dof] * goal_map.dof:
+            return f"needs {goal_map.dof} columns of {count**goal_map.dof} goals"
+        modes = (*payload.half_period_s, *payload.decay)
+        if len(modes) != 2 * goal_map.dof or not all(0.0 < v < 10.0 for v in modes):
             return "has modes that cannot be"
     return ""
 
 
 class RestGoals:
-    def __init__(self, found: GoalMap) -> None:
-        places = found.places_m
+    def __init__(self, goal_map: GoalMap) -> None:
+        places = goal_map.places_m
         self._low, self._step = places[0], (places[-1] - places[0]) / (len(places) - 1)
-        self._count, self._dof = len(places), found.dof
-        self.grid_kg = [own.payload_kg for own in found.payloads]
+        self._count, self._dof = len(places), goal_map.dof
+        self.grid_kg = [payload.payload_kg for payload in goal_map.payloads]
         # Lists, not arrays: a tick reads few numbers, one at a time.
-        self._goals = [[list(column) for column in own.goals_rad] for own in found.payloads]
-        self._half = [own.half_period_s for own in found.payloads]
-        self._decay = [own.decay for own in found.payloads]
-        self.longest_s = max(max(own) for own in self._half)
+        self._goals = [
+            [list(column) for column in payload.goals_rad] for payload in goal_map.payloads
+        ]
+        self._half = [payload.half_period_s for payload in goal_map.payloads]
+        self._decay = [payload.decay for payload in goal_map.payloads]
+        self.longest_s = max(max(half) for half in self._half)
 
     def goals_rad(self, tip_m: tuple[float, ...], payload_kg: float) -> list[float] | None:
         """Return the goals at which the tip rests at a position; None if it cannot rest there.

@@ -65,6 +65,14 @@ class StiffnessSlopes(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     unseen_m: Columns
 
 
+def _wrong_in_columns(columns: Columns, name: str, dof: int, rows: int) -> str:
+    if len(columns) != dof or any(len(column) != rows for column in columns):
+        return f"needs {dof} columns of {rows} rows in {name}"
+    if not np.isfinite(columns).all():
+        return f"has a value in {name} that is not finite"
+    return ""
+
+
 def wrong_in_feedback(
     design: FeedbackDesign | None, slopes: tuple[StiffnessSlopes | None, ...], dof: int, rows: int
 ) -> str:
@@ -88,11 +96,8 @@ def wrong_in_feedback(
         return f"has feedback with the bounds {bounds}"
     for one in slopes:
         for name in StiffnessSlopes.__struct_fields__ if one is not None else ():
-            columns_: Columns = getattr(one, name)
-            if len(columns_) != dof or any(len(c) != rows for c in columns_):
-                return f"needs {dof} columns of {rows} rows in {name}"
-            if not np.isfinite(columns_).all():
-                return f"has a value in {name} that is not finite"
+            if wrong := _wrong_in_columns(getattr(one, name), name, dof, rows):
+                return wrong
     return ""
 
 
@@ -148,6 +153,8 @@ class BestRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class TipPlan(Document, frozen=True):
+    """Plan that leads the tip along a path."""
+
     VERSION: ClassVar[int] = 1
     MADE_BY: ClassVar[str] = "dropstitch plan"
 
@@ -261,11 +268,8 @@ def _wrong_in(plan: TipPlan) -> str:
         return "has payloads that are negative or do not rise"
     for own in plan.payloads:
         for name in ("goals_rad", "tip_m", "current_a"):
-            columns: Columns = getattr(own, name)
-            if len(columns) != plan.dof or any(len(c) != plan.rows for c in columns):
-                return f"needs {plan.dof} columns of {plan.rows} rows in {name}"
-            if not np.isfinite(columns).all():
-                return f"has a value in {name} that is not finite"
+            if wrong := _wrong_in_columns(getattr(own, name), name, plan.dof, plan.rows):
+                return wrong
     slopes = tuple(own.stiffness for own in plan.payloads)
     if plan.probe is not None and (plan.feedback is None or None in slopes):
         return "has a probe without feedback"
@@ -280,11 +284,9 @@ def _wrong_in_learning(plan: TipPlan) -> str:
     if not abs(plan.goal_lead_s) <= 1.0:
         return f"moves its goals ahead by {plan.goal_lead_s:g} s, more than 1 s"
     for best in plan.best:
-        tables = best.goals_rad, best.tip_m, best.angle_rad
         if not 0 <= best.run < len(plan.learned):
             return f"has a best run {best.run} of {len(plan.learned)}"
-        if any(len(t) != plan.dof or any(len(c) != plan.rows for c in t) for t in tables):
-            return f"needs {plan.dof} columns of {plan.rows} rows in its best runs"
-        if not all(np.isfinite(t).all() for t in tables):
-            return "has a value in a best run that is not finite"
+        for columns in (best.goals_rad, best.tip_m, best.angle_rad):
+            if wrong := _wrong_in_columns(columns, "its best runs", plan.dof, plan.rows):
+                return wrong
     return ""

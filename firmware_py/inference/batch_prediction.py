@@ -69,17 +69,17 @@ def predict_rows(
             "leave it out: the bundle's estimator then follows the samples",
         )  # fmt: skip
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
-    given = _numbers("di", di)
-    if given.shape not in ((), (len(angle_rad),)):
+    values = _numbers("di", di)
+    if values.shape not in ((), (len(angle_rad),)):
         raise InputError(
-            "di", f"has the shape {given.shape}", f"give ({len(angle_rad)},) or one number"
+            "di", f"has the shape {values.shape}", f"give ({len(angle_rad)},) or one number"
         )
-    found = _empty(len(angle_rad))
-    found.di[:] = given
-    found.payload_kg[:] = math.nan
+    predictions = _empty(len(angle_rad))
+    predictions.di[:] = values
+    predictions.payload_kg[:] = math.nan
     for k in range(len(angle_rad)):
-        _store(found, k, predictor, angle_rad[k], current_a[k])
-    return found
+        _store(predictions, k, predictor, angle_rad[k], current_a[k])
+    return predictions
 
 
 def predict_run(
@@ -97,31 +97,31 @@ def predict_run(
     angle_rad, current_a = _samples(angle_rad, current_a, dof)
     if not 0.0 < step_s < math.inf:
         raise InputError("step_s", f"is {step_s}", "give the time between two rows in s")
-    found = _empty(len(angle_rad))
+    predictions = _empty(len(angle_rad))
     estimator.reset()
     for k in range(len(angle_rad)):
         estimate = estimator.update(angle_rad[k], current_a[k], step_s)
-        found.di[k], found.payload_kg[k] = estimate.di, estimate.payload_kg
-        _store(found, k, predictor, angle_rad[k], current_a[k], estimate.signals)
+        predictions.di[k], predictions.payload_kg[k] = estimate.di, estimate.payload_kg
+        _store(predictions, k, predictor, angle_rad[k], current_a[k], estimate.signals)
     estimator.reset()
-    return found
+    return predictions
 
 
 def _samples(angle_rad: ArrayLike, current_a: ArrayLike, dof: int) -> tuple[Array, Array]:
     """Check angles and currents and return both with shape (n, dof)."""
-    found = []
-    for name, given in (("angle_rad", angle_rad), ("current_a", current_a)):
-        array = _numbers(name, given)
-        found.append(array[:, None] if array.ndim == 1 and dof == 1 else array)
-        if found[-1].ndim != 2 or found[-1].shape[1] != dof:
+    arrays = []
+    for name, values in (("angle_rad", angle_rad), ("current_a", current_a)):
+        array = _numbers(name, values)
+        arrays.append(array[:, None] if array.ndim == 1 and dof == 1 else array)
+        if arrays[-1].ndim != 2 or arrays[-1].shape[1] != dof:
             raise InputError(
                 name, f"has the shape {array.shape}", f"give (n, {dof}), one row per sample"
             )
-    if len(found[0]) != len(found[1]):
+    if len(arrays[0]) != len(arrays[1]):
         raise InputError(
-            "current_a", f"has {len(found[1])} rows, angle_rad {len(found[0])}", "give as many"
+            "current_a", f"has {len(arrays[1])} rows, angle_rad {len(arrays[0])}", "give as many"
         )
-    return found[0], found[1]
+    return arrays[0], arrays[1]
 
 
 def _empty(count: int) -> Predictions:
@@ -132,19 +132,19 @@ def _empty(count: int) -> Predictions:
 
 
 def _store(
-    found: Predictions, k: int, predictor: Predictor, angle_rad: Array, current_a: Array,
+    predictions: Predictions, k: int, predictor: Predictor, angle_rad: Array, current_a: Array,
     signals: Array = NO_SIGNALS,
 ) -> None:  # fmt: skip
     """Predict row k, whose DI is known, and store the result."""
-    answer = predictor.predict(angle_rad, current_a, float(found.di[k]), signals)
-    found.tip_m[k], found.half_width_m[k] = answer.tip_m, answer.half_width_m
-    found.in_range[k] = answer.in_range
+    answer = predictor.predict(angle_rad, current_a, float(predictions.di[k]), signals)
+    predictions.tip_m[k], predictions.half_width_m[k] = answer.tip_m, answer.half_width_m
+    predictions.in_range[k] = answer.in_range
 
 
-def _numbers(name: str, given: ArrayLike) -> NDArray[np.float64]:
+def _numbers(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """Refuse values that are not finite: they would persist in the estimator's state."""
     try:
-        array = np.asarray(given, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(name, "is no array of numbers", "give one row per sample") from None
     if not np.isfinite(array).all():

@@ -43,6 +43,8 @@ class TrustConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 class BundleSignature(Document, frozen=True, kw_only=True):
+    """Contents of `manifest.sig`."""
+
     VERSION: ClassVar[int] = 2
     MADE_BY: ClassVar[str] = "dropstitch sign"
 

@@ -25,11 +25,11 @@ _LONGEST_STEP_S: Final = 1.7
 """Longest step of the observer after a gap in the data, which bounds its computing time."""
 _SHORTEST_STEP_S: Final = 1e-3
 """Shortest step of the observer; time must not run backwards after a jump of the clock."""
-_FORGET_S: Final = 0.3
+_GAP_DECAY_S: Final = 0.3
 """Time constant with which the effect of a gap decays: one swing of the link. [assumed]"""
-_FORGOTTEN_S: Final = 1e-6
+_NEGLIGIBLE_GAP_S: Final = 1e-6
 """Decayed gap that is set to zero; the tip moves by 0.7 µm in this time at 0.7 rad/s."""
-_LEFT_OF_A_GAP: Final = 0.05
+_GAP_TO_AGE: Final = 0.05
 """Fraction of a gap that counts as age once samples arrive again. After 3 slots without data at
 0.7 rad/s the error of the observer rose by up to 2.4 mm, while the tip moved by 36 mm."""
 _KNOWN_PAYLOAD: Final = "parameters.payload_known_kg"
@@ -203,13 +203,13 @@ class SampleHold:
     def __init__(self, estimator: DeformationEstimator) -> None:
         self._estimator = estimator
         self._latest: Estimate | None = None
-        self.age_s = self._gap_s = self._without_s = self._late_s = 0.0
-        self._usual_s = math.inf
+        self.age_s = self._gap_s = self._stale_s = self._late_s = 0.0
+        self._usual_step_s = math.inf
 
     def reset(self) -> None:
         self._estimator.reset()
         self._latest = None
-        self.age_s = self._gap_s = self._without_s = self._late_s = 0.0
+        self.age_s = self._gap_s = self._stale_s = self._late_s = 0.0
 
     def update(
         self, angle_rad: Array, current_a: Array, step_s: float, fresh: bool, late_s: float = 0.0
@@ -222,21 +222,21 @@ class SampleHold:
         latest = self._latest
         if not self._estimator.waits_for_fresh:
             return self._estimator.update(angle_rad, current_a, step_s)
-        self._usual_s = min(self._usual_s, step_s)
+        self._usual_step_s = min(self._usual_step_s, step_s)
         longest_s = max(step_s, _LONGEST_STEP_S)
-        whole_s = min(step_s + self._without_s, longest_s)
-        since_s = min(max(whole_s + late_s - self._late_s, _SHORTEST_STEP_S), longest_s)
+        slots_s = min(step_s + self._stale_s, longest_s)
+        sample_step_s = min(max(slots_s + late_s - self._late_s, _SHORTEST_STEP_S), longest_s)
         if fresh or latest is None:
-            self._without_s, self._late_s = 0.0, late_s
-            gap_s = whole_s - self._usual_s
-            self._gap_s = max(gap_s, self._gap_s * math.exp(-whole_s / _FORGET_S))
-            if self._gap_s < _FORGOTTEN_S:
+            self._stale_s, self._late_s = 0.0, late_s
+            gap_s = slots_s - self._usual_step_s
+            self._gap_s = max(gap_s, self._gap_s * math.exp(-slots_s / _GAP_DECAY_S))
+            if self._gap_s < _NEGLIGIBLE_GAP_S:
                 self._gap_s = 0.0
-            self.age_s = _LEFT_OF_A_GAP * self._gap_s
-            self._latest = latest = self._estimator.update(angle_rad, current_a, since_s)
+            self.age_s = _GAP_TO_AGE * self._gap_s
+            self._latest = latest = self._estimator.update(angle_rad, current_a, sample_step_s)
         else:
-            self._without_s = whole_s
-            self.age_s = since_s
+            self._stale_s = slots_s
+            self.age_s = sample_step_s
         return latest
 
 

@@ -22,6 +22,8 @@ _SAME: Final = 1e-6
 
 
 class LinkFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Facts that distinguish one link from another."""
+
     joints: int  # Number of joints
     length_m: float  # From the base plate to the last marker row
     width_m: float  # Side (or diameter) of the section

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.errors import InputError
-from firmware_py.inference.estimator import Estimate, NoEstimator
+from firmware_py.inference.estimator import NoEstimator
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
@@ -67,14 +67,6 @@ def test_no_two_ticks_share_a_slot_and_none_starts_early(delays):
     assert rows["missed"].sum() == (np.diff(rows["tick"]) - 1).sum()
     assert np.all(rows["lateness_ns"] >= 0)
     assert np.all(np.diff(rows["deadline_ns"]) == np.diff(rows["tick"]) * PERIOD_NS)
-
-
-def test_a_stall_leaves_no_jump_in_the_goals():
-    loop, bus, *_ = make()
-    bus.script = {100: 2 * PERIOD_NS + 1}
-    rows = loop.run().records
-    steps = np.abs(np.diff(rows["goal_1_rad"]))
-    assert steps.max() <= np.abs(np.diff(GOALS[:, 0])).max() * 1.1
 
 
 def test_the_bus_gets_what_is_left_of_its_budget():
@@ -201,27 +193,3 @@ def test_slots_missed_on_the_way_to_the_motion_leave_no_jump(read):
     assert np.abs(np.diff([0.35, *goals])).max() <= np.abs(np.diff(GOALS[:, 0])).max() * 1.1
     later = (summary.records["tick"] >= 300) & (summary.records["tick"] < len(GOALS))
     assert goals[later] == pytest.approx(GOALS[300:, 0], abs=1e-12)
-
-
-def test_the_estimator_is_told_how_much_time_has_passed():
-    class Listening(NoEstimator):
-        steps_s, resets = (), 0
-
-        def reset(self):
-            self.resets += 1
-
-        def update(self, angle_rad, current_a, step_s):
-            self.steps_s = (*self.steps_s, step_s)
-            return Estimate(0.0, 0.0)
-
-    estimator = Listening()
-    loop, bus, *_ = make(estimator=estimator)
-    bus.script = {10: PERIOD_NS + 1}
-    loop.run()
-    assert estimator.resets == 1
-    assert estimator.steps_s[9:13] == pytest.approx([0.017, 0.017, 0.034, 0.017])
-
-
-def test_goals_of_another_number_of_joints_are_refused():
-    with pytest.raises(InputError, match="1 joints"):
-        make(goals=np.zeros((10, 2)), bus=lambda clock: Bus(clock, 1))

@@ -9,11 +9,8 @@ import pytest
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.bus.registers import Register
-from firmware_py.bus.servo_models import model_named
 from firmware_py.commands.replay import compare
 from firmware_py.config import (
-    UNWATCHED_RATE_RAD_S,
     BusConfig,
     RobotConfig,
     ServoConfig,
@@ -24,12 +21,10 @@ from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.log.recording import Recording
-from firmware_py.log.telemetry import Telemetry
 from firmware_py.robot import NoModels, build_bus, build_loop, load_bundle
 from firmware_py.safety.limits import Limits
 from firmware_py.summary import Ended
 from firmware_py.system.clock import SimClock
-from firmware_py.system.service import Service
 
 CONFIG = """
 bundle = "bundle"
@@ -105,10 +100,6 @@ def test_an_unknown_payload_is_estimated(load):
     bundle.assume_payload(2.0)
     bundle.assume_payload(None)
     assert np.array_equal(answers(bundle.estimator), estimated)
-
-
-def test_no_payload_at_all_is_a_known_one(load):
-    assert (answers(load(0.0)[1].estimator)[:, 1] == 0.0).all()
 
 
 def test_more_than_the_observer_takes_is_refused(load):
@@ -196,42 +187,7 @@ def test_the_loop_of_a_configuration_keeps_its_period_and_runs_its_motion_once()
     assert np.array_equal(moving["goal_1_rad"][: len(goals_rad)], goals_rad[:, 0])
 
 
-def test_the_motion_repeats_where_slots_are_given():
-    config = robot_config()
-    slots = len(config.goals_rad(repeated=True)) + 100
-    summary, _ = run_of(config, slots=slots, keep=slots + 200)
-    assert summary.records["tick"][-1] >= slots
-    repeated = summary.records["goal_1_rad"][slots - 100 : slots]
-    assert np.array_equal(repeated, config.goals_rad(repeated=True)[:100, 0])
-
-
 def test_the_limits_of_a_configuration_hold_in_its_loop():
     config = robot_config(limits=Limits(rate_rad_s=0.5))
     with pytest.raises(InputError, match=r"the limit is 0\.5 rad/s"):
         run_of(config)
-
-
-def test_a_servo_without_a_watchdog_is_told_the_rate_limit_in_force():
-    _, transport = run_of(robot_config(limits=Limits(rate_rad_s=2.0)))
-    model = model_named("H54-200-S500-R")
-    lsb = model.velocity_rad_s_per_lsb
-    raw = transport.get(1, Register.PROFILE_VELOCITY)
-    assert (raw - 1) * lsb < UNWATCHED_RATE_RAD_S <= raw * lsb
-
-
-def test_telemetry_counters_and_service_are_the_callers():
-    class Kept(Telemetry):
-        count = 0
-
-        def put(self, record):
-            self.count += 1
-
-    class Heard(Service):
-        count = 0
-
-        def alive(self):
-            self.count += 1
-
-    telemetry, service = Kept(), Heard()
-    summary, _ = run_of(robot_config(), telemetry=telemetry, service=service)
-    assert telemetry.count == service.count == summary.ticks

@@ -24,7 +24,6 @@ from firmware_py.summary import FeedbackUse
 from firmware_py.system.clock import SimClock
 from firmware_py.system.kernel_counters import Counters
 from tests.firmware_py.simulated_loop import (
-    PERIOD_NS,
     StillPredictor,
     make,
 )
@@ -63,15 +62,6 @@ def test_the_stages_add_up_to_the_tick():
     assert np.all(rows["bus_wait_ns"] == 1_000_000)
     assert np.all(rows["estimate_ns"] == 2_000)
     assert np.all(sum(rows[f"{stage}_ns"] for stage in STAGES[1:]) == rows["busy_ns"])
-
-
-def test_the_same_run_twice_is_the_same_to_the_bit():
-    def rows():
-        loop, bus, *_ = make()
-        bus.script = {7: BusStatus.CORRUPT, 50: PERIOD_NS + 5}
-        return loop.run().records.tobytes()
-
-    assert rows() == rows()
 
 
 def test_a_tick_leaves_no_memory_behind():
@@ -148,9 +138,3 @@ def test_ticks_in_which_feedback_was_due_and_did_not_act_are_counted():
     used = loop.run().feedback
     assert used == FeedbackUse(ticks=100, lost_ticks=2, reason="it is out of range")
     assert "2 of 100 ticks" in used.note and used.reason in used.note
-
-
-def test_feedback_that_always_acted_and_none_at_all_say_nothing():
-    assert make(slots=100, correction=Doubting(1, {}))[0].run().feedback == FeedbackUse(ticks=100)
-    assert make(slots=100)[0].run().feedback == FeedbackUse()
-    assert FeedbackUse().note == FeedbackUse(ticks=100).note == ""

@@ -258,7 +258,8 @@ def _documents():
     yield document("plan", "a.json", valid_files.plan(), of_json, read_tip_plan)
     yield document("path", "a.csv", path, of_text, lambda file: read_path(file, 2, 0.017))
     for name, kind, read in (
-        ("gap.json", GapDocument, read_gap_document), ("summary", RunDocument, lambda file: read_document(file, RunDocument)),
+        ("gap.json", GapDocument, read_gap_document),
+        ("summary", RunDocument, lambda file: read_document(file, RunDocument)),
     ):  # fmt: skip
         yield document(name, "a.json", valid_files.example_of(kind), of_json, read)
     yield document("goalmap", "a.json", valid_files.goal_map(), of_json, read_goal_map)

@@ -16,7 +16,7 @@ class Pressed:
 sys.meta_path.insert(0, Pressed)
 import {room}.__main__
 """
-ROOMS = ("dropstitch", "models", "fmu", "hil")
+ROOMS = ("dropstitch", "hil")
 
 
 def started(room, error):

@@ -44,8 +44,8 @@ def test_each_joint_is_found_where_the_ids_are_right():
     turns = turn_joints(hand, hand.clock, 0.008, hand.ask)
     assert [(t.joint, t.found) for t in turns] == [(1, 1), (2, 2)]
     assert all(0.087 <= t.change_rad < 0.2 for t in turns)
-    assert "its angle changed by" in turns[1].told((4, 7))
-    assert turns[1].told((4, 7)).endswith("(servo 7)")
+    assert "its angle changed by" in turns[1].sentence((4, 7))
+    assert turns[1].sentence((4, 7)).endswith("(servo 7)")
     assert [r[:12] for r in hand.requests] == ["turn joint 1", "turn joint 2"]
 
 
@@ -53,7 +53,7 @@ def test_exchanged_ids_are_told_with_the_sign_of_the_turn():
     hand = Hand(servo_of_joint=(1, 0), turn_rad=-0.2)
     turns = turn_joints(hand, hand.clock, 0.008, hand.ask)
     assert [(t.joint, t.found) for t in turns] == [(1, 2), (2, 1)]
-    told = turns[0].told((4, 7))
+    told = turns[0].sentence((4, 7))
     assert all(word in told for word in ("joint 1", "joint 2 (servo 7)", "-5.", "[[servos]]"))
 
 

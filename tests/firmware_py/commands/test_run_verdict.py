@@ -40,13 +40,6 @@ def test_a_recorder_that_says_no_number_is_no_success(servos, config, capsys, mo
     assert "holds an unknown number of" in output.err
 
 
-def test_without_a_log_nothing_lacks(servos, config, capsys):
-    config.write_text("record = false\n" + config.read_text())
-    code, output = call(capsys, "run", "--config", config)
-    assert code == 0, output.err
-    assert "warning" not in output.err
-
-
 def test_a_payload_that_the_bundle_does_not_use_is_told(servos, config, toy_bundle, capsys):
     config.write_text("payload_kg = 9.0\n" + config.read_text())
     code, output = call(capsys, "run", "--config", config, "--json")
@@ -65,9 +58,3 @@ def test_a_payload_beyond_those_of_a_plan_is_refused(servos, config, toy_bundle,
     code, output = call(capsys, "run", "--config", config, "--plan", plan, "--payload-kg", "2.5")
     assert code == 2
     assert "payload_kg: is 2.5 kg, the plan circle holds 0 to 1 kg; plan again" in output.err
-
-
-def test_a_negative_payload_names_the_option_and_the_rule(config, capsys):
-    code, output = call(capsys, "run", "--config", config, "--payload-kg", "-1")
-    sentence = "--payload-kg: payload_kg is -1 kg; give a mass from 0 to 100 kg.\n"
-    assert (code, output.err.endswith(sentence), output.err.count("\n")) == (2, True, 1)

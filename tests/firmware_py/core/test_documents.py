@@ -44,8 +44,3 @@ def test_what_does_not_fit_is_refused_with_file_reason_and_remedy(tmp_path, text
         read_document(path, Sample)
     message = str(refused.value)
     assert str(path) in message and reason in message and "dropstitch gap" in message
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"missing\.json"):
-        read_document(tmp_path / "missing.json", Sample)

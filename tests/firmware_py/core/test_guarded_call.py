@@ -42,14 +42,6 @@ def test_an_error_of_ours_says_nothing_of_the_file():
         call(lambda: 1 / 0)
 
 
-def test_a_system_without_memory_is_no_internal_error():
-    def work():
-        raise OSError(errno.ENOMEM, "Cannot allocate memory")
-
-    with pytest.raises(InputError, match="MB to read; export it again"):
-        call(work)
-
-
 def test_memory_is_limited():
     with pytest.raises(InputError, match="takes more than 50 MB to read"):
         call(lambda: bytes(bytearray(2_000_000_000)), memory_bytes=50_000_000)

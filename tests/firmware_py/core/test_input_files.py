@@ -1,10 +1,8 @@
 """Files of every wrong kind: one sentence each, and nothing allocated before it."""
 
-import json
 import os
 
 import msgspec
-import numpy as np
 import pytest
 
 from firmware_py.config import read_config
@@ -13,7 +11,6 @@ from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
 from firmware_py.core.motion import read_motion_document
-from firmware_py.inference.manifest import MANIFEST
 from firmware_py.summary import RunDocument
 from models.plan.paths import read_path
 from models.plant.plant import read_plant
@@ -77,12 +74,6 @@ def test_an_integer_of_toml_has_at_most_64_bits(tmp_path, name, digits):
     path = tmp_path / name
     path.write_text(f"schema = 1\n[deep]\nvalues = [{{ a = {digits} }}]\n", encoding="utf-8")
     assert "deep.values.a is an integer beyond 64 bits" in sentence(READERS[name], path)
-
-
-def test_a_byte_order_mark_is_no_content(tmp_path):
-    path = tmp_path / "a.toml"
-    path.write_text('[trial]\nmotion = "é"\n', encoding="utf-8-sig")
-    assert read_toml(path) == {"trial": {"motion": "é"}}
 
 
 def test_a_file_above_the_limit_is_not_read(tmp_path):
@@ -150,23 +141,3 @@ def test_texts_of_libraries_and_files_stay_on_one_line():
     error = InputError("a\nb", "first\nsecond\x1b[31m" + "x" * 5000, "do\tthis")
     assert str(error).isprintable() and len(str(error)) < 2000
     assert str(error).startswith("a b: first second\\x1b[31m")
-
-
-@pytest.mark.parametrize("kind", ["Latin-1", "directory"])
-def test_a_manifest_of_another_kind_is_refused(tmp_path, kind):
-    from firmware_py.inference.bundle import ModelBundle
-
-    file = tmp_path / MANIFEST
-    if kind == "directory":
-        file.mkdir()
-    else:
-        file.write_bytes('{"é": 1}'.encode("latin-1"))
-    with pytest.raises(InputError, match=MANIFEST):
-        ModelBundle.load(tmp_path)
-
-
-def test_a_table_reads_as_before(tmp_path):
-    path = tmp_path / "a.json"
-    path.write_text(json.dumps({"a": [1.5, None], "b": float("nan")}))
-    found = read_json(path, "")
-    assert found["a"] == [1.5, None] and np.isnan(found["b"])

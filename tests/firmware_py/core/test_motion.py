@@ -1,12 +1,22 @@
 """Reference motions as functions of time."""
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.config import read_config
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import GLIDE_S, KINDS, Motion
+from firmware_py.core.motion import (
+    GLIDE_S,
+    KINDS,
+    JointSeries,
+    Motion,
+    MotionConfig,
+    MotionDocument,
+    read_motion_document,
+)
 
 AMPLITUDE_RAD = np.radians(30.0)
 
@@ -38,13 +48,6 @@ def test_both_joints_move_together_at_phase_zero_and_go_round_at_90_degrees():
     np.testing.assert_allclose(np.hypot(*around[130:].T), AMPLITUDE_RAD, rtol=1e-12)
     # Joint 2 leads: it does now what joint 1 will do a quarter of a cycle later.
     np.testing.assert_allclose(around[130:448, 1], around[194:512, 0], atol=1e-12)
-
-
-def test_rest_samples_stand_in_front():
-    goal = Motion(dof=2).table_rad(rest_samples=60)
-    assert goal.shape == (572, 2)
-    assert not np.any(goal[:61])
-    assert np.all(goal[61] < 0)
 
 
 @given(motion=motions)
@@ -95,11 +98,6 @@ def test_the_joints_of_a_multisine_share_no_frequency():
     assert abs(correlation) < 0.3
 
 
-def test_one_time_gives_one_goal_per_joint():
-    motion = Motion(dof=2)
-    np.testing.assert_array_equal(motion.goal_rad(1.0), motion.goal_rad([1.0])[0])
-
-
 @pytest.mark.parametrize(
     "values, named",
     [
@@ -114,3 +112,146 @@ def test_one_time_gives_one_goal_per_joint():
 def test_impossible_motions_are_refused(values, named):
     with pytest.raises(InputError, match=named):
         Motion(**values)
+
+
+FILE = """
+schema = 1
+duration_s = 10.0
+harmonics = [0, 1, 3]
+payload_kg = 1.0
+[[joints]]
+sine_rad = [0.0, 0.2, 0.05]
+cosine_rad = [0.1, -0.1, 0.02]
+"""
+
+ROBOT = """
+bundle = "b"
+[bus]
+port = "p"
+[[servos]]
+id = 1
+model = "XM430-W350"
+[motion]
+file = "motion.toml"
+"""
+
+
+@pytest.fixture
+def motion_file(tmp_path):
+    path = tmp_path / "motion.toml"
+    path.write_text(FILE)
+    return path
+
+
+def test_the_goals_are_the_series_between_rest_at_zero_and_rest_at_zero(motion_file):
+    motion = Motion.designed(read_motion_document(motion_file))
+    at = 2 * np.pi * 0.4
+    inside = 0.1 + 0.2 * np.sin(at) - 0.1 * np.cos(at)
+    inside += 0.05 * np.sin(3 * at) + 0.02 * np.cos(3 * at)
+    np.testing.assert_allclose(motion.goal_rad(4.0), [inside], rtol=1e-12)
+    step_s = 1e-4
+    start = motion.goal_rad(step_s * np.arange(-2, 3))[:, 0]
+    end = motion.goal_rad(10.0 + step_s * np.arange(-2, 3))[:, 0]
+    for ends in (start, end):
+        assert np.max(np.abs(np.diff(ends))) / step_s < 1e-3  # at rest: the window has no slope
+    assert not np.any(motion.goal_rad([-1.0, 0.0, 10.0, 12.0]))
+    assert motion.duration_s == 10.0
+    assert motion.amplitude_rad == pytest.approx(np.max(np.abs(motion.table_rad(1e-3))), rel=1e-4)
+
+
+def test_the_name_tells_series_apart_and_nothing_else(motion_file):
+    document = read_motion_document(motion_file)
+    same = msgspec.structs.replace(document, notes="another note", payload_kg=2.0)
+    assert same.name == document.name
+    other = msgspec.structs.replace(document, duration_s=11.0)
+    assert other.name != document.name
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("schema = 1", "schema = 7", "schema version 7"),
+        ("duration_s = 10.0", "duration_s = 0.0", "lasts 0 s"),
+        ("harmonics = [0, 1, 3]", "harmonics = [1, 1, 3]", "harmonics that differ"),
+        ("harmonics = [0, 1, 3]", "harmonics = [0, 1, 300]", "above 10 Hz"),
+        ("[0.0, 0.2, 0.05]", "[0.0, nan, 0.05]", "not finite"),
+        ("[0.0, 0.2, 0.05]", "[0.0, 2.0, 0.05]", "more than 1.57 rad"),
+        ("[[joints]]", "[joint]", "is no motion"),
+        ("schema = 1", "schema =", "is not TOML"),
+        ("payload_kg = 1.0", "payload_kg = -1.0", "payload of -1 kg"),
+    ],
+)
+def test_a_wrong_file_gives_one_sentence(tmp_path, before, after, sentence):
+    path = tmp_path / "motion.toml"
+    path.write_text(FILE.replace(before, after))
+    with pytest.raises(InputError, match=sentence):
+        read_motion_document(path)
+
+
+def test_robot_toml_names_a_motion_file_beside_it(tmp_path, motion_file):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(ROBOT)
+    config = read_config(robot)
+    design = read_motion_document(motion_file)
+    rest = round(config.motion.rest_s / config.period_s)
+    expected = Motion.designed(design).table_rad(config.period_s, rest)
+    np.testing.assert_array_equal(config.goals_rad(), expected)
+    again = config.goals_rad(repeated=True)
+    np.testing.assert_array_equal(again[len(expected) :], 0.0)
+
+
+def test_a_motion_for_other_joints_is_refused(tmp_path, motion_file):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(
+        ROBOT.replace("[motion]", '[[servos]]\nid = 2\nmodel = "XM430-W350"\n[motion]')
+    )
+    with pytest.raises(InputError, match=r"has 1 joints, the robot 2"):
+        read_config(robot).goals_rad()
+
+
+def test_the_command_line_takes_a_kind_or_a_file(tmp_path, motion_file):
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    motion = read_config(tmp_path / "robot.toml").motion
+    assert motion.with_motion("triangle").motion(1).name == "triangle"
+    assert motion.with_motion(str(motion_file)).motion(1).name.startswith("designed-")
+    with pytest.raises(InputError, match="no kind of motion and no file"):
+        motion.with_motion("circle")
+
+
+KIND_FILE = """
+schema = 1
+kind = "triangle"
+amplitude_rad = 0.2
+period_s = 3.0
+payload_kg = 1.0
+"""
+
+
+def test_a_file_may_name_a_kind_of_motion(tmp_path):
+    (tmp_path / "robot.toml").write_text(ROBOT + "rest_s = 0.5\n")
+    (tmp_path / "motion.toml").write_text(KIND_FILE)
+    motion = read_config(tmp_path / "robot.toml").motion
+    assert motion.motion(1) == Motion("triangle", 0.2, 3.0) and motion.rest_s == 0.5
+    again = MotionConfig(kind="steps").with_motion(str(tmp_path / "motion.toml"))
+    assert again.motion(2) == Motion("triangle", 0.2, 3.0, dof=2)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "sentence"),
+    [
+        ("schema = 1", "schema = 7", "schema version 7"),
+        ('"triangle"', '"circle"', "is no motion"),
+        ("amplitude_rad = 0.2", "amplitude_rad = 2.0", "motion.toml: its amplitude is 114"),
+        ("period_s = 3.0", "", "period_s"),
+    ],
+)
+def test_a_wrong_kind_gives_one_sentence(tmp_path, before, after, sentence):
+    (tmp_path / "motion.toml").write_text(KIND_FILE.replace(before, after))
+    with pytest.raises(InputError, match=sentence):
+        MotionConfig().with_motion(str(tmp_path / "motion.toml"))
+
+
+def test_two_joints_have_their_own_series():
+    series = [JointSeries(sine_rad=(a,), cosine_rad=(0.0,)) for a in (0.1, 0.2)]
+    document = MotionDocument(schema=1, duration_s=4.0, harmonics=(1,), joints=tuple(series))
+    np.testing.assert_allclose(Motion.designed(document).goal_rad(1.0), [0.1, 0.2])

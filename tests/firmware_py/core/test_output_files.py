@@ -22,16 +22,6 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(tmp_path):
     assert list(tmp_path.iterdir()) == [path], "nothing is left beside it"
 
 
-def test_an_interrupt_leaves_the_old_file(tmp_path):
-    path = tmp_path / "plant.json"
-    path.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), replacing(path) as scratch:
-        scratch.write_bytes(b"ne")
-        raise KeyboardInterrupt
-    assert list(tmp_path.iterdir()) == [path]
-    assert path.read_bytes() == b"old"
-
-
 def test_the_new_content_replaces_the_old(tmp_path):
     path = tmp_path / "plant.json"
     for content in (b"old and longer", b"new"):

@@ -8,13 +8,22 @@ import pytest
 
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.signals import PERIOD_S
-from firmware_py.goals.plan_goals import PlanGoals, check_plan_goals
+from firmware_py.core.signals import PERIOD_S, tick_dtype
+from firmware_py.goals.plan_goals import (
+    PlanGoals,
+    check_plan_goals,
+    payload_beyond_plan,
+    recording_beyond_plan,
+)
 from firmware_py.goals.tip_plan import PayloadPlan, TipPlan, read_tip_plan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.safety.limits import Limits
+from firmware_py.safety.states import SafetyState
 from firmware_py.safety.supervisor import SafetySupervisor
+from firmware_py.summary import Ended, RunSummary
+from firmware_py.system.timing import Timing
+from tests.firmware_py.goals.small_plan import small_plan
 
 ROWS = 40
 
@@ -51,12 +60,6 @@ def test_goals_of_a_known_payload_lie_between_their_neighbours(plan, payload_kg,
     goals.follow(Estimate(0.0, 1.9), 10.0)
     table = np.array([goals.at(slot) for slot in range(ROWS)])
     assert table[:, 0] == pytest.approx(np.array(column(factor)), abs=1e-12)
-
-
-def test_goals_wait_before_the_first_slot_and_repeat_after_the_last(plan):
-    goals = PlanGoals(plan, 1.0)
-    assert goals.at(-7).tolist() == goals.at(0).tolist()
-    assert goals.at(ROWS + 3).tolist() == goals.at(3).tolist()
 
 
 def test_the_payload_follows_the_estimate_at_a_limited_rate(plan):
@@ -130,12 +133,9 @@ def test_a_document_is_read_as_it_was_written(plan, tmp_path):
         ({"dof": 3}, "3 joints"),
         ({"dof": 1}, "needs 1 columns"),
         ({"period_s": 0.0}, "period of 0 s"),
-        ({"rest_s": 99.0}, "rests for 99 s"),
         ({"payloads": ()}, "no payload"),
         ({"desired_m": (column(1.0), column(1.0)[:-1])}, "different length"),
         ({"end_row": ROWS + 1}, "outside of its 40 rows"),
-        ({"drawn": ((5, 5),)}, "outside of its 40 rows"),
-        ({"payload_rate_kg_s": 0.0}, "changes the payload by 0"),
         ({"payloads": (payload_plan(1.0, 1.0), payload_plan(1.0, 1.0))}, "do not rise"),
         ({"payloads": (payload_plan(-1.0, 1.0),)}, "negative"),
     ],
@@ -152,3 +152,51 @@ def test_a_column_of_another_length_or_a_gap_is_refused(plan, tmp_path):
         write_document(tmp_path / "plan.json", msgspec.structs.replace(plan, payloads=(own,)))
         with pytest.raises(InputError, match=r"goals_rad|does not fit"):
             read_tip_plan(tmp_path / "plan.json")
+
+
+@pytest.fixture
+def said(toy_bundle):
+    """Sentence about a run with an estimate for each tick, of a plan from 0 to 1 kg."""
+
+    def said(estimated_kg, told_kg=None, **columns):
+        records = np.zeros(100, tick_dtype(1))
+        records["tick"], records["state"] = np.arange(100), SafetyState.RUNNING
+        records["payload_kg"] = estimated_kg
+        for name, values in columns.items():
+            records[name] = values
+        summary = RunSummary(Ended.FINISHED, "", 100, {}, 0, Timing(), records, 0)
+        return payload_beyond_plan(small_plan(toy_bundle), told_kg, summary)
+
+    return said
+
+
+def test_an_estimate_that_stays_beyond_the_plan_is_told(said):
+    assert all(word in said(1.4) for word in ("1.40 kg", "0 to 1 kg", "for 1 kg", "--payloads"))
+    assert "-0.20 kg" in said(-0.2) and "for 0 kg" in said(-0.2)
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 0.5, 1.0, 1.04, np.nan])
+def test_an_estimate_inside_the_plan_or_of_its_end_is_not(said, payload_kg):
+    assert said(payload_kg) == ""
+
+
+def test_a_payload_that_is_known_was_not_estimated(said):
+    assert said(1.4, told_kg=1.0) == ""
+
+
+def test_only_what_the_estimate_settles_to_counts(said):
+    settling = np.where(np.arange(100) < 45, 1.4, 0.8)
+    assert said(settling) == ""
+    assert said(settling[::-1]) != ""
+    before = np.where(np.arange(100) < 90, -1, 5)  # an approach that outlasts the motion
+    assert said(np.where(before < 0, 1.4, 0.8), tick=before) == ""
+    assert said(1.4, state=SafetyState.STOPPING) == ""
+
+
+def test_a_recording_of_a_payload_beyond_the_plan_is_told(toy_bundle):
+    plan = small_plan(toy_bundle)
+    said = recording_beyond_plan(plan, 3.0)
+    assert all(word in said for word in ("3 kg", "0 to 1 kg", "for 1 kg", "--payloads"))
+    assert recording_beyond_plan(plan, 0.4) == "" == recording_beyond_plan(plan, 1.04)
+    alone = msgspec.structs.replace(plan, payloads=plan.payloads[1:])
+    assert "1 kg alone" in recording_beyond_plan(alone, 0.4)

@@ -139,13 +139,6 @@ def test_a_probe_with_one_missing_row_counts(wrong):
     assert robot.feedback.stiffness == pytest.approx(0.12, abs=0.02)
 
 
-@pytest.mark.parametrize("current", [math.nan, math.inf])
-def test_currents_that_are_not_finite_tell_nothing(current):
-    robot = Robot(0.12, 1.1)
-    robot.probe(current=current)
-    assert robot.feedback.found is None and robot.told == [None]
-
-
 def test_currents_that_nothing_explains_are_not_taken_over():
     extra = probe_of(
         weights=(*probe_of().weights, (tuple((PER_A / 10 * np.cos(PHASE)).tolist()),)),

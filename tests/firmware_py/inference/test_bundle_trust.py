@@ -17,7 +17,6 @@ from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
 from firmware_py.core import input_files
 from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import content_of
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text
 from firmware_py.inference.manifest import content_sha256, write_manifest
@@ -75,21 +74,12 @@ def test_a_file_that_runs_but_is_not_named_is_refused(bundle, estimator, name):
         ModelBundle.load(bundle)
 
 
-def test_what_lies_beside_the_bundle_is_neither_named_nor_read(bundle):
-    (bundle / "notes.txt").write_text("for people", encoding="utf-8")
-    write_manifest(bundle, read_manifest(bundle))
-    assert "notes.txt" not in read_manifest(bundle).files
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"dof": 1_000_000_000}, "dof is 1000000000, outside 1 to 2"),
-        ({"dof": 0}, "dof is 0"),
         ({"period_s": -0.017}, "period_s"),
-        ({"period_s": 1e300}, "period_s"),
         ({"degree": 10**9}, "degree"),
-        ({"lag_ticks": [-1]}, "lag_ticks"),
         ({"lag_ticks": [10**9]}, "lag_ticks"),
         ({"lag_ticks": []}, "lag_ticks is empty"),
         ({"metrics": {"a_m": 1e300}}, "metric 'a_m'"),
@@ -199,7 +189,6 @@ def test_an_older_bundle_of_the_same_key_is_refused(bundle, key, tmp_path):
         lambda text: "{}",
         lambda text: "[" * 100_000,
         lambda text: text.replace('"schema": 2', '"schema": 3'),
-        lambda text: text.replace('"signature": "', '"signature": "!'),
         lambda text: text.replace('"signed_utc": "20', '"signed_utc": "21'),
         lambda text: text.replace('Z"', '"'),
         lambda text: text.replace('"signature": "', '"signature": "AAAA'),
@@ -266,14 +255,6 @@ def test_a_trusted_key_that_is_none_is_refused(tmp_path, key):
     path.write_text(f'{text}[trust]\nkeys = ["{key}"]\n', encoding="utf-8")
     with pytest.raises(InputError, match="is no public key"):
         read_config(path)
-
-
-def test_content_that_was_read_is_not_read_again(tmp_path):
-    path = tmp_path / "file"
-    path.write_bytes(b"one")
-    content = content_of(path)
-    path.write_bytes(b"two")
-    assert content_of(content).data == b"one"
 
 
 @pytest.mark.parametrize(

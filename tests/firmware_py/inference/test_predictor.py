@@ -10,7 +10,7 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import read_manifest
-from firmware_py.inference.estimator import LaggedEstimator, NoEstimator, load_estimator
+from firmware_py.inference.estimator import LaggedEstimator
 from firmware_py.inference.predictor import OnnxPredictor
 from models.predictor.fallback import lagged_features
 
@@ -120,14 +120,3 @@ def test_lagged_estimator_runs_like_the_regression_over_the_whole_trial(
         expected = toy_fallback.lagged.predict(lagged_features(trial))[:, 0]
         np.testing.assert_allclose([e.di for e in estimates], expected, rtol=0, atol=1e-9)
         assert all(math.isnan(e.payload_kg) for e in estimates)
-
-
-def test_estimators_are_loaded_by_name(toy_bundle):
-    assert isinstance(
-        load_estimator("lagged", toy_bundle.joinpath, 1, (0, 4, 8, 16)), LaggedEstimator
-    )
-    none = load_estimator("none", toy_bundle.joinpath, 1, ())
-    assert isinstance(none, NoEstimator)
-    assert none.update(np.zeros(1), np.zeros(1), 0.017).di == 0.0
-    with pytest.raises(InputError, match="crystal ball"):
-        load_estimator("crystal ball", toy_bundle.joinpath, 1, ())

@@ -28,13 +28,6 @@ def predict(watch, angle_rad=0.1, current_a=0.5, di=0.002):
     return watch.predict(np.array([angle_rad]), np.array([current_a]), di)
 
 
-def test_the_watch_answers_as_the_predictor_does(watch, toy_bundle):
-    bundle = ModelBundle.load(toy_bundle)
-    own, watched = predict(bundle.predictor), predict(watch)
-    assert own.tip_m.tolist() == watched.tip_m.tolist() and own.in_range == watched.in_range
-    assert watch.estimator is not None and watch.predictor is watch
-
-
 def test_each_input_is_named_with_its_extreme_and_its_range(watch, toy_bundle):
     ranges = {q.name: q for q in ModelBundle.load(toy_bundle).manifest.features}
     assert predict(watch).in_range

@@ -36,12 +36,6 @@ def test_a_described_link_tells_its_mounting_and_its_servo(tmp_path):
     assert found.servo == "XM430-W350"
 
 
-def test_an_identified_value_makes_no_other_link(plant):
-    plant["parameters"]["link_mass_kg"]["value"] = 1.2
-    plant["parameters"]["span_stiffness_1_nm_rad"]["value"] = 100.0
-    assert other_link(facts_of_plant(plant), STUDY_FACTS) == ""
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -1,6 +1,8 @@
 """Scenes in a log: decoded by the viewer's own schema, beside the twin's forward kinematics."""
 
 import json
+import re
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -8,12 +10,14 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
-from firmware_py.core.signals import tick_dtype
+from firmware_py.core.signals import tick_dtype, tick_signals
 from firmware_py.link.marker_layout import square_layout
 from firmware_py.log.recorder import recording
-from firmware_py.log.recording import read_recording
+from firmware_py.log.recording import TOPIC
 from firmware_py.log.scene import (
     EVERY,
+    FRAME,
+    SCENE_TOPIC,
     SHAPE_KEY,
     LinkShape,
     pose_link,
@@ -67,13 +71,6 @@ def test_a_bent_link_follows_the_twin(root):
     by = (1 + RATIO) * np.hypot(*root)
     towards = np.array(root) / np.hypot(*root)
     assert turned[0] == pytest.approx(1 - towards[0] ** 2 * (1 - np.cos(by)), abs=2e-3)
-
-
-def test_any_layout_of_markers_is_shown():
-    shape = LinkShape(0.0, 0.6, (0.3, 0.6), ((0.05, 0.0), (-0.05, 0.0)), 1.0)
-    pose = pose_link(shape, np.zeros(1), np.array([0.1, 0.0, 0.58]))
-    assert pose.markers.shape == (4, 3)
-    assert np.isfinite(pose.markers).all()
 
 
 def test_the_shape_comes_from_the_plant_of_a_bundle(tmp_path):
@@ -162,9 +159,21 @@ def test_a_log_shows_link_markers_and_tip_where_the_twin_has_them(log):
         assert len(skin.indices) % 3 == 0
 
 
-def test_the_ticks_of_a_log_with_scenes_are_read_as_before(log):
-    path, records = log
-    again = read_recording(path)
-    assert again.complete
-    for name in ("tick", "angle_1_rad", "predicted_tip_x_m"):
-        np.testing.assert_array_equal(again.columns[name], records[name])
+VIEWER_LAYOUT = Path(__file__).parents[3] / "docs" / "files" / "foxglove-layout.json"
+
+
+def panels(node):
+    """Panels of a layout, left to right."""
+    return [node] if isinstance(node, str) else panels(node["first"]) + panels(node["second"])
+
+
+def test_the_layout_shows_the_scene_and_signals_that_a_log_has():
+    layout = json.loads(VIEWER_LAYOUT.read_text(encoding="utf-8"))
+    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+    view = layout["configById"]["3D!link"]
+    assert view["topics"] == {SCENE_TOPIC: {"visible": True}}
+    assert view["followTf"] == FRAME
+    known = {f"{TOPIC}.{signal.name}" for signal in tick_signals(2)}
+    assert (
+        set(re.findall(r'"value": "([^"]+)"', VIEWER_LAYOUT.read_text(encoding="utf-8"))) <= known
+    )

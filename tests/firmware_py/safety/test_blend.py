@@ -146,28 +146,6 @@ def test_the_last_tick_of_a_join_counts_for_its_distance():
     assert joining(0.0, motion)[1] == math.ceil(7.5 * 0.137 * 64)
 
 
-def test_a_join_that_never_finds_its_distance_takes_no_longer_than_one_in_the_dark():
-    supervisor, blind = started(at=0.1), started(at=0.1)
-    supervisor.resume(np.array([0.5 * (-1.0) ** (k // 9)]) for k in range(4000))
-    blind.resume()
-    for _ in range(4000):
-        first_goal_after(supervisor, 0.1)
-        first_goal_after(blind, 0.1)
-        assert supervisor.following == blind.following
-
-
-@pytest.mark.parametrize(("at", "desired"), [(0.3, -0.4), (-0.3, 0.4)])
-def test_a_motion_far_away_is_taken_up_slowly(at, desired):
-    supervisor = started(at=at)
-    supervisor.resume()
-    before, ticks = at, 0
-    while before != desired:
-        goal = first_goal_after(supervisor, desired)
-        assert abs(goal - before) / EXACT_S <= 0.25 * (1 + 1e-9)
-        before, ticks = goal, ticks + 1
-        assert ticks < 1000
-
-
 def test_once_a_motion_is_taken_up_a_missed_slot_keeps_its_speed():
     supervisor = started(at=0.1)
     supervisor.resume()
@@ -254,9 +232,3 @@ def test_an_approach_takes_a_quarter_of_what_is_allowed(rate_rad_s, acceleration
     goals = approached(started(limits, at=-0.5), 0.5)
     peak = np.abs(np.diff(goals, order)).max() / EXACT_S**order
     assert 0.993 < peak / (0.25 * 0.25) <= 1.0
-
-
-def test_the_joint_that_has_farthest_to_go_sets_the_time():
-    supervisor = started(dof=2)
-    assert supervisor.approach(np.array([0.1, -0.5])) == supervisor.approach(np.array([-0.5, 0.1]))
-    assert supervisor.approach(np.array([0.1, -0.5])) > supervisor.approach(np.array([0.1, -0.1]))

@@ -1,8 +1,6 @@
 """Limits, each just inside, at and just outside."""
 
 import math
-import tomllib
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -24,7 +22,10 @@ from tests.firmware_py.safety.supervised import (
 )
 
 PERIOD_S = 0.017
-INSIDE, AT, OUTSIDE = -1e-6, 0.0, 1e-6
+both_sides = pytest.mark.parametrize("sign", [-1, 1])
+around_the_limit = pytest.mark.parametrize(
+    ("beyond", "stops"), [(-1e-6, False), (0.0, False), (1e-6, True)]
+)
 
 
 def stopped_after(supervisor, ticks=3, **measured):
@@ -32,22 +33,22 @@ def stopped_after(supervisor, ticks=3, **measured):
     return [check(supervisor, **measured) is SafetyState.STOPPING for _ in range(ticks)]
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_current_at_its_limit(sign, beyond, stops):
     measured = {"current": sign * (4.0 + beyond)}
     assert stopped_after(started(), **measured) == [False, False, stops]
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_following_error_at_its_limit(sign, beyond, stops):
     supervisor = started(msgspec.structs.replace(LIMITS, jump_rad=1.0))
     assert stopped_after(supervisor, angle=sign * (0.25 + beyond)) == [False, False, stops]
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_measured_angle_at_its_limit(sign, beyond, stops):
     supervisor = started(at=sign * 0.5)
     # Goal at 0.5, so 0.75 is at both the following error's and the angle's limit; the angle
@@ -58,8 +59,8 @@ def test_measured_angle_at_its_limit(sign, beyond, stops):
         assert "outside its limits" in supervisor.reason
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_encoder_jump_at_its_limit(sign, beyond, stops):
     supervisor = started(msgspec.structs.replace(LIMITS, following_error_rad=1.0))
     step = sign * (0.125 + beyond)
@@ -69,7 +70,7 @@ def test_encoder_jump_at_its_limit(sign, beyond, stops):
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("side", ["tip_min_m", "tip_max_m"])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@around_the_limit
 def test_tip_at_the_wall_of_its_box(axis, side, beyond, stops):
     tip_m = TIP.copy()
     outwards = beyond if side == "tip_max_m" else -beyond
@@ -108,8 +109,8 @@ def test_a_single_wild_sample_is_forgiven():
         assert check(supervisor, current=current) is SafetyState.RUNNING
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_goal_angle_at_its_limit(sign, beyond, stops):
     supervisor = started(at=sign * 0.5)
     first_goal_after(supervisor, sign * (0.5 + beyond))
@@ -117,8 +118,8 @@ def test_goal_angle_at_its_limit(sign, beyond, stops):
     assert abs(supervisor.goal_rad[0]) <= 0.5
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_goal_rate_at_its_limit(sign, beyond, stops):
     supervisor = started()
     step = EXACT_S  # 1 rad/s, reached with 64 rad/s2
@@ -127,8 +128,8 @@ def test_goal_rate_at_its_limit(sign, beyond, stops):
     assert ("rad/s," in supervisor.reason) is stops
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("beyond", "stops"), [(INSIDE, False), (AT, False), (OUTSIDE, True)])
+@both_sides
+@around_the_limit
 def test_goal_acceleration_at_its_limit(sign, beyond, stops):
     limits = msgspec.structs.replace(LIMITS, acceleration_rad_s2=32.0)
     supervisor = started(limits)
@@ -154,9 +155,3 @@ def test_the_default_limits_admit_the_motions(kind, dof):
 def test_a_motion_beyond_the_limits_is_refused_before_it_starts():
     with pytest.raises(InputError, match=r"motion decay: the goal of joint 1 moves at .* rad/s"):
         check_motion(Motion("decay").table_rad(), Limits(), PERIOD_S, "motion decay")
-
-
-def test_the_default_limits_are_those_that_robot_toml_shows():
-    document = tomllib.loads((Path(__file__).parents[3] / "robot.toml").read_text())
-    assert msgspec.convert(document["limits"], Limits) == Limits()
-    assert set(document["limits"]) == set(Limits.__struct_fields__)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.system.clock import DeadlineClock, RealTimeOptions, SimClock, real_time
+from firmware_py.system.clock import RealTimeOptions, SimClock, real_time
 
 
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 10**12)), max_size=30))
@@ -18,14 +18,6 @@ def test_simulated_time_moves_only_when_told_and_never_back(moves):
         expected = max(before, value) if waits else before + value
         assert clock.now_ns() == expected
         before = expected
-
-
-def test_sleeping_ends_after_the_deadline_and_a_past_one_is_no_wait():
-    clock = DeadlineClock()
-    deadline_ns = clock.now_ns() + 1_000_000
-    clock.sleep_until(deadline_ns)
-    assert clock.now_ns() >= deadline_ns
-    clock.sleep_until(0)
 
 
 @pytest.mark.parametrize("collecting", [True, False])

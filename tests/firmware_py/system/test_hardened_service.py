@@ -47,11 +47,6 @@ def test_a_user_that_is_no_user_name_is_refused(tmp_path, config, user, capsys):
     assert not (tmp_path / "root").exists()
 
 
-@pytest.mark.parametrize("user", ["robot", "_robot", "r2-d2", "jane.doe", "jane@lab"])
-def test_a_user_name_is_accepted(config, user):
-    assert f"User={user}\n" in service_file(read_config(config), config, user)
-
-
 def test_a_user_who_does_not_exist_is_refused_before_anything_is_written(
     config, monkeypatch, capsys
 ):
@@ -109,12 +104,6 @@ def test_a_link_that_appears_while_the_unit_is_written_is_replaced(tmp_path, con
     monkeypatch.setattr(Path, "replace", link_first)
     assert install(config, tmp_path / "root") == 0
     assert (other.read_text(), unit.is_symlink()) == ("precious", False)
-
-
-def test_a_unit_is_written_again_and_leaves_nothing_beside_it(tmp_path, config):
-    for _ in range(2):
-        assert install(config, tmp_path / "root", "--user", "robot") == 0
-    assert os.listdir((tmp_path / "root" / SERVICE_PATH).parent) == ["dropstitch.service"]
 
 
 def directives(config):

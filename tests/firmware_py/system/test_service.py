@@ -7,7 +7,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import tracemalloc
 
 import msgspec
 import pytest
@@ -103,39 +102,11 @@ def test_a_systemd_that_does_not_listen_holds_nobody_up(systemd):
     service.alive()
 
 
-def test_a_sign_of_life_leaves_no_memory_behind(systemd):
-    end, environment = systemd
-    clock = SimClock()
-    service = SystemdService(clock, environment)
-
-    def live(count):
-        for _ in range(count):
-            clock.advance(SECOND_NS)
-            service.alive()
-            end.recv(1024)
-
-    live(100)
-    tracemalloc.start()
-    try:
-        before = tracemalloc.take_snapshot()
-        live(1000)
-        growth = tracemalloc.take_snapshot().compare_to(before, "filename")
-    finally:
-        tracemalloc.stop()
-    assert sum(g.size_diff for g in growth if g.traceback[0].filename.endswith("service.py")) < 200
-
-
 class Listener:
     signs = 0
 
     def alive(self):
         self.signs += 1
-
-
-def test_every_tick_is_a_sign_of_life():
-    service = Listener()
-    summary = make(service=service)[0].run()
-    assert service.signs == summary.ticks
 
 
 def test_the_loop_is_alive_while_it_waits_for_a_port():
@@ -193,14 +164,6 @@ def test_a_processor_of_the_loops_own_is_kept_free(config, own, processors, expe
     assert parsed(text)["Service"]["CPUAffinity"] == expected
 
 
-def test_nothing_is_written_without_root(config, monkeypatch, capsys):
-    monkeypatch.setattr("os.geteuid", lambda: 1000)
-    assert main(["install-service", "--config", str(config)]) == 2
-    error = capsys.readouterr().err
-    assert "needs root" in error and error.count("\n") == 1
-    assert main(["install-service", "--config", str(config), "--dry-run"]) == 0
-
-
 @pytest.mark.parametrize("name", ["robot.toml", "my robot 100%.toml", 'a "b" $HOME.toml'])
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
 def test_systemd_accepts_the_unit(tmp_path, config, capsys, name):
@@ -231,17 +194,9 @@ def test_the_rule_sets_the_latency_timer_of_ftdi_adapters(tmp_path, config, caps
     assert 'ATTR{latency_timer}="1"' in rule
 
 
-def udev_can_verify():
-    """`udevadm verify` is there since systemd 254."""
-    tried = shutil.which("udevadm") and subprocess.run(
-        ["udevadm", "verify", "--help"], capture_output=True
-    )
-    return bool(tried) and tried.returncode == 0
-
-
-@pytest.mark.skipif(not udev_can_verify(), reason="needs udevadm verify (systemd 254)")
-def test_udev_accepts_the_rule(tmp_path, config, capsys):
-    root = tmp_path / "root"
-    assert main(["install-service", "--config", str(config), "--root", str(root)]) == 0
-    verdict = subprocess.run(["udevadm", "verify", root / RULE_PATH], capture_output=True)
-    assert verdict.returncode == 0, verdict.stderr
+def test_nothing_is_written_without_root(config, monkeypatch, capsys):
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
+    assert main(["install-service", "--config", str(config)]) == 2
+    error = capsys.readouterr().err
+    assert "needs root" in error and error.count("\n") == 1
+    assert main(["install-service", "--config", str(config), "--dry-run"]) == 0
