@@ -14,7 +14,7 @@ import tomli_w
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Kind, Motion
-from firmware_py.core.motion import FixedMotionDocument
+from firmware_py.core.motion_config import FixedMotionDocument
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.safety.limits import Limits

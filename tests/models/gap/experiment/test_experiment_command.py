@@ -7,7 +7,7 @@ from msgspec import inspect
 
 from dropstitch.__main__ import main
 from firmware_py.core.motion import Motion
-from firmware_py.core.motion import MotionConfig
+from firmware_py.core.motion_config import MotionConfig
 from models.gap.report.gap_json import GapDocument
 from models.plant.plant import read_plant
 from models.rig.parameters import read_rig

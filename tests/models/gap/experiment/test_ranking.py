@@ -8,7 +8,7 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
-from firmware_py.core.motion import MotionConfig
+from firmware_py.core.motion_config import MotionConfig
 from firmware_py.safety.limits import Limits
 from models.gap.estimation.gauss_newton import GaussNewton
 from models.gap.experiment.experiment import (
