@@ -23,10 +23,8 @@ KEY = "1dof sinusoid 0.5236rad 4.352s 0rad 572x0.017s"
 def notes(document):
     """Function -> notes of a document whose plant's own error is known as stated."""
 
-    def make(own_error="measured", larger=(), **changes):
-        floor = NoiseFloorSummary(
-            True, {"di": None}, {"1dof steps": own_error}, dict(larger),
-        )  # fmt: skip
+    def make(own_error="measured", larger=(), keys=("1dof steps",), **changes):
+        floor = NoiseFloorSummary(True, {"di": None}, dict.fromkeys(keys, own_error), dict(larger))
         return notes_in_words(replace(document(), noise_floor=floor, **changes))
 
     return make
@@ -47,7 +45,7 @@ def test_everything_that_a_reader_has_to_know_is_noted(notes):
     for words in (
         "p2_r2 (1 kg) is left out", "8.9 noise floors", "heavy from row 310", "5000 of long",
         "identify the plant on trials of this motion too: 1dof steps", "3.9 times at 2 kg",
-        "it is not refitted",
+        "and not refitted",
     ):  # fmt: skip
         assert words in text
 
