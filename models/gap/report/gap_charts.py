@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.units import TIME, DisplayUnit, error_unit, signal_unit, signal_words
 from models.gap.report.gap_json import MappedRegion, largest_gaps
-from models.plant.identification.evaluation import compare_with_trials
+from models.plant.identification.evaluation import Comparison, compare_with_trials
 from models.plant.plant import Plant
 from models.shared.pages import LegendEntry
 from models.shared.palette import AFTER, ALARM, BEFORE, MEASURED, MUTED
@@ -61,17 +61,17 @@ def signal_curves(
     first: str | None = None,
     unused: Mapping[str, int] | None = None,
 ) -> list[SignalCurves]:
-    """Signals with the largest gap, on the trial in which it is largest.
+    """Signals with the largest gap, on the trial in which the error of the first one falls most.
 
-    `first`: signal that is always among them. `unused`: first row that is not used, by trial.
+    `first`: signal that comes first, by default that with the largest gap. `unused`: first row that
+    is not used, by trial.
     """
     outputs = before.step_model(trials[0].meta.dof, "twin").outputs
     units = {v.name: v.unit for v in outputs}
-    largest = list(largest_gaps(regions) or units)
-    order = sorted(largest, key=lambda s: s != first)
-    in_trial = {(c.signal, c.level): c.size for c in regions if c.factor == "trial"}
-    trial = max(trials, key=lambda t: in_trial.get((largest[0], t.name), 0.0))
-    both = [compare_with_trials(plant, [trial])[0] for plant in (before, after)]
+    order = sorted(largest_gaps(regions) or units, key=lambda s: s != first)
+    pairs = list(zip(*(compare_with_trials(p, trials) for p in (before, after)), strict=True))
+    both = max(pairs, key=lambda pair: _fall(pair, order))
+    trial = both[0].trial
     end = (unused or {}).get(trial.name, len(trial))
     result = []
     for signal in [s for s in order if s in both[0].simulated][:MOST_SIGNALS]:
@@ -85,6 +85,13 @@ def signal_curves(
             )
         )  # fmt: skip
     return result
+
+
+def _fall(pair: tuple[Comparison, ...], signals: Sequence[str]) -> tuple[float, float]:
+    """Fall of the mean squared error from before to after, and the error before."""
+    signal = next(s for s in signals if s in pair[0].simulated)
+    before, after = (float(np.nanmean(c.error(signal) ** 2)) for c in pair)
+    return before - after, before
 
 
 def draw_signal(upper: Any, lower: Any, curves: SignalCurves) -> None:

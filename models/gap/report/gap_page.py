@@ -100,8 +100,8 @@ def _signals(document: GapDocument, curves: Sequence[SignalCurves]) -> Figure:
     legend = [LegendEntry(MEASURED, "measured"), *BEFORE_AND_AFTER[: len(curves[0].simulated)]]
     legend += [LegendEntry(MUTED, "noise floor")] if document.floor_rms else []
     return Figure(
-        "", f"The signals with the largest gap, on the trial in which it is largest "
-        f"({curves[0].trial.name}); below each its error, measured minus simulated.",
+        "", f"Trial {curves[0].trial.name}, in which the error of the first signal changes most; "
+        "below each signal its error, measured minus simulated.",
         [_signal(own) for own in curves],
         legend=legend,
     )  # fmt: skip
@@ -172,7 +172,7 @@ def gap_sections(document: GapDocument, trials: Sequence[Trial]) -> list[Section
 def _what(document: GapDocument) -> list[Part]:
     parts: list[Part] = []
     if document.named:
-        head = ["named", "value", "d′ (needed)"]
+        head = ["named", "value", "d′"]
         parts.append(Table("", head, [_named_row(document, k) for k in range(len(document.named))]))
     texts = [look_alikes_in_words(row) for row in document.named] + refused_in_words(document)
     parts += [Paragraph(text) for text in texts if text]

@@ -123,7 +123,10 @@ def _verdict_in_words(document: GapDocument) -> str:
             return f"{it} {explain} the gap; the rest is noise."
         case "reduced":
             left = document.gap_left_fraction
-            return f"{it} {explain} a part of the gap; {left:.0%} of it is left, above the noise."
+            return (
+                f"{it} {explain} a part of what a refit of link and set-up leaves; {left:.0%} of "
+                "that remains, above the noise."
+            )
         case "no floor":
             fraction = document.held_out.fraction
             better = f"the held-out error falls to {fraction:.0%}, but " if named else ""

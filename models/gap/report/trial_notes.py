@@ -75,7 +75,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     notes += [_changed_in_words(row) for row in document.changed_conditions]
     if document.settings.same_link:
         notes.append(
-            "The link is taken for the one that the plant was identified on, so its values are not refitted."
+            "The link is taken for the one that the plant was identified on, and not refitted."
         )
     return notes
 

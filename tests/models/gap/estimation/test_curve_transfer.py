@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from models.gap.estimation.noise_floor import NoiseFloor
-from models.gap.estimation.own_error import ModelDiscrepancy
 from models.gap.estimation.transfer import transferred
 from models.plant.identification.noise_floor import (
     TrialGroup,
@@ -84,15 +83,3 @@ def test_the_floor_expects_the_error_of_a_trial_with_fewer_rows(trial_of):
     blind = floor_with({}, {})
     assert blind.curves_for(group, [new]) == ({}, "unknown")
     assert (floor.whitener(group, [new]) > 1.5 * blind.whitener(group, [new])).all()
-
-
-def test_patterns_travel_and_those_of_another_motion_do_not(trial_of):
-    known, new = trial_of(rest=60), trial_of(rows=260, rest=60)
-    table = spectrum_of(known)[None, None, None]
-    patterns = ModelDiscrepancy(trial_group_key(known), np.array([1.0]), ("tip_x_m",), table)
-    moved = patterns.rows(group_of(new), [new])[0, 0, 0]
-    expected = spectrum_of(new)
-    assert np.linalg.norm(moved - expected) < 0.05 * np.linalg.norm(expected)
-    other = trial_of()
-    other = TrialGroup(trial_group_key(other).replace("sinusoid", "steps"), (0,), ("tip_x_m",), 50)
-    assert not patterns.rows(other, [new]).any()

@@ -46,7 +46,7 @@ def test_a_signal_is_only_praised_if_its_error_falls_and_the_plant_changed(docum
 @pytest.mark.parametrize(
     ("verdict", "answers", "names", "words"),
     [
-        ("reduced", (0.0, 0.9, 0.1), ["creep", "backlash"], "They explain a part of the gap; 20%"),
+        ("reduced", (0.0, 0.9, 0.1), ["creep", "backlash"], "They explain a part of what a refit"),
         ("no gap", (0.93, 0.0, 0.07), [], "nothing that is missing (probability 93%)"),
         ("no gap", (0.4, 0.3, 0.3), [], "that one is missing has a probability of 60%"),
         ("no gap", (0.4, 0.3, 0.3), ["creep"], "It explains little of the gap"),
