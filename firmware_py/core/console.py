@@ -41,27 +41,13 @@ _ROOMS: Final = ("models", "fmu", "hil")
 
 
 class Command(NamedTuple):
-    """One row of the table of commands.
+    """One row of the table of commands."""
 
-    Attributes
-    ----------
-    group : str
-        Heading under which `--help` lists it.
-    name : str
-        One word, or two for a command of a family, like "fmu build".
-    module : str
-        Module that implements it.
-    summary : str
-        One line for `--help`.
-    linux_only : bool
-        Whether it needs the loop, its bus or the emulated bus, which no other system runs.
-    """
-
-    group: str
-    name: str
-    module: str
-    summary: str
-    linux_only: bool = False
+    group: str  # Heading under which `--help` lists it
+    name: str  # One word, or two for a command of a family, like "fmu build"
+    module: str  # Module that implements it
+    summary: str  # One line for `--help`
+    linux_only: bool = False  # Whether it needs the loop, its bus or the emulated bus
 
 
 def dispatch(
