@@ -24,22 +24,20 @@ import msgspec
 from firmware_py.bus.servo_models import model_named
 from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import read_toml
 from firmware_py.core.motion import KINDS, STUDY_PERIOD_S
 from firmware_py.core.motion_config import MotionConfig
 from firmware_py.core.units import LENGTH, TIME
 from firmware_py.goals.for_robot import outside_goals
-from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
+from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_description import describes_link
-from hil.arguments import add_line_arguments, complete_from_link
+from hil.commands.emulate import add_line_arguments
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
-from hil.sil.sil_options import LONGEST_S, sil_config
+from hil.sil.sil_options import DERIVED, sil_config
 from hil.sil.tick_budget import describe_budget
 from hil.sil.timing_document import PredictionError, TimingDocument
-from hil.sil.timing_verdict import MISS_RATE, slots_needed
+from hil.sil.timing_verdict import MISS_RATE
 from models.predictor.validation import coverage_text
 from models.shared.catalogue import parse_strengths
 
@@ -90,7 +88,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", type=int, default=1, help="with --plan: times to run it (1)")
     parser.add_argument(
         "--plan", type=Path, metavar="PLAN",
-        help="plan of a path of the tip in place of the motion, see 'dropstitch plan'",
+        help="plan of a path of the tip instead of the motion, see 'dropstitch plan'",
     )  # fmt: skip
     parser.add_argument(
         "--goals",
@@ -122,44 +120,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    plan = read_tip_plan(args.plan) if args.plan is not None else None
-    _check(args, plan)
-    link = complete_from_link(
-        args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json"
-    )
-    bundle = ModelBundle.load(args.bundle, runtime=args.runtime)
-    if plan is not None:
-        seconds = args.runs * plan.duration_s
-    elif args.line == "virtual":
-        seconds = 10.0
-    else:
-        needed_s = (slots_needed(args.miss_rate) + 1) * bundle.manifest.period_s
-        seconds = min(max(needed_s, 10.0), LONGEST_S)
-    options = SilOptions(
-        bundle=bundle,
-        model=model_named(args.model),
-        out=args.out,
-        fmu=args.fmu,
-        rig=_rig_source(args),
-        link=link,
-        line=args.line,
-        seconds=seconds if args.seconds is None else args.seconds,
-        miss_rate=args.miss_rate,
-        baud=args.baud,
-        latency_s=args.latency_ms * 1e-3,
-        payload_kg=args.payload_kg,
-        payload_known=args.payload_known,
-        plan=plan,
-        open_loop=args.open_loop,
-        motion=MotionConfig(
-            amplitude_rad=math.radians(args.amplitude_deg),
-            period_s=args.period,
-            phase_2_rad=math.radians(args.phase_deg),
-        ).with_motion(args.motion),
-        load=args.load,
-        faults=parse_rates(args.faults),
-        seed=args.seed,
-    )
+    options = _options(args)
     with contextlib.ExitStack() as stack:
         if args.goals is not None:
             patience_s = PATIENCE_S if args.line == "virtual" else 0.0
@@ -175,31 +136,40 @@ def run(args: argparse.Namespace) -> int:
     return timing.verdict.exit_code
 
 
-def _check(args: argparse.Namespace, plan: TipPlan | None) -> None:
-    if args.runs < 1 or (args.runs > 1 and plan is None):
-        raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
-    if plan is not None and args.seconds is None and args.runs * plan.duration_s > LONGEST_S:
-        most = int(LONGEST_S / plan.duration_s)
-        raise InputError("--runs", f"is {args.runs}", f"give {most} at most")
-    if not 1e-6 <= args.miss_rate <= 1.0:
-        raise InputError("--miss-rate", f"is {args.miss_rate:g}", "give 1e-6 to 1")
+def _options(args: argparse.Namespace) -> SilOptions:
+    """Return the options of the run, which check themselves."""
     if args.goal_map is not None and args.goals is None:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
-    if args.goals is not None and plan is not None:
+    if args.goals is not None and args.plan is not None:
         raise InputError("--goals", "is given beside a plan", "leave one out")
-
-
-def _is_link(rig: str | None) -> bool:
-    """Return whether --rig names the file of a link."""
-    path = Path(rig or "")
-    return path.is_file() and describes_link(read_toml(path, "name a rig or a link"))
-
-
-def _rig_source(args: argparse.Namespace) -> RigSource | None:
-    hidden = parse_strengths(args.hide)
-    if hidden and not args.rig:
+    effects = parse_strengths(args.hide)
+    if effects and not args.rig:
         raise InputError("--hide", "needs the rig, not a twin", "add --rig")
-    return RigSource(hidden, args.seed, args.rig) if args.rig else None
+    return SilOptions(
+        plan=read_tip_plan(args.plan) if args.plan is not None else None,
+        bundle=ModelBundle.load(args.bundle, runtime=args.runtime),
+        out=args.out,
+        fmu=args.fmu,
+        rig=RigSource(effects, args.seed, args.rig) if args.rig else None,
+        model=model_named(args.model) if args.model else DERIVED,
+        line=args.line,
+        seconds=args.seconds,
+        miss_rate=args.miss_rate,
+        baud=args.baud,
+        latency_s=args.latency_ms * 1e-3,
+        payload_kg=args.payload_kg,
+        payload_known=args.payload_known,
+        runs=args.runs,
+        open_loop=args.open_loop,
+        motion=MotionConfig(
+            amplitude_rad=math.radians(args.amplitude_deg),
+            period_s=args.period,
+            phase_2_rad=math.radians(args.phase_deg),
+        ).with_motion(args.motion),
+        load=args.load,
+        faults=parse_rates(args.faults),
+        seed=args.seed,
+    )
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:
@@ -215,7 +185,8 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
             f"{environment.speed_up_by_processor_time:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
+        lines += [*_timing_lines(timing), *describe_budget(timing.tick_budget)]
+        lines += environment.refused
     if environment.goals_note:
         lines.append(environment.goals_note)
     lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))

@@ -17,8 +17,8 @@ from firmware_py.summary import Ended
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
 from hil.sil import SilOptions, run_sil, write_results
-from hil.sil.prediction_error import true_tip_m
 from hil.sil.timing_document import read_timing
+from hil.sil.tip_errors import true_tip_m
 
 STEP_S = 1e-3
 

@@ -6,7 +6,7 @@ import pytest
 
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.link.link_facts import STUDY_FACTS
-from hil.sil.move_figures import CLOSE_M, move_figures
+from hil.sil.tip_errors import CLOSE_M, move_figures
 
 PERIOD_S = 0.01
 

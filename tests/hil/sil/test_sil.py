@@ -32,9 +32,9 @@ from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
-from hil.sil.prediction_error import prediction_error, true_tip_m
-from hil.sil.sil_loop import LOG_NAME
+from hil.sil.sil_run import LOG_NAME
 from hil.sil.timing_document import read_timing
+from hil.sil.tip_errors import prediction_error, true_tip_m
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.fmu.toy import pendulum

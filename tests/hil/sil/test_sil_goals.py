@@ -18,8 +18,8 @@ from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.log.recording import read_recording
 from hil.commands.sil import describe_sil
 from hil.sil import run_sil, write_results
-from hil.sil.sil_loop import LOG_NAME
 from hil.sil.sil_options import sil_config
+from hil.sil.sil_run import LOG_NAME
 from models.trials.files import read_trial
 from tests.firmware_py.goals.scripted_program import linear_map, swinging
 from tests.firmware_py.goals.small_plan import OTHER_PLANT

@@ -13,7 +13,7 @@ from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import read_recording
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil
-from hil.sil.sil_loop import LOG_NAME
+from hil.sil.sil_run import LOG_NAME
 from models.plant.plant import NOMINAL
 from tests.hil.sil.test_sil import RigidPredictor
 

@@ -23,7 +23,7 @@ from firmware_py.safety.limits import Limits
 from hil.commands.sil import describe_sil
 from hil.emulator.twin_fmu import build_twin
 from hil.sil import SilOptions, run_sil, write_results
-from hil.sil.sil_loop import LOG_NAME
+from hil.sil.sil_run import LOG_NAME
 from models.plan.learning import improve_plan, read_plan_run
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import PlanRequest, plan_path

@@ -7,7 +7,7 @@ import pytest
 
 from firmware_py.core.motion_config import MotionConfig
 from firmware_py.link.link_description import STUDY_LINK
-from hil.sil import sil_trial
+from hil.sil import sil_results
 from models.trials.files import read_trial, write_trial
 
 
@@ -18,7 +18,7 @@ def test_a_run_stopped_at_rest_leaves_a_trial_that_can_be_read(
     signals = ("goal_1_rad", "angle_1_rad", "current_1_a")
     records = np.zeros(rows, dtype=[("tick", int), *((s, float) for s in signals)])
     records["tick"] = np.arange(rows)
-    monkeypatch.setattr(sil_trial, "true_tip_m", lambda records, truth: np.zeros((rows, 3)))
+    monkeypatch.setattr(sil_results, "true_tip_m", lambda records, truth: np.zeros((rows, 3)))
     link = STUDY_LINK.conditions()
     result = SimpleNamespace(records=records, outcome=SimpleNamespace(truth=None), link=link)
     options = SimpleNamespace(
@@ -29,5 +29,5 @@ def test_a_run_stopped_at_rest_leaves_a_trial_that_can_be_read(
         plan=None,
         goals=None,
     )
-    trial = sil_trial.as_trial(result, options)
+    trial = sil_results.as_trial(result, options)
     assert read_trial(write_trial(trial, tmp_path)).meta.rest_samples == rest_rows
