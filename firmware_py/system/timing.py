@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.signals import STAGES
-from firmware_py.core.units import CPU_TIME
 
 Nanoseconds = NDArray[np.int64]
 
@@ -50,12 +49,6 @@ class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         fields = {name: int(value) for name, value in zip(names, values, strict=True)}
         return cls(n=len(durations_ns), **fields, **more)
 
-    def in_us(self) -> str:
-        """Return median, tails and maximum in whole µs, as a line of text."""
-        return ", ".join(
-            f"{label} {CPU_TIME.number(getattr(self, f))} µs" for label, f in LABELS.items()
-        )
-
 
 class Histogram:
     """Histogram of durations in constant memory, with a relative bucket width of at most 1/64.
@@ -83,10 +76,10 @@ class Histogram:
 
         `fraction`: fraction of the durations that do not exceed it, 0 to 1.
         """
-        needed, seen = fraction * self.count, 0
+        needed, counted = fraction * self.count, 0
         for bucket, count in enumerate(self.counts):
-            seen += count
-            if count and seen >= needed:
+            counted += count
+            if count and counted >= needed:
                 return min(_upper_end_ns(bucket), self.max_ns)
         return 0
 

@@ -141,7 +141,7 @@ def _options(args: argparse.Namespace) -> SilOptions:
     if args.goal_map is not None and args.goals is None:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
     if args.goals is not None and args.plan is not None:
-        raise InputError("--goals", "is given beside a plan", "leave one out")
+        raise InputError("--goals", "cannot be used together with --plan", "leave one out")
     effects = parse_strengths(args.hide)
     if effects and not args.rig:
         raise InputError("--hide", "needs the rig, not a twin", "add --rig")
@@ -185,8 +185,7 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
             f"{environment.speed_up_by_processor_time:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *describe_budget(timing.tick_budget)]
-        lines += environment.refused
+        lines += _timing_lines(timing)
     if environment.goals_note:
         lines.append(environment.goals_note)
     lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
@@ -212,15 +211,11 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
 
 def _timing_lines(timing: TimingDocument) -> list[str]:
     causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
-    rows = {
-        "own cost": timing.own_cost,
-        "lateness": timing.lateness,
-        "reference": timing.reference_jitter,
-    }
     return [
-        *(f"{name:9} {row.in_us()}" for name, row in rows.items()),
         f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
         f"{timing.ticks} ticks",
+        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
+        *timing.environment.refused,
     ]
 
 

@@ -161,19 +161,27 @@ def _exchange(exchange_ns: Nanoseconds, plan: PlanTimes) -> ExchangeTime:
     )
 
 
-def describe_budget(budget: TickBudget) -> list[str]:
-    """Return the table of the stages and the figures below it as lines of text."""
-    lines = [f"{'stage, µs':18} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
+def describe_budget(budget: TickBudget, own_cost: Percentiles, reference: Percentiles) -> list[str]:
+    """Return the table of a tick's parts, and the figures below it, as lines of text.
+
+    `own_cost`: a tick without its wait for the bus. `reference`: the reference jitter.
+    """
+    rows: dict[str, tuple[Percentiles, str]] = {}
     for stage, measured in budget.stages.items():
-        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}" + (
-            "" if measured.within_budget else "  over"
-        )
+        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}"
+        over = "" if measured.within_budget else "  over"
+        rows["read: own" if stage == "read" else stage] = measured, limit + over
+        if stage == "wake":
+            rows["wake: reference"] = reference, ""
         if stage == "read":
-            parts = [_row(f"read: {part}", row) for part, row in budget.read.items()]
-            lines += [f"{parts[0]} {limit}", *parts[1:]]
-        else:
-            lines.append(f"{_row(stage, measured)} {limit}")
-    lines.append(_row("slack", budget.slack) + f"  least {CPU_TIME.number(budget.slack.min_ns)}")
+            for part in ("transmission", "servo", "wait"):
+                rows[f"read: {part}"] = budget.read[part], ""
+    rows["own cost"] = own_cost, ""
+    rows["slack"] = budget.slack, f"least {CPU_TIME.number(budget.slack.min_ns)}"
+    lines = [f"{'stage, µs':18} " + " ".join(f"{name:>8}" for name in (*LABELS, "budget"))]
+    for name, (row, note) in rows.items():
+        numbers = " ".join(f"{CPU_TIME.number(getattr(row, f)):>8}" for f in LABELS.values())
+        lines.append(f"{name:18} {numbers} {note}".rstrip())
     exchange = budget.exchange
     lines.append(
         f"read and write p50 {CPU_TIME.number(exchange.p50_ns)} µs, {exchange.ratio_p50:.2f} × "
@@ -192,9 +200,3 @@ def describe_budget(budget: TickBudget) -> list[str]:
     ]
     mark = TICK_TIME.number(budget.high_water_mark_ns, 2)
     return [*lines, f"longest tick measured: {mark} ms; a longer one is possible"]
-
-
-def _row(name: str, row: Percentiles) -> str:
-    return f"{name:18} " + " ".join(
-        f"{CPU_TIME.number(getattr(row, field)):>8}" for field in LABELS.values()
-    )

@@ -4,13 +4,13 @@
 pass                 0    no miss is the loop's own, and all misses together bound the miss rate
                           below the one asked for, with 95 % confidence
 fail                 1    the safety supervisor stopped the robot, or a miss is the loop's own
-inconclusive         3    the host caused the misses, or spoiled every tick for which the supervisor
-                          stopped the robot; or a signal ended the run, or it was too short for the
-                          miss rate asked for
+inconclusive         3    the host caused the misses, or every tick for which the supervisor stopped
+                          the robot; or a signal ended the run, or it was too short for the miss
+                          rate asked for
 ==================== ==== =======================================================================
 
-A host that preempts the loop without a miss does not spoil a pass: the loop met every deadline in
-spite of it. A tick counts as preempted if its certain host time is `PREEMPTED_NS` or more.
+A host that preempts the loop without a miss does not prevent a pass: the loop met every deadline
+in spite of it. A tick counts as preempted if its certain host time is `PREEMPTED_NS` or more.
 
 A tick misses its deadline if it ends after its slot. Its excess, lateness + busy - period, is
 compared with the time for which the kernel shows that something outside this program had the
@@ -197,7 +197,7 @@ def _decide(
     """Return the verdict and its reason by the module's table."""
     if excused:
         return Verdict.INCONCLUSIVE, (
-            f"the host stood still, so the safety supervisor stopped the robot: {stopped}"
+            f"the host delayed the loop, so the safety supervisor stopped the robot: {stopped}"
         )
     if stopped:
         return Verdict.FAIL, f"the safety supervisor stopped the robot: {stopped}"
@@ -280,9 +280,9 @@ def stopped_by_host(
     """Return whether the supervisor stopped only for missed slots or late data, all by the host.
 
     The ticks that count are those of the stop, and those without a fresh measurement directly
-    before it. The host spoiled a tick if slots were missed just before it, or if the wait for its
-    data, less the host time, is no longer than the longest wait of a tick with data. None of the
-    run's missed slots may be the loop's own.
+    before it. The host caused one if slots were missed just before it, or if the wait for its data,
+    less the host time, is no longer than the longest wait of a tick with data. None of the run's
+    missed slots may be the loop's own.
 
     Shapes: `records` (n,), `host_ns` (n,).
     """
@@ -296,8 +296,8 @@ def stopped_by_host(
     late = (records["bus_status"] < BusStatus.PORT_GONE) & (remaining <= remaining[fresh].max())
     missed = records["missed"] > 0
     counted = (~fresh | missed)[first : int(stopping[-1]) + 1]
-    spoiled = ((~fresh & late) | missed)[first : int(stopping[-1]) + 1]
-    return bool(counted.any() and spoiled[counted].all())
+    by_host = ((~fresh & late) | missed)[first : int(stopping[-1]) + 1]
+    return bool(counted.any() and by_host[counted].all())
 
 
 def slots_needed(miss_rate: float) -> int:

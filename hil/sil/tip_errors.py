@@ -65,8 +65,8 @@ def prediction_error(
 ) -> PredictionError:
     """Distance between predicted and true tip over all ticks with a fresh measurement.
 
-    With `programme`, the durations of the parts that the run repeats, the error is also given for
-    each part, and for the controlled stop.
+    With `programme`, the durations of the parts that the run repeats, it also returns the error of
+    each part and of the controlled stop.
     """
     error_m = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.asarray(np.isfinite(error_m).all(axis=1))

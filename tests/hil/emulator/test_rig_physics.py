@@ -100,7 +100,7 @@ def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     ("changes", "complaint"),
     [
         ({"line": "socket"}, "--line virtual"),
-        ({"fmu": "twin.fmu"}, "stands in a twin's place"),
+        ({"fmu": "twin.fmu"}, "replaces a twin"),
         ({"rig": RigSource({"stiffness_softening": 2.0})}, "--hide stiffness_softening"),
         ({"rig": RigSource({"stiffness_softening": 0.85}), "payload_kg": 9.0}, "folds"),
     ],

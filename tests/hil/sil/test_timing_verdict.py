@@ -301,6 +301,10 @@ def budget_of(records, reference_ns: int = 0) -> tick_budget.TickBudget:
     return tick_budget.measure_budget(records, 0.017, PLAN, reference)
 
 
+def table_of(budget) -> list[str]:
+    return tick_budget.describe_budget(budget, budget.slack, budget.slack)
+
+
 def test_the_parts_of_the_read_and_the_stages_add_up_to_the_period():
     records = staged_run()
     budget = budget_of(records, reference_ns=10_000)
@@ -323,7 +327,7 @@ def test_a_stage_over_its_budget_is_marked(stage):
         budget = budget_of(records)
         over = [name for name, row in budget.stages.items() if not row.within_budget]
         assert over == ([stage] if excess_ns else [])
-        marked = [line for line in tick_budget.describe_budget(budget) if line.endswith("over")]
+        marked = [line for line in table_of(budget) if line.endswith("over")]
         assert [stage in line for line in marked] == [True] * excess_ns
 
 
@@ -346,5 +350,5 @@ def test_lost_replies_are_listed_with_their_cost():
     stale, again = budget.without_data, budget.read_again
     assert (stale.n, stale.max_ns, stale.missed_slots) == (2, 18 * MS + 20_000, 1)
     assert (again.n, again.max_ns, again.missed_slots) == (1, 7 * MS + 20_000, 0)
-    text = "\n".join(tick_budget.describe_budget(budget))
+    text = "\n".join(table_of(budget))
     assert "2 ticks without data" in text and "7.02 ms" in text
