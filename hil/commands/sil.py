@@ -51,71 +51,43 @@ PATIENCE_S: Final = 2.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
-    )
-    parser.add_argument(
-        "--runtime", choices=("onnx", "compiled"),
-        help="what evaluates the predictor (default: compiled, where the bundle has it)",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, help="directory for the results")
-    parser.add_argument(
-        "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
-    )
-    parser.add_argument(
-        "--rig", nargs="?", const="default", metavar="RIG",
+    # fmt: off
+    add = parser.add_argument
+    add("--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot")
+    add("--runtime", choices=("onnx", "compiled"),
+        help="what evaluates the predictor (default: compiled, where the bundle has it)")
+    add("--out", type=Path, required=True, help="directory for the results")
+    add("--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)")
+    add("--rig", nargs="?", const="default", metavar="RIG",
         help="put the rig behind the servos instead; RIG is a structure, a file that changes it, "
-        "or the file of a link",
-    )  # fmt: skip
-    parser.add_argument(
-        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
-        help="with --rig: add an effect to what the rig has; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--line", choices=get_args(LineKind), default="socket",
-        help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seconds", type=float,
+        "or the file of a link")
+    add("--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
+        help="with --rig: add an effect to what the rig has; repeatable")
+    add("--line", choices=get_args(LineKind), default="socket",
+        help="socket for timing claims, pty as with any program, virtual clock (default: socket)")
+    add("--seconds", type=float,
         help="duration (default: what --miss-rate needs, 10 on the virtual line, or the runs of "
-        "the plan)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--miss-rate", type=float, default=MISS_RATE, metavar="RATE",
+        "the plan)")
+    add("--miss-rate", type=float, default=MISS_RATE, metavar="RATE",
         help="in real time: miss rate that the run has to bound with 95 %% confidence "
-        f"(default: {MISS_RATE:g})",
-    )  # fmt: skip
-    parser.add_argument("--runs", type=int, default=1, help="with --plan: times to run it (1)")
-    parser.add_argument(
-        "--plan", type=Path, metavar="PLAN",
-        help="plan of a path of the tip instead of the motion, see 'dropstitch plan'",
-    )  # fmt: skip
-    parser.add_argument(
-        "--goals",
-        metavar="unix:PATH",
-        help="goals of another program, see 'dropstitch run --goals'",
-    )
-    parser.add_argument(
-        "--goal-map", type=Path, metavar="MAP", help="with --goals: see 'dropstitch goalmap'"
-    )
-    parser.add_argument(
-        "--payload-known", action="store_true",
-        help="tell the robot the payload (default: it estimates it)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--open-loop", action="store_true", help="run the plan without feedback of the tip"
-    )
-    parser.add_argument(
-        "--motion", default="sinusoid", metavar="KIND|FILE",
-        help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)",
-    )  # fmt: skip
-    parser.add_argument("--amplitude-deg", type=float, default=30.0)
-    parser.add_argument("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
-    parser.add_argument("--phase-deg", type=float, default=0.0, help="of joint 2")
-    parser.add_argument(
-        "--load", type=int, default=0, metavar="N",
-        help="processes that load the other processor; declared host load",
-    )  # fmt: skip
+        f"(default: {MISS_RATE:g})")
+    add("--plan", type=Path, metavar="PLAN",
+        help="plan of a path of the tip instead of the motion, see 'dropstitch plan'")
+    add("--runs", type=int, default=1, help="with --plan: times to run it (1)")
+    add("--open-loop", action="store_true", help="run the plan without feedback of the tip")
+    add("--goals", metavar="unix:PATH",
+        help="goals of another program, see 'dropstitch run --goals'")
+    add("--goal-map", type=Path, metavar="MAP", help="with --goals: see 'dropstitch goalmap'")
+    add("--payload-known", action="store_true",
+        help="tell the robot the payload (default: it estimates it)")
+    add("--motion", default="sinusoid", metavar="KIND|FILE",
+        help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)")
+    add("--amplitude-deg", type=float, default=30.0)
+    add("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
+    add("--phase-deg", type=float, default=0.0, help="of joint 2")
+    add("--load", type=int, default=0, metavar="N",
+        help="processes that load the other processor; declared host load")
+    # fmt: on
     add_line_arguments(parser)
 
 

@@ -305,34 +305,28 @@ def slots_needed(miss_rate: float) -> int:
     return math.ceil(math.log(0.05) / math.log1p(-miss_rate)) if miss_rate < 1.0 else 1
 
 
-def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any] | None = None) -> bytes:
+def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any]) -> bytes:
     """Return the verdict as JUnit XML, one test case per question."""
-    own = [miss for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
+    own = [str(miss) for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
+    host = f"{timing.misses} misses by the host, {timing.host.preempted_ticks} ticks preempted"
     inconclusive = timing.verdict is Verdict.INCONCLUSIVE
-    stopped = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL
-    questions: Sequence[tuple[str, Verdict, str]] = (
-        ("the robot is not stopped", stopped if timing.stopped else Verdict.PASS, timing.stopped),
-        (
-            "no signal ends the run early",
-            Verdict.INCONCLUSIVE if timing.interrupted else Verdict.PASS,
-            timing.interrupted,
-        ),
-        (
-            "the loop misses no deadline by its own time",
-            Verdict.FAIL if timing.own_misses else Verdict.PASS,
-            "\n".join(map(str, own)),
-        ),
-        (
-            "the run bounds the miss rate",
-            Verdict.INCONCLUSIVE if inconclusive and not timing.interrupted else Verdict.PASS,
-            f"{timing.misses} misses by the host, {timing.host.preempted_ticks} ticks preempted",
-        ),
-    )
+    stop = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL
+    short = inconclusive and not timing.interrupted
+    # Question, whether the answer is no, the verdict in that case, details
+    questions: Sequence[tuple[str, object, Verdict, str]] = (
+        ("the robot is not stopped", timing.stopped, stop, timing.stopped),
+        ("no signal ends the run early", timing.interrupted, Verdict.INCONCLUSIVE,
+         timing.interrupted),
+        ("the loop misses no deadline by its own time", own, Verdict.FAIL, "\n".join(own)),
+        ("the run bounds the miss rate", short, Verdict.INCONCLUSIVE, host),
+    )  # fmt: skip
+    cases = [
+        JUnitCase(question, verdict if negative else Verdict.PASS, timing.reason, details)
+        for question, negative, verdict, details in questions
+    ]
     properties = {
         "verdict": timing.verdict.value,
         "own_cost_p99_ns": timing.own_cost.p99_ns,
         "own_miss_rate_upper_bound_95": timing.own_miss_rate_upper_bound_95,
-        **(facts or {}),
     }
-    cases = [JUnitCase(name, verdict, timing.reason, text) for name, verdict, text in questions]
-    return junit_xml("sil", cases, properties)
+    return junit_xml("sil", cases, properties | dict(facts))
