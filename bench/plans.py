@@ -24,7 +24,7 @@ from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.safety.limits import Limits
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
-from hil.sil.path_error import path_errors
+from hil.sil.tip_errors import path_errors, tip_of_runs_m
 from models.plan.paths import PathOptions, built_in_path
 from models.plan.planning import Method, PlanRequest, plan_path
 from models.plant.plant import read_plant
@@ -77,7 +77,7 @@ def rms_m(
             payload_kg=payload_kg, payload_known=known, plan=plan, seed=SEED,
         )  # fmt: skip
         result = run_sil(options)
-    errors = path_errors(result.records, result.outcome.truth, plan)
+    errors = path_errors(tip_of_runs_m(result.records, result.outcome.truth, plan), plan)
     if not errors:
         raise RuntimeError(f"the plan was not run to its end: {result.summary.reason}")
     return errors[-1].rms_m

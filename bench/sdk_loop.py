@@ -115,7 +115,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def robot_turn(setting: Setting, line: LineKind) -> Turn:
     """One turn of the robot's loop."""
     options = SilOptions(
-        setting.bundle, setting.model, setting.scratch / "ours", fmu=setting.fmu, line=line,
+        bundle=setting.bundle, model=setting.model, out=setting.scratch / "ours",
+        fmu=setting.fmu, line=line,
         seconds=setting.seconds, baud=BAUD, load=setting.load, faults={"lost": setting.lost},
     )  # fmt: skip
     result = run_sil(options)

@@ -31,8 +31,8 @@ from firmware_py.inference.predictor import OnnxPredictor
 from firmware_py.safety.states import SafetyState
 from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil
-from hil.sil.prediction_error import programme_part, true_tip_m
 from hil.sil.sil_options import programme_s
+from hil.sil.tip_errors import programme_part, true_tip_m
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel
 from models.plant.step_model import names

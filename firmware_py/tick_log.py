@@ -211,8 +211,10 @@ class TickLog:
         self._ring.amend("log_ns", log_ns)
         self._ring.amend("busy_ns", busy_ns)
         self._finished = ((*self._stages_ns, log_ns), lateness_ns, busy_ns, bus_wait_ns)
-        if (late_ns := end_ns - marks_ns[0] - self._period_ns) > 0:
+        if (excess_ns := end_ns - marks_ns[0] - self._period_ns) > 0:
+            # Lateness beyond the thread's delays means that the whole machine was suspended.
+            host_ns = max(sum(self._delays_ns), lateness_ns)
             self.timing.miss(
-                -(-late_ns // self._period_ns),
-                cause_of_miss(busy_ns, bus_wait_ns, lateness_ns, *self._delays_ns),
+                -(-excess_ns // self._period_ns),
+                cause_of_miss(excess_ns, host_ns, busy_ns, bus_wait_ns),
             )

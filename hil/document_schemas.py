@@ -70,8 +70,10 @@ def schema_files() -> dict[str, str]:
         schema = {"$schema": DIALECT} | msgspec.json.schema(document)
         for struct in schema["$defs"].keys() & structs.keys():
             properties = schema["$defs"][struct]["properties"]
-            for field, text in _comments(structs[struct]).items():
-                properties[field]["description"] = text
+            comments = _comments(structs[struct])
+            for field in msgspec.structs.fields(structs[struct]):
+                if text := comments.get(field.name):
+                    properties[field.encode_name]["description"] = text
         files[f"{name}.schema.json"] = json.dumps(schema, indent=1) + "\n"
     return files
 

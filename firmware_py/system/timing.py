@@ -1,4 +1,4 @@
-"""Timing statistics of the ticks: histograms, misses and their causes."""
+"""Timing statistics of the ticks: percentiles, histograms, misses and their causes."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ import array
 import math
 from collections.abc import Iterable
 from enum import Enum
-from typing import Final
+from typing import Any, Final, Self
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from firmware_py.core.signals import STAGES
-from firmware_py.system.percentiles import FRACTIONS, Percentiles
 
-__all__ = [
-    "Cause",
-    "Histogram",
-    "Timing",
-    "TimingSummary",
-    "cause_of_miss",
-    "miss_rate_bound",
-]
+Nanoseconds = NDArray[np.int64]
 
+FRACTIONS: Final = {"p50_ns": 0.5, "p99_ns": 0.99, "p99_9_ns": 0.999}
+"""Fraction of each percentile, by name of its field."""
+LABELS: Final = {"p50": "p50_ns", "p99": "p99_ns", "p99.9": "p99_9_ns", "max": "max_ns"}
+"""Field of each label."""
 _SUB_BITS: Final = 6
 _SUB_BUCKETS: Final = 1 << _SUB_BITS
 _OCTAVES: Final = 40
@@ -29,6 +27,27 @@ _OCTAVES: Final = 40
 
 _BOUND_ERROR: Final = 0.05
 _NEGLIGIBLE: Final = 1e-16
+
+
+class Percentiles(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Percentiles of a series of durations, each an observed value."""
+
+    n: int  # Number of durations; if it is 0, so are the other fields
+    p50_ns: int  # Median
+    p99_ns: int  # 99 % of the durations are at most this long
+    p99_9_ns: int  # 99.9 % of the durations are at most this long
+    max_ns: int  # Longest duration
+
+    @classmethod
+    def of(cls, durations_ns: Nanoseconds, **more: Any) -> Self:
+        """Return the percentiles of a series of shape (n,)."""
+        values = [0] * (len(FRACTIONS) + 1)
+        if len(durations_ns):
+            levels = (*FRACTIONS.values(), 1.0)
+            values = np.quantile(durations_ns, levels, method="inverted_cdf").tolist()
+        names = (*FRACTIONS, "max_ns")
+        fields = {name: int(value) for name, value in zip(names, values, strict=True)}
+        return cls(n=len(durations_ns), **fields, **more)
 
 
 class Histogram:
@@ -57,10 +76,10 @@ class Histogram:
 
         `fraction`: fraction of the durations that do not exceed it, 0 to 1.
         """
-        needed, seen = fraction * self.count, 0
+        needed, counted = fraction * self.count, 0
         for bucket, count in enumerate(self.counts):
-            seen += count
-            if count and seen >= needed:
+            counted += count
+            if count and counted >= needed:
                 return min(_upper_end_ns(bucket), self.max_ns)
         return 0
 
@@ -85,21 +104,18 @@ class Cause(Enum):
     PREEMPTED = "preempted by the host"
 
 
-def cause_of_miss(
-    busy_ns: int, bus_wait_ns: int, lateness_ns: int, preempted_ns: int, steal_ns: int
-) -> Cause:
-    """Return the cause with the largest share of a tick that overran its slot.
+def cause_of_miss(excess_ns: int, host_ns: int, busy_ns: int, bus_wait_ns: int) -> Cause:
+    """Return the cause of a tick that ended after its slot.
 
-    Lateness beyond the run-queue delay means that the whole machine was suspended. So the larger of
-    lateness and delays counts for the host.
+    It is the host if without it the tick would have ended in its slot, else the larger part of the
+    tick: the wait for the bus or computing.
 
-    `preempted_ns`: run-queue delay during the period. `steal_ns`: steal time while the tick
-    computed.
+    `excess_ns`: time by which the tick ended after its slot. `host_ns`: time in the tick for which
+    something outside this program had the processor.
     """
-    host_ns = max(preempted_ns + steal_ns, lateness_ns)
-    own_ns = busy_ns - bus_wait_ns - max(host_ns - lateness_ns, 0)
-    parts = {Cause.PREEMPTED: host_ns, Cause.BUS_WAIT: bus_wait_ns, Cause.OWN_COMPUTE: own_ns}
-    return max(parts, key=lambda cause: parts[cause])
+    if excess_ns <= host_ns:
+        return Cause.PREEMPTED
+    return Cause.BUS_WAIT if bus_wait_ns > busy_ns - bus_wait_ns else Cause.OWN_COMPUTE
 
 
 class TimingSummary(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -15,14 +15,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
 from typing import Final
 
-from firmware_py.bus.servo_models import model_named
+from firmware_py.bus.servo_models import MODELS, model_named
 from firmware_py.core.console import DONE, Terminated, emit, terminations_raised
 from firmware_py.core.errors import InputError
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.system.clock import RealTimeOptions, real_time
-from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
-from hil.emulator.line_faults import parse_rates
+from hil.emulator.line_faults import LINE_FAULTS, parse_rates
 from hil.emulator.twin_fmu import build_twin
+from models.plant.document import link_of_plant
 
 SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)
 """Scheduling of a robot's loop by default, which suffices: a loop that waits for a reply sleeps.
@@ -50,15 +51,39 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_line_arguments(parser)
 
 
+def add_line_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of servos and line, which `dropstitch sil` has as well."""
+    models = ", ".join(model.name for model in MODELS.values())
+    parser.add_argument(
+        "--model", help=f"servo (default: that of the link, or {STUDY_LINK.servo.model}): {models}"
+    )
+    parser.add_argument(
+        "--baud", type=int, default=1_000_000, help="bits per second (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--latency-ms", type=float, default=1.0,
+        help="latency timer of the USB adapter (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--payload-kg", type=float, help="at the tip (default: half of the link's largest, or 1.0)"
+    )
+    parser.add_argument(
+        "--faults", nargs="+", default=[], metavar="KIND=RATE",
+        help="fractions of the packets that are " + ", ".join(LINE_FAULTS),
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of everything random")
+
+
 def run(args: argparse.Namespace) -> int:
-    complete_from_link(args, args.plant)
-    model = model_named(args.model)
+    link = link_of_plant(args.plant) if args.plant else STUDY_LINK
+    model = model_named(args.model or link.servo.model)
+    payload_kg = link.payload_kg / 2 if args.payload_kg is None else args.payload_kg
     if args.line == "socket" and args.path.exists():
         raise InputError(args.path, "exists already", "name another --path, or remove it")
     with TemporaryDirectory(prefix="dropstitch-emulate-") as scratch:
         specification = EmulatorSpecification(
             args.fmu or args.plant, model.number, tuple(args.ids), args.baud,
-            latency_s=args.latency_ms * 1e-3, payload_kg=args.payload_kg,
+            latency_s=args.latency_ms * 1e-3, payload_kg=payload_kg,
             faults=parse_rates(args.faults), seed=args.seed,
         )  # fmt: skip
         if args.plant:  # last: it takes seconds

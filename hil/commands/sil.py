@@ -24,21 +24,19 @@ import msgspec
 from firmware_py.bus.servo_models import model_named
 from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
-from firmware_py.core.input_files import read_toml
 from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, MotionConfig
 from firmware_py.core.units import LENGTH, TIME
 from firmware_py.goals.for_robot import outside_goals
-from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
+from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.link.link_description import describes_link
-from hil.arguments import add_line_arguments, complete_from_link
+from hil.commands.emulate import add_line_arguments
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
 from hil.sil import LineKind, SilOptions, run_sil, write_results
-from hil.sil.sil_options import LONGEST_S, sil_config
+from hil.sil.sil_options import DERIVED, sil_config
 from hil.sil.tick_budget import describe_budget
 from hil.sil.timing_document import PredictionError, TimingDocument
-from hil.sil.timing_verdict import MISS_RATE, slots_needed
+from hil.sil.timing_verdict import MISS_RATE
 from models.predictor.validation import coverage_text
 from models.shared.catalogue import parse_strengths
 
@@ -52,113 +50,48 @@ PATIENCE_S: Final = 2.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot"
-    )
-    parser.add_argument(
-        "--runtime", choices=("onnx", "compiled"),
-        help="what evaluates the predictor (default: compiled, where the bundle has it)",
-    )  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, help="directory for the results")
-    parser.add_argument(
-        "--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)"
-    )
-    parser.add_argument(
-        "--rig", nargs="?", const="default", metavar="RIG",
+    # fmt: off
+    add = parser.add_argument
+    add("--bundle", type=Path, required=True, metavar="BUNDLE", help="bundle of the robot")
+    add("--runtime", choices=("onnx", "compiled"),
+        help="what evaluates the predictor (default: compiled, where the bundle has it)")
+    add("--out", type=Path, required=True, help="directory for the results")
+    add("--fmu", type=Path, help="twin behind the servos (default: built from the bundle's plant)")
+    add("--rig", nargs="?", const="default", metavar="RIG",
         help="put the rig behind the servos instead; RIG is a structure, a file that changes it, "
-        "or the file of a link",
-    )  # fmt: skip
-    parser.add_argument(
-        "--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
-        help="with --rig: add an effect to what the rig has; repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--line", choices=get_args(LineKind), default="socket",
-        help="socket for timing claims, pty as with any program, virtual clock (default: socket)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seconds", type=float,
+        "or the file of a link")
+    add("--hide", action="append", default=[], metavar="EFFECT[:JOINT]=STRENGTH",
+        help="with --rig: add an effect to what the rig has; repeatable")
+    add("--line", choices=get_args(LineKind), default="socket",
+        help="socket for timing claims, pty as with any program, virtual clock (default: socket)")
+    add("--seconds", type=float,
         help="duration (default: what --miss-rate needs, 10 on the virtual line, or the runs of "
-        "the plan)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--miss-rate", type=float, default=MISS_RATE, metavar="RATE",
+        "the plan)")
+    add("--miss-rate", type=float, default=MISS_RATE, metavar="RATE",
         help="in real time: miss rate that the run has to bound with 95 %% confidence "
-        f"(default: {MISS_RATE:g})",
-    )  # fmt: skip
-    parser.add_argument("--runs", type=int, default=1, help="with --plan: times to run it (1)")
-    parser.add_argument(
-        "--plan", type=Path, metavar="PLAN",
-        help="plan of a path of the tip in place of the motion, see 'dropstitch plan'",
-    )  # fmt: skip
-    parser.add_argument(
-        "--goals",
-        metavar="unix:PATH",
-        help="goals of another program, see 'dropstitch run --goals'",
-    )
-    parser.add_argument(
-        "--goal-map", type=Path, metavar="MAP", help="with --goals: see 'dropstitch goalmap'"
-    )
-    parser.add_argument(
-        "--payload-known", action="store_true",
-        help="tell the robot the payload (default: it estimates it)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--open-loop", action="store_true", help="run the plan without feedback of the tip"
-    )
-    parser.add_argument(
-        "--motion", default="sinusoid", metavar="KIND|FILE",
-        help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)",
-    )  # fmt: skip
-    parser.add_argument("--amplitude-deg", type=float, default=30.0)
-    parser.add_argument("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
-    parser.add_argument("--phase-deg", type=float, default=0.0, help="of joint 2")
-    parser.add_argument(
-        "--load", type=int, default=0, metavar="N",
-        help="processes that load the other processor; declared host load",
-    )  # fmt: skip
+        f"(default: {MISS_RATE:g})")
+    add("--plan", type=Path, metavar="PLAN",
+        help="plan of a path of the tip instead of the motion, see 'dropstitch plan'")
+    add("--runs", type=int, default=1, help="with --plan: times to run it (1)")
+    add("--open-loop", action="store_true", help="run the plan without feedback of the tip")
+    add("--goals", metavar="unix:PATH",
+        help="goals of another program, see 'dropstitch run --goals'")
+    add("--goal-map", type=Path, metavar="MAP", help="with --goals: see 'dropstitch goalmap'")
+    add("--payload-known", action="store_true",
+        help="tell the robot the payload (default: it estimates it)")
+    add("--motion", default="sinusoid", metavar="KIND|FILE",
+        help=f"{', '.join(KINDS)}, or a motion file (default: sinusoid)")
+    add("--amplitude-deg", type=float, default=30.0)
+    add("--period", type=float, default=STUDY_PERIOD_S, help="of a cycle, s")
+    add("--phase-deg", type=float, default=0.0, help="of joint 2")
+    add("--load", type=int, default=0, metavar="N",
+        help="processes that load the other processor; declared host load")
+    # fmt: on
     add_line_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    plan = read_tip_plan(args.plan) if args.plan is not None else None
-    _check(args, plan)
-    link = complete_from_link(
-        args, Path(args.rig) if _is_link(args.rig) else args.bundle / "plant.json"
-    )
-    bundle = ModelBundle.load(args.bundle, runtime=args.runtime)
-    if plan is not None:
-        seconds = args.runs * plan.duration_s
-    elif args.line == "virtual":
-        seconds = 10.0
-    else:
-        needed_s = (slots_needed(args.miss_rate) + 1) * bundle.manifest.period_s
-        seconds = min(max(needed_s, 10.0), LONGEST_S)
-    options = SilOptions(
-        bundle=bundle,
-        model=model_named(args.model),
-        out=args.out,
-        fmu=args.fmu,
-        rig=_rig_source(args),
-        link=link,
-        line=args.line,
-        seconds=seconds if args.seconds is None else args.seconds,
-        miss_rate=args.miss_rate,
-        baud=args.baud,
-        latency_s=args.latency_ms * 1e-3,
-        payload_kg=args.payload_kg,
-        payload_known=args.payload_known,
-        plan=plan,
-        open_loop=args.open_loop,
-        motion=MotionConfig(
-            amplitude_rad=math.radians(args.amplitude_deg),
-            period_s=args.period,
-            phase_2_rad=math.radians(args.phase_deg),
-        ).with_motion(args.motion),
-        load=args.load,
-        faults=parse_rates(args.faults),
-        seed=args.seed,
-    )
+    options = _options(args)
     with contextlib.ExitStack() as stack:
         if args.goals is not None:
             patience_s = PATIENCE_S if args.line == "virtual" else 0.0
@@ -174,31 +107,40 @@ def run(args: argparse.Namespace) -> int:
     return timing.verdict.exit_code
 
 
-def _check(args: argparse.Namespace, plan: TipPlan | None) -> None:
-    if args.runs < 1 or (args.runs > 1 and plan is None):
-        raise InputError("--runs", f"is {args.runs}", "give 1 or more, with --plan")
-    if plan is not None and args.seconds is None and args.runs * plan.duration_s > LONGEST_S:
-        most = int(LONGEST_S / plan.duration_s)
-        raise InputError("--runs", f"is {args.runs}", f"give {most} at most")
-    if not 1e-6 <= args.miss_rate <= 1.0:
-        raise InputError("--miss-rate", f"is {args.miss_rate:g}", "give 1e-6 to 1")
+def _options(args: argparse.Namespace) -> SilOptions:
+    """Return the options of the run, which check themselves."""
     if args.goal_map is not None and args.goals is None:
         raise InputError("--goal-map", "is given without --goals", "leave it out")
-    if args.goals is not None and plan is not None:
-        raise InputError("--goals", "is given beside a plan", "leave one out")
-
-
-def _is_link(rig: str | None) -> bool:
-    """Return whether --rig names the file of a link."""
-    path = Path(rig or "")
-    return path.is_file() and describes_link(read_toml(path, "name a rig or a link"))
-
-
-def _rig_source(args: argparse.Namespace) -> RigSource | None:
-    hidden = parse_strengths(args.hide)
-    if hidden and not args.rig:
+    if args.goals is not None and args.plan is not None:
+        raise InputError("--goals", "cannot be used together with --plan", "leave one out")
+    effects = parse_strengths(args.hide)
+    if effects and not args.rig:
         raise InputError("--hide", "needs the rig, not a twin", "add --rig")
-    return RigSource(hidden, args.seed, args.rig) if args.rig else None
+    return SilOptions(
+        plan=read_tip_plan(args.plan) if args.plan is not None else None,
+        bundle=ModelBundle.load(args.bundle, runtime=args.runtime),
+        out=args.out,
+        fmu=args.fmu,
+        rig=RigSource(effects, args.seed, args.rig) if args.rig else None,
+        model=model_named(args.model) if args.model else DERIVED,
+        line=args.line,
+        seconds=args.seconds,
+        miss_rate=args.miss_rate,
+        baud=args.baud,
+        latency_s=args.latency_ms * 1e-3,
+        payload_kg=args.payload_kg,
+        payload_known=args.payload_known,
+        runs=args.runs,
+        open_loop=args.open_loop,
+        motion=MotionConfig(
+            amplitude_rad=math.radians(args.amplitude_deg),
+            period_s=args.period,
+            phase_2_rad=math.radians(args.phase_deg),
+        ).with_motion(args.motion),
+        load=args.load,
+        faults=parse_rates(args.faults),
+        seed=args.seed,
+    )
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:
@@ -214,7 +156,7 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
             f"{environment.speed_up_by_processor_time:.0f} times by processor time"
         )
     else:
-        lines += [*_timing_lines(timing), *describe_budget(timing.account), *environment.refused]
+        lines += _timing_lines(timing)
     if environment.goals_note:
         lines.append(environment.goals_note)
     lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
@@ -240,15 +182,11 @@ def describe_sil(timing: TimingDocument, out: Path) -> str:
 
 def _timing_lines(timing: TimingDocument) -> list[str]:
     causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
-    rows = {
-        "own cost": timing.own_cost,
-        "lateness": timing.lateness,
-        "reference": timing.reference_jitter,
-    }
     return [
-        *(f"{name:9} {row.in_us()}" for name, row in rows.items()),
         f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
         f"{timing.ticks} ticks",
+        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
+        *timing.environment.refused,
     ]
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from firmware_py.core.signals import tip_names
 from firmware_py.core.units import LENGTH, POSITION, TICK_TIME, TIME
-from firmware_py.system.percentiles import LABELS
+from firmware_py.system.timing import LABELS
 from hil.report.build_inputs import LoopRun
 from models.shared.drawing import Drawing
 from models.shared.pages import Figure, LegendEntry, Panel, Table
@@ -37,7 +37,7 @@ def loop_figures(loop: LoopRun) -> list[Figure]:
 
 
 def _timing(loop: LoopRun, ticks: Ticks) -> Figure:
-    period_ms = float(TICK_TIME.shown(loop.timing.budget.period_ns))
+    period_ms = float(TICK_TIME.shown(loop.timing.targets.period_ns))
     whole_ms = TICK_TIME.shown(ticks["lateness_ns"] + ticks["busy_ns"])
     own_ms = TICK_TIME.shown(ticks["busy_ns"] - ticks["bus_wait_ns"])
     return Figure(
@@ -176,23 +176,34 @@ def _between_motions(programme: Mapping[str, float], end_s: float) -> list[tuple
 
 
 def duration_table(loop: LoopRun) -> Table:
-    """Return the durations of the stages, of the whole tick and of the wake-up."""
-    timing = loop.timing
+    """Return the durations of the stages, of the whole tick and of the wake-up, with budgets."""
+    timing, parts = loop.timing, loop.timing.tick_budget
     rows = {
         **{f"stage: {name}": durations for name, durations in timing.stages.items()},
-        **{f"read: {part}": durations for part, durations in timing.account.read.items()},
-        "slack": timing.account.slack,
+        **{f"read: {part}": durations for part, durations in parts.read.items()},
+        "slack": parts.slack,
         "whole tick": timing.tick,
         "waiting for the bus": timing.bus_wait,
         "own cost": timing.own_cost,
         "wake-up latency": timing.lateness,
         "wake-up latency of the reference": timing.reference_jitter,
     }
+    # The budget of the read is that of its own part, without the wait for the bus.
+    budgets = {
+        "read: own" if name == "read" else f"stage: {name}": TICK_TIME.number(stage.budget_p99_ns)
+        + ("" if stage.within_budget else ", over")
+        for name, stage in parts.stages.items()
+    }
     return Table(
         f"Durations in {TICK_TIME.name}",
-        ["", "n", *LABELS],
+        ["", "n", *LABELS, "budget of p99"],
         [
-            [name, str(d.n), *(TICK_TIME.number(getattr(d, field)) for field in LABELS.values())]
+            [
+                name,
+                str(d.n),
+                *(TICK_TIME.number(getattr(d, field)) for field in LABELS.values()),
+                budgets.get(name, ""),
+            ]
             for name, d in rows.items()
         ],
     )

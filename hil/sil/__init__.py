@@ -3,9 +3,8 @@
 `run_sil` runs the loop, `write_results` judges the run and writes its results.
 """
 
-from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import LineKind, SilOptions
 from hil.sil.sil_results import write_results
-from hil.sil.sil_run import run_sil
+from hil.sil.sil_run import LOG_NAME, SilResult, run_sil
 
-__all__ = ["LineKind", "SilOptions", "SilResult", "run_sil", "write_results"]
+__all__ = ["LOG_NAME", "LineKind", "SilOptions", "SilResult", "run_sil", "write_results"]

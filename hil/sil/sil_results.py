@@ -2,24 +2,45 @@
 
 from __future__ import annotations
 
-import msgspec
+from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
+import msgspec
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from firmware_py.core.signals import joint_signals, marker_signals, tip_names
+from firmware_py.core.units import LENGTH, TICK_TIME, TIME
 from firmware_py.goals.plan_goals import payload_beyond_plan
-from firmware_py.goals.tip_plan import TipPlan
+from firmware_py.link.marker_layout import MarkerLayout
+from firmware_py.log.recording import OUTSIDE
 from firmware_py.safety.states import SafetyState
 from firmware_py.summary import Ended
-from hil.sil.move_figures import move_figures
-from hil.sil.path_error import path_errors, tip_of_runs_m
-from hil.sil.prediction_error import prediction_error
-from hil.sil.reference_jitter import ReferenceJitter
-from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, programme_s
-from hil.sil.sil_picture import draw_summary
-from hil.sil.sil_trial import as_trial
+from hil.sil.sil_run import SilResult
 from hil.sil.tick_budget import measure_budget, plan_times
-from hil.sil.timing_document import MoveFigures, RunFacts, TimingDocument, write_timing
-from hil.sil.timing_verdict import judge_timing, timing_junit
+from hil.sil.timing_document import (
+    MoveFigures,
+    PathError,
+    RunFacts,
+    TimingDocument,
+    write_timing,
+)
+from hil.sil.timing_verdict import TimingVerdict, judge_timing, timing_junit
+from hil.sil.tip_errors import (
+    move_figures,
+    path_errors,
+    predicted_tip_m,
+    prediction_error,
+    tip_of_runs_m,
+    true_tip_m,
+)
+from models.shared.drawing import FILE_STYLE
+from models.shared.palette import ALARM, MUTED, SERIES
 from models.trials.files import write_trial
+from models.trials.trial import Trial, TrialMeta, rows_at_rest
 
 
 def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
@@ -37,14 +58,29 @@ def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
 
 def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
     """Judge a run and return the contents of `timing.json`."""
-    summary, programme = result.summary, programme_s(options)
-    stopped = summary.reason if summary.ended is Ended.TRIPPED else ""
+    summary, records, truth = result.summary, result.records, result.outcome.truth
+    programme, plan = programme_s(options), options.plan
     verdict = judge_timing(
-        result.records, options.period_s, result.loop_cpu, result.line_cpu,
-        result.outcome.releases, stopped, summary.faults, _interrupted(result, options),
-        1.0 if options.line == "virtual" else options.miss_rate,
-    )  # fmt: skip
-    reference, plan = ReferenceJitter.of_probe(result.loop_cpu), plan_times(result.plan)
+        records,
+        options.period_s,
+        result.loop_cpu,
+        result.line_cpu,
+        result.outcome.releases,
+        stopped=summary.reason if summary.ended is Ended.TRIPPED else "",
+        faults=summary.faults,
+        interrupted=_interrupted(result, options),
+        miss_rate=1.0 if options.line == "virtual" else options.miss_rate,
+    )
+    reference, bus_times = result.loop_cpu.jitter(), plan_times(result.bus_plan)
+    errors: tuple[PathError, ...] = ()
+    moves: tuple[MoveFigures, ...] = ()
+    payload_note = ""
+    if plan is not None:
+        runs_m = tip_of_runs_m(records, truth, plan)
+        errors = path_errors(runs_m, plan)
+        moves = move_figures(runs_m[-1], plan) if len(runs_m) else ()
+        known_kg = options.payload_kg if options.payload_known else None
+        payload_note = payload_beyond_plan(plan, known_kg, summary)
     return TimingDocument(
         **msgspec.structs.asdict(verdict),
         environment=result.environment,
@@ -57,18 +93,16 @@ def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
             telemetry_drops=summary.telemetry_drops,
             programme_s=programme,
             feedback=summary.feedback,
-            payload_note=_payload_note(result, options),
+            payload_note=payload_note,
             out_of_range=summary.out_of_range,
             out_of_range_reasons=result.out_of_range,
         ),
         reference_jitter=reference,
-        bus_plan=plan,
-        account=measure_budget(result.records, options.period_s, plan, reference),
-        prediction_error=prediction_error(result.records, result.outcome.truth, programme),
-        path_errors=path_errors(result.records, result.outcome.truth, options.plan)
-        if options.plan
-        else (),
-        moves=_moves(result, options.plan) if options.plan else (),
+        bus_plan=bus_times,
+        tick_budget=measure_budget(records, options.period_s, bus_times, reference),
+        prediction_error=prediction_error(records, truth, programme),
+        path_errors=errors,
+        moves=moves,
     )
 
 
@@ -82,11 +116,94 @@ def _interrupted(result: SilResult, options: SilOptions) -> str:
     return f"{summary.reason} ended the run after {ran} of {options.slots} slots"
 
 
-def _payload_note(result: SilResult, options: SilOptions) -> str:
-    told_kg = options.payload_kg if options.payload_known else None
-    return payload_beyond_plan(options.plan, told_kg, result.summary) if options.plan else ""
+def as_trial(result: SilResult, options: SilOptions) -> Trial:
+    """Return the run as a trial: the servos' measurements and the true tip.
+
+    The emulator has no markers, so their cells stay empty. A trial has a uniform time step, so
+    skipped slots and ticks without fresh data are interpolated; the notes count them.
+    """
+    records = result.records
+    tip = true_tip_m(records, result.outcome.truth)
+    fresh = np.isfinite(tip[:, 0])
+    grid = np.arange(records["tick"][0], records["tick"][-1] + 1)
+    columns = {"time_s": (grid - grid[0]) * options.period_s}
+    known = {s.name: records[s.name] for s in joint_signals(options.dof)}
+    known |= {name: tip[:, k] for k, name in enumerate(tip_names())}
+    for name, values in known.items():
+        columns[name] = np.interp(grid, records["tick"][fresh], values[fresh])
+    filled, rest_s = len(grid) - int(fresh.sum()), options.motion.rest_s
+    link, conditions = result.link or {}, dict[str, Any]()
+    if options.plan is not None:
+        conditions, rest_s = options.plan.conditions(), options.plan.rest_s
+    elif options.goals is not None:
+        goals = np.column_stack([columns[f"goal_{j}_rad"] for j in range(1, options.dof + 1)])
+        rest_s = rows_at_rest(goals) * options.period_s
+        conditions = {
+            "motion": OUTSIDE,
+            "period_s": max(len(goals) * options.period_s - rest_s, options.period_s),
+            "amplitude_rad": float(np.abs(goals).max()),
+        }
+    else:
+        motion = options.motion.motion(options.dof)
+        conditions = {
+            "motion": motion.name,
+            "period_s": motion.period_s,
+            "amplitude_rad": motion.amplitude_rad,
+            "phase_2_rad": motion.phase_2_rad if options.dof == 2 else 0.0,
+        }
+    meta = TrialMeta(
+        dof=options.dof,
+        payload_kg=options.payload_kg,
+        trial=1,
+        source="sil",
+        **conditions,
+        rest_samples=min(max(round(rest_s / options.period_s), 1), len(grid) - 1),
+        notes=f"{filled} of {len(grid)} rows interpolated" if filled else "",
+        **{key: value for key, value in link.items() if key != "markers"},
+        markers=msgspec.convert(link["markers"], MarkerLayout) if "markers" in link else None,
+    )
+    for signal in marker_signals(meta.layout.count):
+        columns[signal.name] = np.full(len(grid), np.nan)
+    return Trial("sil", meta, columns)
 
 
-def _moves(result: SilResult, plan: TipPlan) -> tuple[MoveFigures, ...]:
-    runs = tip_of_runs_m(result.records, result.outcome.truth, plan)
-    return move_figures(runs[-1], plan) if len(runs) else ()
+def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
+    with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
+        figure = Figure(figsize=(8, 5), layout="constrained")
+        error, ends = figure.subplots(2)
+        _draw_error(error, result)
+        _draw_ends(ends, result, timing)
+        figure.suptitle(f"{timing.verdict}: {timing.reason}")
+        figure.savefig(path, metadata={"Date": None})
+
+
+def _draw_error(axes: Axes, result: SilResult) -> None:
+    """Distance of the predicted tip from the true one over time."""
+    records = result.records
+    off_m = predicted_tip_m(records) - true_tip_m(records, result.outcome.truth)
+    if not np.isfinite(off_m).any():
+        axes.set_axis_off()
+        axes.text(0.5, 0.5, "no true tip to compare with", ha="center")
+        return
+    distance_mm = LENGTH.shown(np.linalg.norm(off_m, axis=1))
+    axes.plot(records["time_s"], distance_mm, color=SERIES[0], label="predicted − true tip")
+    axes.axhline(float(np.nanmean(distance_mm)), color=MUTED, ls="--", label="mean")
+    axes.set(xlabel=TIME.label("time"), ylabel=LENGTH.label("distance"), ylim=(0, None))
+    axes.legend(ncols=2)
+
+
+def _draw_ends(axes: Axes, result: SilResult, timing: TimingVerdict) -> None:
+    """Histogram of the ends of the ticks in their slots, with the deadline in it."""
+    records = result.records
+    end_ms = TICK_TIME.shown(records["lateness_ns"] + records["busy_ns"])
+    own_ms = TICK_TIME.shown(records["busy_ns"] - records["bus_wait_ns"])
+    deadline_ms = float(TICK_TIME.shown(timing.targets.period_ns))
+    least_ms = max(float(np.min(own_ms)), 1e-3)
+    edges = np.geomspace(least_ms, 1.2 * max(deadline_ms, float(np.max(end_ms))), 80).tolist()
+    axes.hist(own_ms, edges, color=SERIES[1], alpha=0.7, label="own cost of a tick")
+    axes.hist(end_ms, edges, color=SERIES[0], alpha=0.7, label="end of a tick in its slot")
+    axes.axvline(deadline_ms, color=ALARM, ls="--", label="deadline")
+    if timing.host.preempted_ticks:
+        axes.plot([], [], " ", label=f"the host preempted {timing.host.preempted_ticks} ticks")
+    axes.set(xlabel=TICK_TIME.label("time"), ylabel="ticks", xscale="log", yscale="log")
+    axes.legend(loc="upper center")

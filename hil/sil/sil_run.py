@@ -1,29 +1,119 @@
 """Run in software: the robot's own `ControlLoop` against emulated servos and a simulated plant.
 
 Loop, bus, estimator, predictor, supervisor and recorder are those of the robot, unmodified. Only
-the port that they open belongs to the emulator; on the virtual line the clock is simulated as well.
+the port that they open belongs to the emulator. On the virtual line the clock is simulated as well,
+and equal options give equal ticks. In real time the loop runs in this process, the others run in
+their own::
+
+    processor A   loop (FIFO 50) · probe (FIFO 80)
+    processor B   emulator (FIFO 60) · recorder · probe (FIFO 80) · declared load
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple
 
-from firmware_py.config import check_config
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.bus.bus_plan import Plan
+from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.config import RobotConfig, check_config
 from firmware_py.core.errors import InputError
+from firmware_py.goals.for_robot import (
+    GOALS_NOTE,
+    feedback_of_plan,
+    goals_of_plan,
+    log_facts,
+    outside_facts,
+)
+from firmware_py.goals.goal_source import GoalSource
 from firmware_py.inference.fmu_instance import FmuInstance
+from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_description import STUDY_LINK
-from hil.emulator.emulator import EmulatorSpecification
+from firmware_py.log.recorder import recording
+from firmware_py.log.recording import SLOTS_KEY
+from firmware_py.log.telemetry import SocketTelemetry, Telemetry
+from firmware_py.loop import ControlLoop
+from firmware_py.robot import build_bus, build_loop, log_metadata, open_bus
+from firmware_py.summary import RangeReasons, RunSummary
+from firmware_py.system.clock import Clock, DeadlineClock, SimClock, real_time
+from firmware_py.system.kernel_counters import Counters, KernelCounters
+from hil.emulator.emulator import (
+    Emulator,
+    EmulatorOutcome,
+    EmulatorSpecification,
+    Releases,
+    build_line,
+)
+from hil.emulator.line import VirtualTransport
 from hil.emulator.physics import RigSource
 from hil.emulator.twin_fmu import build_twin
-from hil.sil.real_time_run import run_in_real_time
-from hil.sil.sil_loop import SilResult
+from hil.sil.probe import Probe, ProbeRecord
+from hil.sil.processors import (
+    assign_processors,
+    cpu_load,
+    host_environment,
+    pinned_to,
+    scheduling_policy,
+)
 from hil.sil.sil_options import SilOptions, sil_config
-from hil.sil.virtual_run import run_on_virtual_line
+from hil.sil.timing_document import SilEnvironment
 from models.plant.document import read_plant_document
 
+LOG_NAME: Final = "ticks.mcap"
+_STOP_TICKS: Final = 200
+"""Ticks reserved in the record for the controlled stop."""
+_LOAD: Final = "declared host load, normal priority, on the emulator's processor"
 _SIZES: Final = ("base_offset_m", "link_length_m", "link_width_m")
+
+
+class SilResult(NamedTuple):
+    """Result of a run in software: the loop's summary and everything measured during the run.
+
+    Attributes
+    ----------
+    summary : RunSummary
+        The loop's own summary.
+    outcome : EmulatorOutcome
+        The emulator's record: true tip, release times, injected faults.
+    loop_cpu, line_cpu : ProbeRecord
+        Wake-up jitter probes on the processors of loop and emulator; empty on the virtual line.
+    wall_s : float
+        Wall-clock time of the run.
+    environment : SilEnvironment
+        Machine, scheduler, load and line.
+    bus_plan : Plan
+        Plan by which the servos were read.
+    out_of_range : RangeReasons
+        Why ticks were out of the predictor's range.
+    link : dict of str to Any, optional
+        Trial conditions that follow from the link: size, pressure, markers, gravity; empty if the
+        plant does not describe a link.
+    """
+
+    summary: RunSummary
+    outcome: EmulatorOutcome
+    loop_cpu: ProbeRecord
+    line_cpu: ProbeRecord
+    wall_s: float
+    environment: SilEnvironment
+    bus_plan: Plan
+    out_of_range: RangeReasons = RangeReasons()
+    link: dict[str, Any] | None = None
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """Every tick of the run, in order, with the fields of `tick_dtype`."""
+        return self.summary.records
 
 
 def run_sil(options: SilOptions) -> SilResult:
@@ -45,22 +135,22 @@ def run_sil(options: SilOptions) -> SilResult:
     InputError
         If the bundle, the FMU or the options cannot be used.
     """
-    options.check()
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
         source = options.rig or options.fmu
         if source is None:
-            source = build_twin(_plant(options), options.dof, Path(scratch))
-        specification = EmulatorSpecification(
-            source, options.model.number, options.ids, options.baud,
-            latency_s=options.latency_s, payload_kg=options.payload_kg,
-            faults=dict(options.faults), seed=options.seed,
-        )  # fmt: skip
+            plant = options.bundle.directory / "plant.json"
+            if not plant.is_file():
+                raise InputError(
+                    plant, "is missing", "copy the whole bundle, or name a twin with --fmu"
+                )
+            source = build_twin(plant, options.dof, Path(scratch))
+        specification = options.emulator(source)
         check_config(sil_config(options, options.line), "--baud")
         _make(options.out)
         if options.line == "virtual":
-            result = run_on_virtual_line(options, specification)
+            result = _run_on_virtual_line(options, specification)
         else:
-            result = run_in_real_time(options, options.line, specification, Path(scratch))
+            result = _run_in_real_time(options, options.line, specification, Path(scratch))
         return result._replace(link=_link_conditions(source, options))
 
 
@@ -73,22 +163,171 @@ def _make(directory: Path) -> None:
         ) from None
 
 
-def _plant(options: SilOptions) -> Path:
-    path = options.bundle.directory / "plant.json"
-    if not path.is_file():
-        raise InputError(path, "is missing", "copy the whole bundle, or name a twin with --fmu")
-    return path
+def _run_on_virtual_line(options: SilOptions, specification: EmulatorSpecification) -> SilResult:
+    """Run the loop and the emulated servos on one simulated clock."""
+    clock = SimClock()
+    line, truth_log = build_line(specification)
+    config = sil_config(options, "virtual")
+    bus = build_bus(config, VirtualTransport(line, clock), clock)
+    watch = RangeWatch(options.bundle)
+    loop = _build_loop(options, watch, config, bus, clock, Telemetry(), Counters())
+    start_s, start_busy_s = time.perf_counter(), time.process_time()
+    summary = loop.run()
+    wall_s, busy_s = time.perf_counter() - start_s, time.process_time() - start_busy_s
+    if options.log:
+        # The recorder works in real time, so it gets the ticks after the simulated run.
+        with _recording(options, config) as telemetry:
+            for record in summary.records:
+                _put(telemetry, record.tobytes())
+    truth = truth_log.truth()
+    digest = hashlib.sha256(summary.records.tobytes() + truth.tip_m.tobytes())
+    environment = _environment(
+        options,
+        "none: simulated time",
+        speed_up=clock.now_ns() * 1e-9 / wall_s,
+        speed_up_by_processor_time=clock.now_ns() * 1e-9 / busy_s,
+        records_sha256=digest.hexdigest(),
+    )
+    return SilResult(
+        summary,
+        EmulatorOutcome(truth, Releases(), dict(line.faults.injected)),
+        ProbeRecord(),
+        ProbeRecord(),
+        wall_s,
+        environment,
+        bus.plan,
+        watch.reasons(),
+    )
+
+
+def _put(telemetry: SocketTelemetry, record: bytes) -> None:
+    """Send a record, and retry until the recorder accepts it."""
+    drops = telemetry.drops
+    telemetry.put(memoryview(record))
+    while telemetry.drops > drops:
+        time.sleep(1e-3)
+        drops = telemetry.drops
+        telemetry.put(memoryview(record))
+
+
+def _run_in_real_time(
+    options: SilOptions,
+    line: Literal["pty", "socket"],
+    specification: EmulatorSpecification,
+    scratch: Path,
+) -> SilResult:
+    """Run the loop in this process against an emulator in another process."""
+    loop_cpu, other_cpus = assign_processors()
+    line_cpu = max(other_cpus)
+    clock = DeadlineClock()
+    with pinned_to(other_cpus), contextlib.ExitStack() as stack:
+        enter = stack.enter_context
+        emulator = enter(contextlib.closing(Emulator(specification, line, scratch, line_cpu)))
+        config = sil_config(options, emulator.name, loop_cpu)
+        telemetry = enter(_recording(options, config))
+        enter(cpu_load(options.load, other_cpus))
+        # Only on a machine with a single processor does the emulator share it with the loop.
+        neighbours = (emulator.pid,) if line_cpu == loop_cpu else ()
+        loop_probe = enter(contextlib.closing(Probe(loop_cpu, neighbours)))
+        line_probe = enter(contextlib.closing(Probe(line_cpu)))
+        with (
+            open_bus(config, clock) as bus,
+            contextlib.closing(KernelCounters()) as counters,
+            real_time(config.real_time) as refused,
+        ):
+            watch = RangeWatch(options.bundle)
+            loop = _build_loop(options, watch, config, bus, clock, telemetry, counters)
+            start_s = time.perf_counter()
+            summary = loop.run()
+            wall_s = time.perf_counter() - start_s
+            policy = scheduling_policy()
+        probes = loop_probe.stop(), line_probe.stop()
+        environment = _environment(
+            options,
+            policy,
+            refused=tuple(refused),
+            loop_processor=loop_cpu,
+            line_processor=line_cpu,
+            load_processes=options.load,
+            load_is=_LOAD,
+        )
+        return SilResult(
+            summary, emulator.stop(), *probes, wall_s, environment, bus.plan, watch.reasons()
+        )
+
+
+def _build_loop(
+    options: SilOptions,
+    watch: RangeWatch,
+    config: RobotConfig,
+    bus: ServoBus,
+    clock: Clock,
+    telemetry: Telemetry,
+    counters: Counters,
+) -> ControlLoop:
+    """Return the robot's loop, with memory for every tick of the run."""
+    slots = options.slots
+    options.bundle.assume_payload(config.payload_kg)
+    goals: GoalSource | None = options.goals
+    correction, plan = None, options.plan
+    if plan is not None:
+        goals = planned = goals_of_plan(plan, config, options.bundle)
+        correction = feedback_of_plan(plan, planned, config, options.bundle)
+    lead = goals.lead if goals is not None else 0
+    return build_loop(
+        config, watch, bus, clock, goals=goals, correction=correction, slots=slots,
+        telemetry=telemetry, counters=counters, keep=lead + slots + _STOP_TICKS,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _recording(options: SilOptions, config: RobotConfig) -> Iterator[SocketTelemetry]:
+    """Run the robot's recorder during the block."""
+    # The payload is recorded for the import of the log, even if the observer has to estimate it.
+    metadata = log_metadata(config, options.bundle, datetime.now(UTC)) | {
+        "payload_kg": repr(options.payload_kg),
+        "source": "sil",
+        SLOTS_KEY: str(options.slots),
+    }
+    if options.plan is not None:
+        metadata |= log_facts(options.plan, config)
+    if options.goals is not None:
+        metadata |= outside_facts()
+    if note := options.goals_note:
+        metadata[GOALS_NOTE] = note
+    path = options.out / LOG_NAME
+    path.unlink(missing_ok=True)  # the log of an earlier run
+    with recording(path, options.dof, time.time_ns(), metadata) as telemetry:
+        yield telemetry
+
+
+def _environment(options: SilOptions, scheduler: str, **more: Any) -> SilEnvironment:
+    """Describe the machine and the line of a run."""
+    return SilEnvironment(
+        **msgspec.structs.asdict(host_environment()),
+        line=options.line,
+        baud=options.baud,
+        latency_timer_ns=round(options.latency_s * 1e9),
+        servo=options.model.name,
+        faults=dict(options.faults),
+        payload_kg=options.payload_kg,
+        behind_the_servos="rig" if options.rig else "twin",
+        hidden=dict(options.rig.hidden) if options.rig else {},
+        scheduler=scheduler,
+        goals_note=options.goals_note,
+        **more,
+    )
 
 
 def _link_conditions(source: Path | RigSource, options: SilOptions) -> dict[str, Any]:
-    """Trial conditions given by the simulated link; empty if the plant does not describe one."""
+    """Trial conditions that follow from the simulated link; empty if the plant describes none."""
     if isinstance(source, RigSource):
         from hil.emulator.rig_physics import rig_conditions  # loads MuJoCo
 
         return rig_conditions(source)
-    with FmuInstance(source) as opened:
-        known = [name for name in _SIZES if f"parameters.{name}" in opened.variables]
-        values = opened.get([f"parameters.{name}" for name in known]).tolist()
+    with FmuInstance(source) as twin:
+        known = [name for name in _SIZES if f"parameters.{name}" in twin.variables]
+        values = twin.get([f"parameters.{name}" for name in known]).tolist()
     if len(known) < len(_SIZES):
         return {}
     plant = options.bundle.directory / "plant.json"

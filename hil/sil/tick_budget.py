@@ -24,9 +24,7 @@ from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.core.signals import STAGES
 from firmware_py.core.units import CPU_TIME, TICK_TIME
-from firmware_py.system.percentiles import LABELS, Nanoseconds, Percentiles
-
-__all__ = ["PlanTimes", "TickBudget", "describe_budget", "measure_budget", "plan_times"]
+from firmware_py.system.timing import FRACTIONS, LABELS, Nanoseconds, Percentiles
 
 BUDGET_NS: Final = {
     "wake": 100_000, "read": 200_000, "estimate": 200_000, "predict": 200_000, "command": 20_000,
@@ -34,8 +32,6 @@ BUDGET_NS: Final = {
 }  # fmt: skip
 """Budget for the 99th percentile of each stage; the read without its wait. Percentiles do not add,
 so the sum may exceed the 1 ms of the whole tick. The budgets are reported, not judged."""
-LATENESS_RATIOS: Final = {"p50_ns": 2.5, "p99_ns": 2.0, "p99_9_ns": 3.0}
-"""Targets for the ratio of the loop's lateness to the reference jitter."""
 
 
 class PlanTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,11 +41,6 @@ class PlanTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     transmission_ns: int  # Bits of the read at the baud rate
     servo_ns: int  # Return delays of the servos
     write_ns: int  # Bits of the write at the baud rate
-
-    @property
-    def exchange_ns(self) -> int:
-        """Time of read and write together."""
-        return self.transmission_ns + self.servo_ns + self.write_ns
 
 
 class StageBudget(Percentiles, frozen=True, kw_only=True):
@@ -83,7 +74,8 @@ class ExchangeTime(Percentiles, frozen=True, kw_only=True):
 class TickBudget(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Breakdown of the ticks' time in a run."""
 
-    budget: dict[str, StageBudget]  # Time and budget by stage; the read without its wait
+    # Time and budget by stage; the read without its wait
+    stages: dict[str, StageBudget] = msgspec.field(name="budget")
     read: dict[str, Percentiles]  # Parts of the read: own, transmission, servo, wait
     slack: Slack  # Time left in the period
     high_water_mark_ns: int  # Longest tick, including its lateness
@@ -113,8 +105,9 @@ def measure_budget(
     own_ns = records["busy_ns"] - records["bus_wait_ns"]
     taken_ns = records["lateness_ns"] + records["busy_ns"]
     slack_ns = period_ns - taken_ns
+    lateness = Percentiles.of(records["lateness_ns"])
     return TickBudget(
-        budget={stage: _stage(records, stage) for stage in STAGES},
+        stages={stage: _stage(records, stage) for stage in STAGES},
         read=_read_parts(records, plan),
         slack=Slack.of(slack_ns, min_ns=int(slack_ns.min()) if len(slack_ns) else 0),
         high_water_mark_ns=int(taken_ns.max()) if len(taken_ns) else 0,
@@ -122,7 +115,11 @@ def measure_budget(
         without_data=_cost(records, taken_ns, records["bus_status"] > BusStatus.ALERT),
         cpu_fraction=float(own_ns.sum()) / (period_ns * len(own_ns)) if len(own_ns) else 0.0,
         exchange=_exchange(records["read_ns"] + records["write_ns"], plan),
-        lateness_against_reference=_ratios(Percentiles.of(records["lateness_ns"]), reference),
+        lateness_against_reference={
+            name: getattr(lateness, name) / known
+            for name in FRACTIONS
+            if (known := getattr(reference, name))
+        },
     )
 
 
@@ -130,9 +127,12 @@ def _stage(records: NDArray[np.void], stage: str) -> StageBudget:
     taken_ns = records[f"{stage}_ns"]
     if stage == "read":
         taken_ns = taken_ns - records["bus_wait_ns"]
-    limit_ns = BUDGET_NS[stage]
-    measured = StageBudget.of(taken_ns, budget_p99_ns=limit_ns, within_budget=False)
-    return msgspec.structs.replace(measured, within_budget=measured.p99_ns <= limit_ns)
+    measured, limit_ns = Percentiles.of(taken_ns), BUDGET_NS[stage]
+    return StageBudget(
+        **msgspec.structs.asdict(measured),
+        budget_p99_ns=limit_ns,
+        within_budget=measured.p99_ns <= limit_ns,
+    )
 
 
 def _read_parts(records: NDArray[np.void], plan: PlanTimes) -> dict[str, Percentiles]:
@@ -152,72 +152,51 @@ def _cost(records: NDArray[np.void], taken_ns: Nanoseconds, ticks: NDArray[np.bo
 
 def _exchange(exchange_ns: Nanoseconds, plan: PlanTimes) -> ExchangeTime:
     p50_ns = Percentiles.of(exchange_ns).p50_ns
+    plan_ns = plan.transmission_ns + plan.servo_ns + plan.write_ns
     return ExchangeTime.of(
         exchange_ns,
-        plan_ns=plan.exchange_ns,
-        ratio_p50=p50_ns / plan.exchange_ns,
-        until_goals_arrived_ratio_p50=(p50_ns + plan.write_ns) / plan.exchange_ns,
+        plan_ns=plan_ns,
+        ratio_p50=p50_ns / plan_ns,
+        until_goals_arrived_ratio_p50=(p50_ns + plan.write_ns) / plan_ns,
     )
 
 
-def _ratios(lateness: Percentiles, reference: Percentiles) -> dict[str, float]:
-    return {
-        name: getattr(lateness, name) / known
-        for name in LATENESS_RATIOS
-        if (known := getattr(reference, name))
-    }
+def describe_budget(budget: TickBudget, own_cost: Percentiles, reference: Percentiles) -> list[str]:
+    """Return the table of a tick's parts, and the figures below it, as lines of text.
 
-
-def describe_budget(budget: TickBudget) -> list[str]:
-    """Return the budget table and the figures below it as lines of text."""
-    rows = [f"{'stage, µs':18} {'p50':>8} {'p99':>8} {'p99.9':>8} {'max':>8} {'budget':>8}"]
-    for stage, measured in budget.budget.items():
-        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}" + (
-            "" if measured.within_budget else "  over"
-        )
+    `own_cost`: a tick without its wait for the bus. `reference`: the reference jitter.
+    """
+    rows: dict[str, tuple[Percentiles, str]] = {}
+    for stage, measured in budget.stages.items():
+        limit = f"{CPU_TIME.number(measured.budget_p99_ns):>8}"
+        over = "" if measured.within_budget else "  over"
+        rows["read: own" if stage == "read" else stage] = measured, limit + over
+        if stage == "wake":
+            rows["wake: reference"] = reference, ""
         if stage == "read":
-            parts = [_row(f"read: {part}", row) for part, row in budget.read.items()]
-            rows += [f"{parts[0]} {limit}", *parts[1:]]
-        else:
-            rows.append(f"{_row(stage, measured)} {limit}")
-    rows.append(_row("slack", budget.slack) + f"  least {CPU_TIME.number(budget.slack.min_ns)}")
-    return [*rows, _exchange_words(budget), *_cost_words(budget), *_lateness_words(budget)]
-
-
-def _exchange_words(budget: TickBudget) -> str:
+            for part in ("transmission", "servo", "wait"):
+                rows[f"read: {part}"] = budget.read[part], ""
+    rows["own cost"] = own_cost, ""
+    rows["slack"] = budget.slack, f"least {CPU_TIME.number(budget.slack.min_ns)}"
+    lines = [f"{'stage, µs':18} " + " ".join(f"{name:>8}" for name in (*LABELS, "budget"))]
+    for name, (row, note) in rows.items():
+        numbers = " ".join(f"{CPU_TIME.number(getattr(row, f)):>8}" for f in LABELS.values())
+        lines.append(f"{name:18} {numbers} {note}".rstrip())
     exchange = budget.exchange
-    return (
+    lines.append(
         f"read and write p50 {CPU_TIME.number(exchange.p50_ns)} µs, {exchange.ratio_p50:.2f} × "
         f"their {CPU_TIME.number(exchange.plan_ns)} µs by the plan, "
         f"{exchange.until_goals_arrived_ratio_p50:.2f} × until the goals have arrived; the loop "
         f"computes for {budget.cpu_fraction:.1%} of the time"
     )
-
-
-def _cost_words(budget: TickBudget) -> list[str]:
-    costs = (("that read twice", budget.read_again), ("without data", budget.without_data))
-    return [
+    lines += [
         f"{cost.n} ticks {words} took at most {TICK_TIME.number(cost.max_ns, 2)} ms, p99 "
         f"{TICK_TIME.number(cost.p99_ns, 2)} ms, and lost {cost.missed_slots} slots"
-        for words, cost in costs
+        for words, cost in (
+            ("that read twice", budget.read_again),
+            ("without data", budget.without_data),
+        )
         if cost.n
     ]
-
-
-def _lateness_words(budget: TickBudget) -> list[str]:
-    ratios = budget.lateness_against_reference
-    late = ", ".join(
-        f"{name.removesuffix('_ns').replace('_', '.')} {ratio:.1f} ×"
-        for name, ratio in ratios.items()
-    )
     mark = TICK_TIME.number(budget.high_water_mark_ns, 2)
-    return [
-        *([f"lateness against the reference beside it: {late}"] if ratios else []),
-        f"high-water mark {mark} ms: the longest tick seen, which bounds nothing",
-    ]
-
-
-def _row(name: str, row: Percentiles) -> str:
-    return f"{name:18} " + " ".join(
-        f"{CPU_TIME.number(getattr(row, field)):>8}" for field in LABELS.values()
-    )
+    return [*lines, f"longest tick measured: {mark} ms; a longer one is possible"]

@@ -12,12 +12,10 @@ import msgspec
 
 from firmware_py.core.documents import read_document, write_document
 from firmware_py.summary import FeedbackUse, RangeReasons
+from hil.sil.probe import ReferenceJitter
 from hil.sil.processors import HostEnvironment
-from hil.sil.reference_jitter import ReferenceJitter
 from hil.sil.tick_budget import PlanTimes, TickBudget
 from hil.sil.timing_verdict import TimingVerdict
-
-__all__ = ["TimingDocument", "read_timing", "write_timing"]
 
 
 class SilEnvironment(HostEnvironment, frozen=True, kw_only=True, omit_defaults=True):
@@ -117,7 +115,8 @@ class TimingDocument(TimingVerdict, frozen=True, kw_only=True):
     run: RunFacts  # Course of the run
     reference_jitter: ReferenceJitter  # Wake-up jitter of the machine
     bus_plan: PlanTimes  # Times that follow from the bus plan
-    account: TickBudget  # Breakdown of the ticks' time
+    # Breakdown of the ticks' time
+    tick_budget: TickBudget = msgspec.field(name="account")
     prediction_error: PredictionError  # Error of the robot's prediction
     # Path error in each complete run of a plan
     path_errors: tuple[PathError, ...] = ()

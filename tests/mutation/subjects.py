@@ -78,7 +78,7 @@ SUBJECTS = (
     Subject("fmu", ("fmu/*.py", "fmu/packaging/*.py", "!fmu/__main__.py"), ("tests/fmu",)),
     Subject(
         "timing",
-        ("hil/sil/timing_verdict.py", "hil/sil/tick_budget.py", "hil/sil/deadline_misses.py"),
-        ("tests/hil/sil/test_timing_verdict.py", "tests/hil/sil/test_tick_budget.py"),
+        ("hil/sil/timing_verdict.py", "hil/sil/tick_budget.py"),
+        ("tests/hil/sil/test_timing_verdict.py",),
     ),
 )  # fmt: skip

@@ -15,7 +15,7 @@ from firmware_py.core.signals import tip_names
 from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
 from firmware_py.log.recording import read_recording
 from firmware_py.system.targets import PATH_RMS_TO_RIGID
-from hil.sil.sil_loop import LOG_NAME
+from hil.sil.sil_run import LOG_NAME
 from hil.sil.timing_document import read_timing
 from models.trials.files import read_trial
 

@@ -17,8 +17,8 @@ from firmware_py.summary import Ended
 from hil.emulator.physics import RigSource
 from hil.emulator.rig_physics import RigPhysics
 from hil.sil import SilOptions, run_sil, write_results
-from hil.sil.prediction_error import true_tip_m
 from hil.sil.timing_document import read_timing
+from hil.sil.tip_errors import true_tip_m
 
 STEP_S = 1e-3
 
@@ -100,7 +100,7 @@ def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     ("changes", "complaint"),
     [
         ({"line": "socket"}, "--line virtual"),
-        ({"fmu": "twin.fmu"}, "stands in a twin's place"),
+        ({"fmu": "twin.fmu"}, "replaces a twin"),
         ({"rig": RigSource({"stiffness_softening": 2.0})}, "--hide stiffness_softening"),
         ({"rig": RigSource({"stiffness_softening": 0.85}), "payload_kg": 9.0}, "folds"),
     ],

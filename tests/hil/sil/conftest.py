@@ -1,29 +1,15 @@
-"""Synthetic runs of the loop."""
+"""Twins behind the servos, which take seconds to build."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from firmware_py.core.signals import STAGES, tick_dtype
-
-MS = 1_000_000
-PERIOD_NS = 17 * MS
+from hil.emulator.twin_fmu import build_twin
+from models.plant.plant import NOMINAL
 
 
 @pytest.fixture(scope="session")
-def run_of():
-    """Build ticks whose stages add up: 20 µs each, the read with 1 ms on top for the bus."""
-
-    def build(ticks: int) -> np.ndarray:
-        records = np.zeros(ticks, tick_dtype(1))
-        records["tick"] = np.arange(ticks)
-        records["deadline_ns"] = 10**12 + records["tick"] * PERIOD_NS
-        for stage in STAGES:
-            records[f"{stage}_ns"] = 20_000
-        records["read_ns"] += MS
-        records["bus_wait_ns"], records["lateness_ns"] = MS, 20_000
-        records["busy_ns"] = sum(records[f"{s}_ns"] for s in STAGES) - records["lateness_ns"]
-        return records
-
-    return build
+def twins(tmp_path_factory):
+    """Twin FMU of the nominal plant by number of joints."""
+    directory = tmp_path_factory.mktemp("twins")
+    return {dof: build_twin(NOMINAL, dof, directory) for dof in (1, 2)}

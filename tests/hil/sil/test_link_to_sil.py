@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.bus.servo_models import model_named
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.log.recording import read_recording
 from hil.sil.sil_options import SilOptions, sil_config
@@ -49,21 +48,22 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
 
     passes(f"new {link} {LINK}")
     passes(f"simulate --rig {link} --out {trials} --payloads 0.4 {MOTION} --workers 1 --seed 1")
-    found = passes(f"identify {trials} --plant {link} --out {plant} --json")
-    held_out = json.loads(found)["held_out"]
+    text = passes(f"identify {trials} --plant {link} --out {plant} --json")
+    held_out = json.loads(text)["held_out"]
     assert held_out["tip_rms_m"] < held_out["rigid_tip_rms_m"] / 4
 
     text = passes(f"train {trials} --dof 1 --plant {plant} --out {bundle}")
     assert "no unseen motion" in text and "--amplitude-deg 20" in text
     assert "--study" in text and not (bundle / "study.json").exists()
     assert list(read_predictors(bundle / "predictors.json").candidates) == ["observer"]
-    kept = read_plant(bundle / "plant.json").link
-    of_run = sil_config(SilOptions(bundle=ModelBundle.load(bundle), model=model_named("XM430-W350"),
-                                   out=sil, link=kept), "virtual").limits  # fmt: skip
-    assert of_run.current_a == kept.preset.current_limit_a
-    assert of_run.tip_max_m == pytest.approx(3 * (1.2 * 0.66,), abs=1e-3)
-    assert kept.layout.count == 12 and kept.servo.model == "XM430-W350"
-    assert kept.gravity.mounting == "hanging"
+    link_of_bundle = read_plant(bundle / "plant.json").link
+    options = SilOptions(bundle=ModelBundle.load(bundle), out=sil)
+    assert (options.model.name, options.payload_kg) == ("XM430-W350", 0.2)
+    limits = sil_config(options, "virtual").limits
+    assert limits.current_a == link_of_bundle.preset.current_limit_a
+    assert limits.tip_max_m == pytest.approx(3 * (1.2 * 0.66,), abs=1e-3)
+    assert link_of_bundle.layout.count == 12 and link_of_bundle.servo.model == "XM430-W350"
+    assert link_of_bundle.gravity.mounting == "hanging"
 
     text = passes(
         f"sil --bundle {bundle} --rig {link} --line virtual --out {sil} --payload-kg 0.4 "
@@ -75,7 +75,7 @@ def test_five_commands_lead_from_another_link_to_a_run_of_its_robot(tmp_path, ca
     log, trial = read_recording(sil / "ticks.mcap"), read_trial(sil / "trial" / "sil.csv")
     assert log.complete and len(log.columns["tick"]) == timing.ticks
     assert trial.markers_m.shape[1] == 12 and trial.meta.gravity == (0.0, 0.0, 9.81)
-    reach_m = kept.base_offset_m + kept.length_m
+    reach_m = link_of_bundle.base_offset_m + link_of_bundle.length_m
     angle_rad = trial.angle_rad[:, 0]
     rigid_m = reach_m * np.column_stack([np.sin(angle_rad), 0 * angle_rad, np.cos(angle_rad)])
     rigid_rms_m = np.sqrt(np.mean(np.sum((trial.tip_m - rigid_m) ** 2, axis=1)))

@@ -15,13 +15,15 @@ import pytest
 
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.commands.replay import compare
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import MotionConfig
 from firmware_py.core.signals import tick_dtype
 from firmware_py.inference.bundle import ModelBundle
-from firmware_py.inference.estimator import NoEstimator
+from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import Prediction
+from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.states import Fault, SafetyState
 from firmware_py.summary import Ended
@@ -29,11 +31,11 @@ from firmware_py.system.timing import Cause
 from fmu.fmu_builder import build_fmu
 from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import RigSource
 from hil.sil import SilOptions, run_sil, write_results
-from hil.sil.prediction_error import prediction_error, true_tip_m
-from hil.sil.sil_loop import LOG_NAME
+from hil.sil.sil_run import LOG_NAME
 from hil.sil.timing_document import read_timing
+from hil.sil.tip_errors import prediction_error, true_tip_m
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trial
 from tests.fmu.toy import pendulum
@@ -58,12 +60,6 @@ class RigidPredictor:
 
 
 @pytest.fixture(scope="session")
-def twins(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("twins")
-    return {dof: build_twin(NOMINAL, dof, directory) for dof in (1, 2)}
-
-
-@pytest.fixture(scope="session")
 def bundles(tmp_path_factory):
     def bundle(dof: int) -> ModelBundle:
         directory = tmp_path_factory.mktemp(f"bundle_{dof}dof")
@@ -81,14 +77,16 @@ def bundles(tmp_path_factory):
 @pytest.fixture
 def options(twins, bundles, tmp_path):
     def build(dof: int = 1, **changes) -> SilOptions:
-        given = {"model": MODELS[54024], "line": "virtual", "seconds": 3.0} | changes
-        return SilOptions(bundle=bundles[dof], out=tmp_path, fmu=twins[dof], **given)
+        defaults = {
+            "bundle": bundles[dof], "out": tmp_path, "fmu": twins[dof], "model": MODELS[54024],
+            "line": "virtual", "seconds": 3.0,
+        }  # fmt: skip
+        return SilOptions(**(defaults | changes))
 
     return build
 
 
-@pytest.mark.parametrize("number", [54024, 54025, 1020])
-@pytest.mark.parametrize("dof", [1, 2])
+@pytest.mark.parametrize(("number", "dof"), [(54024, 1), (1020, 2)])
 def test_a_virtual_run_is_bit_identical_twice(options, number, dof):
     chosen = options(dof, model=MODELS[number], faults={"lost": 0.02, "late": 0.02})
     first, second = run_sil(chosen), run_sil(chosen)
@@ -150,7 +148,7 @@ def test_faults_of_the_line_are_survived_or_stop_the_robot(options, faults, ende
     again = records["bus_status"] == BusStatus.RETRIED
     assert again.any()
     assert (ended is Ended.TRIPPED) == (records["stale_ticks"].max() >= 3)
-    # What the issue allows a tick with a lost reply; in simulated time all of it is the line's.
+    # The longest tick with a lost reply; in simulated time all of it is the line's.
     assert (records["lateness_ns"] + records["busy_ns"])[again].max() <= 11_000_000
     assert not records["missed"].any()
     # Stale data is repeated, never zero and never garbage.
@@ -177,21 +175,6 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     assert "interpolated" in trial.meta.notes
     assert timing.prediction_error.n == fresh.sum()
     assert timing.reason in describe_sil(timing, chosen.out)
-
-
-def test_a_timing_document_of_before_is_refused_in_one_sentence(options):
-    chosen = options(seconds=1.0)
-    write_results(run_sil(chosen), chosen)
-    path = chosen.out / "timing.json"
-    document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"schema": 1}))
-    with pytest.raises(InputError, match="schema version 1") as error:
-        read_timing(path)
-    assert "dropstitch sil" in str(error.value) and "\n" not in str(error.value)
-    del document["miss_rate_upper_bound_95"]
-    path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match="miss_rate_upper_bound_95"):
-        read_timing(path)
 
 
 @pytest.mark.parametrize("line", ["socket", "pty"])
@@ -241,25 +224,32 @@ def test_a_run_in_real_time_fails_where_the_loop_computes_longer_than_its_period
 
 
 class Interrupter(RigidPredictor):
-    """Sends this process SIGTERM in a tick of the motion, as `timeout` does."""
+    """Sends this process SIGTERM in one tick, as `timeout` does."""
 
-    ticks = 0
+    def __init__(self, tick: int) -> None:
+        super().__init__()
+        self.remaining = tick
 
     def predict(self, angle_rad, current_a, di, *_) -> Prediction:
-        self.ticks += 1
-        if self.ticks == 120:
+        self.remaining -= 1
+        if self.remaining == 0:
             signal.raise_signal(signal.SIGTERM)
         return super().predict(angle_rad, current_a, di)
 
 
-def test_a_run_that_a_signal_ended_early_is_inconclusive_and_counts_its_slots(options):
+@pytest.mark.parametrize(("tick", "at_rest"), [(30, True), (120, False)])
+def test_a_run_that_a_signal_ended_early_is_inconclusive_and_leaves_its_trial(
+    options, tick, at_rest
+):
     chosen = options(seconds=9.0)
-    cut = replace(chosen, bundle=replace(chosen.bundle, predictor=Interrupter()))
+    cut = replace(chosen, bundle=replace(chosen.bundle, predictor=Interrupter(tick)))
     result = run_sil(cut)
-    timing, last = write_results(result, cut), result.records["tick"][118]
+    timing, last = write_results(result, cut), result.records["tick"][tick - 2]
     assert (timing.run.ended, timing.verdict.exit_code) == ("signalled", 3)
-    assert 0 < last < 119, "some ticks led to the first goal"
+    assert 0 < last < tick - 1, "some ticks led to the first goal"
     assert timing.reason.startswith(f"SIGTERM ended the run after {last + 1} of 529 slots")
+    trial = read_trial(chosen.out / "trial" / "sil.csv")
+    assert trial.meta.rest_samples == (len(trial) - 1 if at_rest else 59)
 
 
 def test_prediction_error_takes_fresh_ticks_only():
@@ -280,7 +270,7 @@ def test_prediction_error_takes_fresh_ticks_only():
     assert prediction_error(records[3:], truth).rms_m is None
 
 
-def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
+def test_the_prediction_error_is_split_by_range_and_part_of_the_programme():
     records = np.zeros(6, tick_dtype(1))
     records["time_s"] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
     records["deadline_ns"], records["busy_ns"] = np.arange(6) * 100, 50
@@ -301,9 +291,11 @@ def test_prediction_error_is_told_apart_by_range_and_part_of_the_programme():
         ({"seconds": 0.0}, "--seconds"),
         ({"seconds": math.inf}, "--seconds"),
         ({"seconds": 1e12}, r"--seconds: is 1e\+12; give 0.017 to 86400"),
-        ({"baud": 12345}, "--baud"),
         ({"baud": 9600}, "ms of transmission"),
         ({"load": -1}, "--load"),
+        ({"runs": 2}, "--runs: is 2; give 1 or more, with --plan"),
+        ({"miss_rate": 0.0}, "--miss-rate"),
+        ({"rig": RigSource()}, "--rig: replaces a twin"),
         ({"payload_kg": -1.0}, "--payload-kg"),
         ({"payload_kg": math.nan}, "--payload-kg"),
         ({"latency_s": -1e-3}, "--latency-ms"),
@@ -334,3 +326,51 @@ def test_without_an_fmu_the_bundles_plant_is_built(options, bundles):
     finally:
         plant.unlink()
     assert built.records.tobytes() == run_sil(options()).records.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("line", "miss_rate", "seconds"),
+    [("virtual", 1e-3, 10.0), ("socket", 1e-3, 2996 * 0.017), ("socket", 1.0, 10.0)],
+)
+def test_what_is_not_set_follows_from_the_link_and_the_miss_rate(
+    bundles, tmp_path, line, miss_rate, seconds
+):
+    options = SilOptions(bundle=bundles[1], out=tmp_path, line=line, miss_rate=miss_rate)
+    assert (options.model.name, options.payload_kg) == (STUDY_LINK.servo.model, 1.0)
+    assert options.seconds == pytest.approx(seconds)
+
+
+class RateEstimator(NoEstimator):
+    """Estimates the rate of the joint instead of DI, from two samples and the time between them."""
+
+    waits_for_fresh = True
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self._before_rad = math.nan
+
+    def update(self, angle_rad, current_a, step_s):
+        angle, before = float(angle_rad[0]), self._before_rad
+        self._before_rad = angle
+        return Estimate((angle - before) / step_s, math.nan)
+
+
+def test_the_estimator_gets_the_samples_of_a_second_read_with_their_time(options, bundles):
+    bundle = replace(bundles[1], estimator=RateEstimator())
+    result = run_sil(
+        options(bundle=bundle, model=MODELS[54025], seconds=4.0, faults={"lost": 0.05}, seed=1)
+    )
+    records = result.records
+    again = records["bus_status"] == BusStatus.RETRIED
+    assert again.sum() > 5
+    assert np.all(records["sample_late_ns"][again] > 0)
+    assert np.all(records["sample_late_ns"][~again] == 0)
+    # Within the motion the rate changes by 0.02 rad/s a tick, by 0.04 where goals are late.
+    moving = (records["tick"] >= 85) & (records["tick"] < 230)
+    assert np.abs(np.diff(records["di"][moving])).max() < 0.05
+    log = read_recording(options().out / LOG_NAME)
+    assert max(compare(log, bundle).values()) < 1e-12, "a replay takes the times of the log"
+    del log.columns["sample_late_ns"]
+    assert compare(log, bundle)["di"] > 0.05

@@ -1,4 +1,7 @@
-"""Prediction error of the robot: predicted tip minus true tip at every tick."""
+"""Errors of the tip in a run: prediction error, distance from a planned path, figures of moves.
+
+The true tip is that of the simulated plant at the sampling time of each tick's measurement.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.core.signals import tip_names
+from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.safety.states import SafetyState
 from hil.emulator.emulator import Truth
-from hil.sil.timing_document import PredictionError, TipErrors
+from hil.sil.timing_document import MoveFigures, PathError, PredictionError, TipErrors
 from models.predictor.validation import axis_coverage
 
 Array = NDArray[np.float64]
 
-
+CLOSE_M: Final = 0.010
+"""Settling band around the rest position (the task's ±10 mm)."""
+REST_FRACTION: Final = 0.2
+"""Final fraction of a move's rows whose mean is the rest position [assumed]."""
 NO_ERRORS: Final = TipErrors(
     n=0, mean_euclidean_distance_m=None, rms_m=None, p95_m=None, max_m=None,
     interval_coverage=None, interval_coverage_least=None, in_range_fraction=None,
@@ -58,8 +65,8 @@ def prediction_error(
 ) -> PredictionError:
     """Distance between predicted and true tip over all ticks with a fresh measurement.
 
-    With `programme`, the durations of the parts that the run repeats, the error is also given for
-    each part, and for the controlled stop.
+    With `programme`, the durations of the parts that the run repeats, it also returns the error of
+    each part and of the controlled stop.
     """
     error_m = predicted_tip_m(records) - true_tip_m(records, truth)
     fresh = np.asarray(np.isfinite(error_m).all(axis=1))
@@ -93,3 +100,65 @@ def _errors(records: NDArray[np.void], error_m: Array, rows: NDArray[np.bool_]) 
         interval_coverage_least=coverage.least,
         in_range_fraction=float(records["in_range"].astype(bool)[rows].mean()),
     )
+
+
+def tip_of_runs_m(records: NDArray[np.void], truth: Truth, plan: TipPlan) -> Array:
+    """True tip at each row of a plan for every complete run, shape (runs, n, dof).
+
+    Rows without a fresh measurement are NaN.
+    """
+    tip = true_tip_m(records, truth)[:, : plan.dof]
+    slot = records["tick"].astype(np.int64)
+    counts = (slot >= 0) & (records["state"] < SafetyState.STOPPING)
+    runs = int(slot[counts].max() + 1) // plan.rows if counts.any() else 0
+    table = np.full((runs * plan.rows, plan.dof), np.nan)
+    inside = counts & (slot < len(table))
+    table[slot[inside]] = tip[inside]
+    return table.reshape(runs, plan.rows, plan.dof)
+
+
+def path_errors(runs_m: Array, plan: TipPlan) -> tuple[PathError, ...]:
+    """Distance of the tip from the path for each run of a plan, by `tip_of_runs_m`."""
+    desired, errors = plan.desired_tip_m(), []
+    for tip in runs_m:
+        away = np.linalg.norm(tip - desired, axis=1)
+        fresh = np.isfinite(away)
+        on_path = fresh & (np.arange(plan.rows) >= plan.start_row)
+        on_path &= np.arange(plan.rows) < plan.end_row
+        if on_path.any():
+            errors.append(
+                PathError(
+                    rms_m=_rms(away[fresh]),
+                    max_m=float(away[fresh].max()),
+                    path_rms_m=_rms(away[on_path]),
+                    rows=int(fresh.sum()),
+                )
+            )
+    return tuple(errors)
+
+
+def move_figures(tip_m: Array, plan: TipPlan) -> tuple[MoveFigures, ...]:
+    """Settling time and residual vibration of the tip after each move in one run of a plan.
+
+    `tip_m` is the true tip at each row, shape (n, dof), NaN where it was not measured.
+    """
+    figures = []
+    for first, over, after in plan.moves:
+        tip = tip_m[first:after]
+        rest = np.nanmean(tip[-max(1, round(REST_FRACTION * len(tip))) :], axis=0)
+        away = np.linalg.norm(tip - rest, axis=1)
+        outside = np.flatnonzero(np.nan_to_num(away) > CLOSE_M)
+        swing = tip[over - first :]
+        figures.append(
+            MoveFigures(
+                settling_s=plan.period_s * (int(outside.max()) + 1 if len(outside) else 0),
+                swing_m=0.5 * float(np.max(np.nanmax(swing, axis=0) - np.nanmin(swing, axis=0))),
+                offset_m=float(np.linalg.norm(rest - plan.desired_tip_m()[after - 1])),
+                command_s=plan.period_s * (over - first),
+            )
+        )
+    return tuple(figures)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
