@@ -22,7 +22,7 @@ from firmware_py.system.clock import RealTimeOptions, real_time
 from hil.arguments import add_line_arguments, complete_from_link
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import parse_rates
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 
 SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)
 """Scheduling of a robot's loop by default, which suffices: a loop that waits for a reply sleeps.

@@ -15,8 +15,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.link.link_description import STUDY_LINK
 from hil.emulator.emulator import EmulatorSpecification
-from hil.emulator.physics import RigSource
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import RigSource, build_twin
 from hil.sil.real_time_run import run_in_real_time
 from hil.sil.sil_loop import SilResult
 from hil.sil.sil_options import SilOptions, sil_config

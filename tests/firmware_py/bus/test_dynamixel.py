@@ -20,6 +20,7 @@ from tests.firmware_py.bus.tampered import (
     make,
     paced,
     read,
+    with_error,
 )
 
 
@@ -47,14 +48,7 @@ def test_arrays_are_overwritten_in_place(pair):
 def test_a_servo_that_refuses_is_told_from_one_that_is_silent():
     bus, transport, clock = make(LEGACY)
     bus.connect()
-
-    def refuse(data):
-        frame = list(data)
-        frame[8] = 7
-        crc = transport._packets.updateCRC(0, frame, len(frame) - 2)
-        return bytes([*frame[:-2], crc & 0xFF, crc >> 8])
-
-    transport.tamper = refuse
+    transport.tamper = lambda data: with_error(data, 7)
     assert read(bus, clock) is BusStatus.REFUSED
     assert not BusStatus.REFUSED.fresh
 

@@ -6,9 +6,8 @@ import pytest
 
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.registers import Register
-from firmware_py.bus.servo_models import MODELS
-from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
-from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.bus.servo_models import MODELS, ServoGains
+from firmware_py.bus.servo_setup import AssumedSettings, ServoSetup
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig, check_config
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock

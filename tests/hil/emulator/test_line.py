@@ -11,16 +11,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.bus import codec
 from firmware_py.bus.bus_plan import plans
+from firmware_py.bus.codec import BROADCAST, Instruction, PacketSearch
 from firmware_py.bus.dynamixel import DynamixelBus
-from firmware_py.bus.register_access import SETUP_TIMEOUT_NS
+from firmware_py.bus.port import SETUP_TIMEOUT_NS
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
 from firmware_py.bus.transport import SocketTransport
 from firmware_py.system.clock import DeadlineClock, SimClock
-from hil.emulator import packets
 from hil.emulator.line import (
     USB_PACKET_BYTES,
     Line,
@@ -30,7 +31,6 @@ from hil.emulator.line import (
     socket_endpoint,
 )
 from hil.emulator.line_faults import FaultPlan, parse_rates
-from hil.emulator.packets import BROADCAST, Instruction, PacketParser
 
 MS = 1_000_000
 
@@ -48,16 +48,16 @@ def test_every_plan_takes_the_transmission_time_that_was_calculated(bus_of, baud
     for plan in plans(MODELS[54025].table, servos, baud):
         line, block = Line(bus_of(54025, ids, baud=baud), latency_s=0.0), plan.block
         answers = line.receive(
-            0, packets.sync_read_packet(ids, block.address, block.size, fast=plan.fast)
+            0, codec.build_sync_read(ids, block.address, block.size, fast=plan.fast)
         )
         assert sum(len(data) for _, data in answers) == plan.answer_bytes
         assert answers[-1][0] * 1e-9 == pytest.approx(plan.read_s, rel=1e-4)
-        line.receive(answers[-1][0], packets.sync_write_packet(564, {i: bytes(4) for i in ids}))
+        line.receive(answers[-1][0], codec.build_sync_write(564, {i: bytes(4) for i in ids}))
         assert line._free_ns * 1e-9 == pytest.approx(plan.total_s, rel=1e-4)
 
 
 def test_the_latency_timer_hands_bytes_over_at_its_ticks(bus_of):
-    ping = packets.encode_packet(1, Instruction.PING)
+    ping = codec.build(1, Instruction.PING)
     prompt = Line(bus_of(), latency_s=0.0).receive(0, ping)
     timed = Line(bus_of(), latency_s=16e-3).receive(0, ping)
     assert timed == [(16 * MS, prompt[0][1])]
@@ -65,12 +65,12 @@ def test_the_latency_timer_hands_bytes_over_at_its_ticks(bus_of):
 
 
 def test_a_full_adapter_does_not_wait_for_its_timer(bus_of):
-    answers = Line(bus_of(), latency_s=16e-3).receive(0, packets.read_packet(1, 0, 100))
+    answers = Line(bus_of(), latency_s=16e-3).receive(0, codec.build_read(1, 0, 100))
     assert len(answers[0][1]) == USB_PACKET_BYTES
     # Instruction 14 bytes, return delay, 62 bytes, at 10 µs each.
     assert answers[0][0] == (14 + 62) * 10_000 + 500_000
     assert answers[1][0] == answers[0][0] + 16 * MS, "the timer starts anew"
-    [status] = PacketParser().feed(b"".join(data for _, data in answers))
+    [status] = PacketSearch(host=False).feed(b"".join(data for _, data in answers))
     assert len(status.parameters) == 101
 
 
@@ -80,7 +80,7 @@ def test_no_answer_is_readable_before_it_was_transmitted(bus_of, gaps, latency):
     now = 0
     for gap in gaps:
         now += gap
-        [(release_ns, data)] = line.receive(now, packets.read_packet(1, 126, 10))
+        [(release_ns, data)] = line.receive(now, codec.build_read(1, 126, 10))
         earliest = now + (14 + len(data)) * 10_000 + 500_000
         assert earliest <= release_ns <= earliest + latency * 1e9
         now = release_ns
@@ -285,7 +285,7 @@ def test_a_late_answer_to_a_write_is_not_taken_for_data(bus_of):
 
 def test_fault_rates_are_met():
     plan = FaultPlan({"lost": 0.2, "late": 0.1}, seed=5)
-    frame = packets.status_packet(1, 0, bytes(10))
+    frame = codec.build_status(1, 0, bytes(10))
     results = [plan.apply(frame) for _ in range(5000)]
     lost = sum(r == [] for r in results)
     late = sum(len(r) == 1 and r[0][0] > 0 for r in results)
@@ -371,5 +371,5 @@ def test_our_bus_drives_the_socket(bus_of, tmp_path):
 
 def test_a_broadcast_reaches_everyone_and_is_not_answered(bus_of):
     line = Line(bus_of(54025, (1, 2)))
-    assert line.receive(0, packets.write_packet(BROADCAST, 512, b"\x01")) == []
+    assert line.receive(0, codec.build_write(BROADCAST, 512, b"\x01")) == []
     assert [s.torque_on for s in line.bus.servos] == [True, True]

@@ -30,7 +30,7 @@ from firmware_py.system.timing import Cause
 from fmu.fmu_builder import build_fmu
 from hil.commands.sil import describe_sil
 from hil.emulator.emulator import Truth
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.prediction_error import prediction_error, true_tip_m
 from hil.sil.sil_loop import LOG_NAME

@@ -11,7 +11,7 @@ from firmware_py.commands.replay import compare
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import read_recording
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.sil import SilOptions, run_sil
 from hil.sil.sil_loop import LOG_NAME
 from models.plant.plant import NOMINAL

@@ -21,7 +21,7 @@ from firmware_py.log.recording import read_recording
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.limits import Limits
 from hil.commands.sil import describe_sil
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from models.plan.learning import improve_plan, read_plan_run

@@ -15,7 +15,7 @@ from firmware_py.inference.manifest import MANIFEST
 from firmware_py.log.recording import read_recording
 from firmware_py.safety.limits import Limits
 from firmware_py.safety.states import SafetyState
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.sil import SilOptions, run_sil, write_results
 from hil.sil.sil_loop import LOG_NAME
 from models.plan.learning import read_plan_run
