@@ -12,7 +12,6 @@ from tests.firmware_py.bus.tampered import (
     LEGACY,
     MARGIN_NS,
     PRO_A,
-    XM,
     cut,
     drop_second,
     flip_payload,
@@ -176,14 +175,6 @@ def test_a_servo_that_does_not_drive_says_so_in_the_next_read(register, raw, num
     transport.put(joint, register, raw)
     assert (read(bus, clock), bus.alert) == (BusStatus.ALERT, bits)
     assert len(transport.written[-1]) == len(transport.written[-2]), "nothing was asked besides"
-
-
-def test_a_servo_whose_block_lacks_its_torque_is_not_asked_for_it():
-    bus, transport, clock = make(XM)
-    bus.connect()
-    bus.torque(True)
-    transport.put(1, Register.TORQUE_ENABLE, 0)
-    assert (read(bus, clock), bus.plan.indirect) == (BusStatus.OK, False)
 
 
 def test_a_torque_that_was_never_switched_on_is_no_alert(pair):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+import tomllib
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -11,8 +14,8 @@ from hypothesis import strategies as st
 from firmware_py.bus import codec
 from firmware_py.bus.codec import ALERT, BROADCAST, Instruction, PacketSearch, StatusError
 from firmware_py.bus.registers import Register
-from firmware_py.bus.servo_models import MODELS
-from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
+from firmware_py.bus.servo_models import GAINS, MODELS, model_named
+from hil.emulator.emulated_servo import EmulatedServo
 
 LEGACY, PRO_A, X = 54024, 54025, 1020
 MS = 1_000_000
@@ -43,18 +46,16 @@ def read(bus, register, now_ns=0, servo=0):
     return cell.decode(data)
 
 
-@pytest.mark.parametrize("number", sorted(MODELS))
-def test_ping_tells_the_model(bus_of, number):
-    bus = bus_of(number)
-    [(servo_id, error, data)] = ask(bus, codec.build(1, Instruction.PING))
-    assert (servo_id, error) == (1, 0)
-    assert int.from_bytes(data[:2], "little") == number == read(bus, Register.MODEL_NUMBER)
-
-
-def test_everyone_answers_a_broadcast_ping_and_nobody_a_stranger(bus_of):
-    bus = bus_of(ids=(3, 7))
-    assert [a[0] for a in ask(bus, codec.build(BROADCAST, Instruction.PING))] == [3, 7]
+def test_everyone_answers_a_broadcast_and_nobody_another_id(bus_of):
+    bus = bus_of(X, ids=(3, 7))
+    answers = ask(bus, codec.build(BROADCAST, Instruction.PING))
+    assert [(id_, int.from_bytes(data[:2], "little")) for id_, _, data in answers] == [
+        (3, X),
+        (7, X),
+    ]
     assert ask(bus, codec.build(5, Instruction.PING)) == []
+    assert ask(bus, codec.build_write(BROADCAST, 64, b"\x01")) == []
+    assert [servo.torque_on for servo in bus.servos] == [True, True]
 
 
 @pytest.mark.parametrize("number", [LEGACY, PRO_A, X])
@@ -125,13 +126,23 @@ def test_eeprom_is_locked_while_torque_is_on(bus_of):
     assert write(bus, Register.RETURN_DELAY, 0) == StatusError.ACCESS
     write(bus, Register.TORQUE_ENABLE, 0)
     assert write(bus, Register.RETURN_DELAY, 0) == StatusError.NONE
-    assert bus.servos[0].return_delay_ns == 0
+    assert write(bus, Register.BAUD_RATE, 5) == StatusError.NONE
+    assert (bus.servos[0].return_delay_ns, bus.servos[0].baud) == (0, 3_000_000)
 
 
 def test_limits_do_not_bind_in_extended_mode(bus_of):
     bus = bus_of(PRO_A)
     write(bus, Register.OPERATING_MODE, 4)
     assert write(bus, Register.GOAL_POSITION, 10_000_000) == StatusError.NONE
+
+
+def test_a_servo_starts_with_the_gains_that_robot_toml_suggests():
+    text = (Path(__file__).resolve().parents[3] / "robot.toml").read_text(encoding="utf-8")
+    gains = tomllib.loads(re.search(r"^# (gains = .*)", text, re.MULTILINE)[1])["gains"]
+    servo = EmulatedServo(model_named(tomllib.loads(text)["servos"][0]["model"]))
+    servo.put(Register.POSITION_P_GAIN, 1)
+    servo.reboot()
+    assert {name: servo.get(GAINS[name]) for name in gains} == gains
 
 
 @pytest.mark.parametrize(
@@ -259,13 +270,6 @@ def test_homing_offset_shifts_position_and_goal_alike(bus_of):
     write(bus, Register.GOAL_POSITION, 1000, 20 * MS)
     bus.advance(1000 * MS)
     assert bus.physics.angle_rad[0] == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize(("code", "baud"), BAUD_OF_CODE.items())
-def test_the_baud_register_sets_the_rate(bus_of, code, baud):
-    bus = bus_of()
-    write(bus, Register.BAUD_RATE, code)
-    assert bus.servos[0].baud == baud
 
 
 # --- fast sync read, indirect addresses -----------------------------------------------------------
