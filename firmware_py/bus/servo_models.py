@@ -177,7 +177,15 @@ class _Servos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def read_models(toml: bytes | str) -> dict[int, Model]:
     """Read servo models in the form of `servos.toml`, by model number."""
-    servos = msgspec.toml.decode(toml, type=_Servos)
+    try:
+        return _models(msgspec.toml.decode(toml, type=_Servos))
+    except KeyError as error:
+        raise InputError("servos.toml", f"has no table {error}", "correct the name") from error
+    except ValueError as error:
+        raise InputError("servos.toml", f"cannot be read ({error})", "correct it") from error
+
+
+def _models(servos: _Servos) -> dict[int, Model]:
     tables: dict[str, ControlTable] = {}
     for name, family in servos.families.items():
         cells = {Register(each): _cell(*row) for each, row in family.registers.items()}

@@ -64,6 +64,11 @@ class Line:
         self._free_ns = 0
         self._search = PacketSearch(host=False)
 
+    def resume(self, now_ns: int) -> None:
+        """Begin with another program at `now_ns`: what the last one left unfinished is dropped."""
+        self._search.pending = b""
+        self.bus.resume(now_ns)
+
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """Transmit bytes of the host and the replies to them.
 
@@ -205,7 +210,7 @@ def serve_line(
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0
-    line.bus.resume(time.monotonic_ns())
+    line.resume(time.monotonic_ns())
     while True:
         now_ns = time.monotonic_ns()
         if pending and pending[0][0] <= now_ns:

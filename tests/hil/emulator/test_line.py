@@ -185,37 +185,9 @@ class Scripted(FaultPlan):
 FATES = {
     "lost": lambda frame: [],
     "damaged": lambda frame: [(0, frame[:-1] + bytes([frame[-1] ^ 1]))],
-    "cut": lambda frame: [(0, frame[:-3])],
     "late": lambda frame: [(5 * MS, frame)],
-    "late by a period": lambda frame: [(17 * MS, frame)],
     "good": lambda frame: [(0, frame)],
 }
-
-
-@pytest.mark.parametrize("kind", ["lost", "damaged", "cut", "late", "late by a period"])
-@pytest.mark.parametrize("number", [54024, 54025])
-def test_one_answer_that_is_lost_or_spoilt_costs_no_data_and_little_time(bus_of, number, kind):
-    clock = SimClock()
-    emulated = bus_of(number, (1, 2))
-    line = Line(emulated)
-    bus = bus_on(VirtualTransport(line, clock), clock, number)
-    bus.connect()
-    clock.sleep_until(10**9)
-    bus.torque(True)
-    goal_rad = np.zeros(2)
-    for tick in range(1, 41):
-        clock.sleep_until(10**9 + 17 * MS * tick)
-        line.faults = Scripted(FATES[kind]) if tick % 5 == 2 else FaultPlan()
-        start_ns = clock.now_ns()
-        status = bus.read(start_ns + 8 * MS)
-        measured_rad = [
-            s.model.angle_rad(s.get(Register.PRESENT_POSITION)) for s in emulated.servos
-        ]
-        assert bus.angle_rad.tolist() == measured_rad, "by the read just made"
-        goal_rad += 0.01
-        bus.write(goal_rad, start_ns + 17 * MS)
-        assert status == (BusStatus.RETRIED if tick % 5 == 2 else BusStatus.OK)
-        assert clock.now_ns() - start_ns <= 8 * MS
 
 
 def test_what_the_first_read_brought_serves_where_the_second_brings_nothing(bus_of):
