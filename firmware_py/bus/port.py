@@ -80,7 +80,7 @@ class DeadlinePort:
         that is damaged, or incomplete at the deadline. Only with OK there is a packet.
         """
         search = self._search
-        read_once = bool(search.pending)
+        read_once = bool(search.pending)  # bytes that came with the last packet count as a read
         while (packet := search.next(common=common)) is None:
             if read_once and self._is_over():
                 status = BusStatus.CORRUPT if search.pending else BusStatus.TIMEOUT
