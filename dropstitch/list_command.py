@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any, Final
 
+from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.console import DONE, emit
 
@@ -64,6 +65,7 @@ def _servos() -> Rows:
             "number": model.number,
             "pulses_per_turn": model.pulses_per_turn,
             "current_ma_per_lsb": round(1e3 * model.current_a_per_lsb, 3),
+            "bus_watchdog": "yes" if Register.BUS_WATCHDOG in model.table else "no",
         }
         for model in MODELS.values()
     }

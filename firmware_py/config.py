@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from firmware_py.bus import bus_plan
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import RETURN_DELAY_STEP_S, Register
-from firmware_py.bus.servo_models import model_named
-from firmware_py.bus.servo_settings import AssumedSettings, ServoGains
-from firmware_py.bus.servo_setup import ServoSetup, check_assumed, check_ids
+from firmware_py.bus.servo_models import ServoGains, model_named
+from firmware_py.bus.servo_setup import AssumedSettings, ServoSetup, check_assumed, check_ids
 from firmware_py.bus.transport import BAUD_RATES
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml

@@ -33,7 +33,7 @@ import msgspec
 from firmware_py import __version__
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.servo_bus import ServoBus
-from firmware_py.bus.servo_settings import GAINS, ServoGains
+from firmware_py.bus.servo_models import GAINS, ServoGains
 from firmware_py.bus.transport import Transport, open_transport
 from firmware_py.config import RobotConfig, check_config
 from firmware_py.core.errors import InputError

@@ -35,7 +35,7 @@ goals and the next read in one burst
 
 `DynamixelBus.connect` tries the plans in order and uses the fastest that the servos answer.
 
-A read that fails is retried in the same tick (`firmware_py.bus.feedback`). With 2 % of the answers
+A read that fails is retried in the same tick (`firmware_py.bus.exchange`). With 2 % of the answers
 of two servos lost or damaged, three consecutive ticks without data, which stop the robot, occur
 every 15,000 ticks without a retry and every 10^9 ticks with it. The first attempt ends early enough
 to leave the retry the time that an exchange took at start-up; if both do not fit, the first attempt
@@ -47,14 +47,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from firmware_py.bus.codec import STATUS_OVERHEAD
 from firmware_py.bus.registers import Block, ControlTable
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import BAUD_RATE, DURATION
 
 BITS_PER_BYTE: Final = 10
 """Eight data bits between start and stop bit."""
-STATUS_OVERHEAD: Final = 11
-"""Bytes of a status packet around its data: header, id, length, instruction, error, CRC."""
 FACTORY_RETURN_DELAY_S: Final = 500e-6
 RESERVE_NS: Final = 2_000_000
 """Part of a slot that is reserved for the rest of the tick."""

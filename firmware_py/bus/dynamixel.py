@@ -1,4 +1,4 @@
-"""Bus of Dynamixel servos, driven through the official SDK."""
+"""Bus of DYNAMIXEL servos: connecting, reading and writing in the loop, torque, replugging."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import FACTORY_RETURN_DELAY_S, Plan, plain, plans
-from firmware_py.bus.feedback import FeedbackReader
-from firmware_py.bus.goal_writer import GoalWriter
-from firmware_py.bus.port import DeadlinePort, PacketHandler
-from firmware_py.bus.register_access import SETUP_ATTEMPTS, SETUP_TIMEOUT_NS, RegisterAccess
+from firmware_py.bus.exchange import FeedbackReader, GoalWriter
+from firmware_py.bus.port import (
+    SETUP_ATTEMPTS,
+    SETUP_TIMEOUT_NS,
+    DeadlinePort,
+    RegisterAccess,
+)
 from firmware_py.bus.registers import (
     MOST_WATCHDOG_STEPS,
     WATCHDOG_STEP_S,
@@ -73,13 +76,12 @@ class DynamixelBus:
         self.alert = 0
         self.firmware_versions: tuple[int, ...] = ()
         self._servos, self._clock = tuple(servos), clock
-        self._port = DeadlinePort(transport, clock, name, baud)
-        self._packets = PacketHandler()
-        self._registers = RegisterAccess(self._port, self._packets, clock)
+        self._port = DeadlinePort(transport, clock)
+        self._registers = RegisterAccess(self._port, clock)
         self._models = {servo.id: servo.model for servo in servos}
         self._table = servos[0].model.table
         self._preparation = ServoPreparation(self._registers, name, return_delay_s)
-        self._goals = GoalWriter(self._port, self._packets, self._models)
+        self._goals = GoalWriter(self._port, self._models)
         self._watchdog = 0
         if Register.BUS_WATCHDOG in self._table:
             self._watchdog = watchdog_steps(period_s)
@@ -115,13 +117,12 @@ class DynamixelBus:
                 return BusStatus.ALERT
             return status
         except OSError:
-            self._port.is_using = False
             return BusStatus.PORT_GONE
 
     def _note_alert(self) -> None:
         """Read the cause of an alert once, within the deadline of the read."""
         if self._feedback.alert and self.alert == 0:
-            self.alert = self._hardware_errors(self._registers.ask)
+            self.alert = self._hardware_errors(self._registers.read_once)
         if self._driving:
             self.alert |= self._feedback.standing
 
@@ -138,7 +139,6 @@ class DynamixelBus:
         try:
             return self._goals.put(goal_rad)
         except OSError:
-            self._port.is_using = False
             return BusStatus.PORT_GONE
 
     # Around the loop ---------------------------------------------------------------------------
@@ -165,7 +165,7 @@ class DynamixelBus:
     def _follow(self, plan: Plan) -> None:
         """Use a plan for all further reads."""
         self.plan = plan
-        self._feedback = FeedbackReader(self._port, self._packets, self._clock, self._models, plan)
+        self._feedback = FeedbackReader(self._port, self._clock, self._models, plan)
 
     def _choose_plan(self) -> BusStatus:
         """Use the fastest plan that the servos answer; return the status of the last attempt."""
@@ -237,7 +237,7 @@ class DynamixelBus:
         if self._opener is None:
             return False
         with contextlib.suppress(OSError):
-            self._port.closePort()
+            self._port.close()
         try:
             self._port.replace(self._opener())
         except InputError:
@@ -250,7 +250,7 @@ class DynamixelBus:
             if self._driven:
                 self.torque(False)
         with contextlib.suppress(OSError):
-            self._port.closePort()
+            self._port.close()
 
 
 def watchdog_steps(period_s: float, where: Path | str = "robot") -> int:

@@ -1,7 +1,7 @@
 """Servos in memory without physics: they answer at once and are always at their goal.
 
-They serve to measure the computing time of a tick, the SDK's packets included: their own work is
-done while the port waits for an answer.
+They serve to measure the computing time of a tick, packets included: their own work is done while
+the port waits for an answer.
 """
 
 from __future__ import annotations
@@ -9,16 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from dynamixel_sdk.robotis_def import BROADCAST_ID
-
-from firmware_py.bus.port import PacketHandler
+from firmware_py.bus import codec
+from firmware_py.bus.codec import BROADCAST, Instruction, Packet, PacketSearch, word
 from firmware_py.bus.registers import ANSWERS_ALL, POSITION_MODE, Register
 from firmware_py.bus.servo_models import Model
 
-_HEADER: Final = [0xFF, 0xFF, 0xFD, 0x00]
-_PING, _READ, _WRITE, _SYNC_READ, _SYNC_WRITE, _STATUS = 0x01, 0x02, 0x03, 0x82, 0x83, 0x55
-_FAST_SYNC_READ: Final = 0x8A
-_LENGTH_END: Final = 7
 _MEMORY_BYTES: Final = 1024
 
 
@@ -27,9 +22,8 @@ class LoopbackTransport:
 
     def __init__(self, models: Mapping[int, Model]) -> None:
         self._models = models
-        self._packets = PacketHandler()
-        self._pending = b""
-        self._answers = b""
+        self._search = PacketSearch(host=False)
+        self._sent = self._answers = b""
         self.memory = {id_: bytearray(_MEMORY_BYTES) for id_ in models}
         for id_, model in models.items():
             half_turn = model.pulses_per_turn // 2
@@ -54,17 +48,14 @@ class LoopbackTransport:
 
     def write(self, data: bytes) -> int:
         """Accept an instruction, which the next `read` executes."""
-        self._pending += data
+        self._sent += data
         return len(data)
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         """Execute the instructions written so far and return the answers."""
-        while len(self._pending) > _LENGTH_END:
-            end = _LENGTH_END + int.from_bytes(
-                self._pending[_LENGTH_END - 2 : _LENGTH_END], "little"
-            )
-            packet, self._pending = self._pending[:end], self._pending[end:]
-            self._execute(list(self._packets.removeStuffing(packet)))
+        sent, self._sent = self._sent, b""
+        for packet in self._search.feed(sent):
+            self._execute(packet)
         data, self._answers = self._answers[:size], self._answers[size:]
         return data
 
@@ -76,60 +67,49 @@ class LoopbackTransport:
     def close(self) -> None:
         """Do nothing."""
 
-    def _execute(self, packet: list[int]) -> None:
-        id_, instruction, parameters = packet[4], packet[7], packet[8:-2]
-        if id_ not in self.memory and id_ != BROADCAST_ID:
+    def _execute(self, packet: Packet) -> None:
+        id_, instruction, parameters, _ = packet
+        if id_ not in self.memory and id_ != BROADCAST:
             return
-        if instruction == _PING:
-            self._answer(id_, [*self._load(id_, 0, 2), self.get(id_, Register.FIRMWARE_VERSION)])
+        if instruction == Instruction.PING:
+            version = self.get(id_, Register.FIRMWARE_VERSION)
+            self._answer(id_, self._load(id_, 0, 2) + bytes((version,)))
             return
-        address = parameters[0] | parameters[1] << 8
-        if instruction == _WRITE:
+        address = word(parameters, 0)
+        if instruction == Instruction.WRITE:
             self._store(id_, address, parameters[2:])
-            self._answer(id_, [])
+            self._answer(id_, b"")
             return
-        size = parameters[2] | parameters[3] << 8
-        if instruction == _READ:
+        size, rest = word(parameters, 2), parameters[4:]
+        if instruction == Instruction.READ:
             self._answer(id_, self._load(id_, address, size))
-        elif instruction == _SYNC_READ:
-            for each in parameters[4:]:
+        elif instruction == Instruction.SYNC_READ:
+            for each in rest:
                 self._answer(each, self._load(each, address, size))
-        elif instruction == _FAST_SYNC_READ:
-            self._answer_together(parameters[4:], address, size)
-        elif instruction == _SYNC_WRITE:
-            for start in range(4, len(parameters), size + 1):
-                self._store(parameters[start], address, parameters[start + 1 : start + 1 + size])
+        elif instruction == Instruction.FAST_SYNC_READ:
+            if all(
+                each in self._models and self._models[each].table.fast_sync_read for each in rest
+            ):
+                blocks = [(each, 0, self._load(each, address, size)) for each in rest]
+                self._answers += codec.build_fast_status(len(blocks), blocks)
+        elif instruction == Instruction.SYNC_WRITE:
+            for start in range(0, len(rest), size + 1):
+                self._store(rest[start], address, rest[start + 1 : start + 1 + size])
 
-    def _load(self, id_: int, address: int, size: int) -> list[int]:
+    def _load(self, id_: int, address: int, size: int) -> bytes:
         """Read bytes, directly or through the indirect addresses."""
         memory, indirect = self.memory[id_], self._models[id_].table.indirect
-        data = []
+        data = bytearray()
         for each in range(address, address + size):
             entry = indirect.entry_of(each)
-            behind = 0 if entry is None else memory[entry] | memory[entry + 1] << 8
+            behind = 0 if entry is None else word(memory, entry)
             data.append(memory[behind or each])
-        return data
+        return bytes(data)
 
-    def _store(self, id_: int, address: int, data: list[int]) -> None:
-        self.memory[id_][address : address + len(data)] = bytes(data)
+    def _store(self, id_: int, address: int, data: bytes) -> None:
+        self.memory[id_][address : address + len(data)] = data
         if address == self._models[id_].table[Register.GOAL_POSITION].address:
             self.put(id_, Register.PRESENT_POSITION, self.get(id_, Register.GOAL_POSITION))
 
-    def _answer(self, id_: int, data: list[int]) -> None:
-        length = len(data) + 4
-        packet = [*_HEADER, id_, length & 0xFF, length >> 8, _STATUS, 0, *data, 0, 0]
-        packet = self._packets.addStuffing(packet)
-        crc = self._packets.updateCRC(0, packet, len(packet) - 2)
-        packet[-2:] = (crc & 0xFF, crc >> 8)
-        self._answers += bytes(packet)
-
-    def _answer_together(self, ids: list[int], address: int, size: int) -> None:
-        if not all(id_ in self._models and self._models[id_].table.fast_sync_read for id_ in ids):
-            return
-        length = 1 + len(ids) * (size + 4)
-        packet = [*_HEADER, BROADCAST_ID, length & 0xFF, length >> 8, _STATUS]
-        for id_ in ids:
-            packet += [0, id_, *self._load(id_, address, size)]
-            crc = self._packets.updateCRC(0, packet, len(packet))
-            packet += [crc & 0xFF, crc >> 8]
-        self._answers += bytes(packet)
+    def _answer(self, id_: int, data: bytes) -> None:
+        self._answers += codec.build_status(id_, 0, data)

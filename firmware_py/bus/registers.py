@@ -1,9 +1,6 @@
-"""Control tables of the servo families: registers, addresses and sizes as data.
+"""Control tables: the registers of a servo family, their place and format, and what values mean.
 
-The name "PRO" covers two incompatible tables: the legacy `-R` models and the later `-R(A)` and P
-models. A servo is therefore identified by its model number (`firmware_py.bus.servo_models`), never
-by its name. Addresses: docs/sources.md, "Control tables"; the tables of ROBOTIS'
-dynamixel-workbench agree.
+The tables themselves are data (`servos.toml`, read by `firmware_py.bus.servo_models`).
 """
 
 from __future__ import annotations
@@ -61,7 +58,7 @@ class RegisterField(NamedTuple):
     signed: bool = False  # Whether the value is signed
     writable: bool = True  # Whether a program may write it
 
-    def decode(self, data: bytes | bytearray | list[int], offset: int = 0) -> int:
+    def decode(self, data: bytes | bytearray, offset: int = 0) -> int:
         return int.from_bytes(data[offset : offset + self.size], "little", signed=self.signed)
 
     def encode(self, raw: int) -> bytes:
@@ -71,12 +68,11 @@ class RegisterField(NamedTuple):
             raise ValueError(f"{raw} does not fit a register of {self.size} bytes") from None
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """Contiguous span of registers, fetched by one read."""
 
-    address: int  # Address of the first byte
-    size: int  # Number of bytes
+    address: int
+    size: int
     offsets: Mapping[Register, int]
 
 
@@ -95,16 +91,12 @@ class Indirect(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlTable:
-    """Registers of one family of servos."""
+    """Registers of one family of servos; the fields are explained in `servos.toml`."""
 
-    name: str  # Family, as the e-Manual groups it
-    # Registers of the family; it has no others
-    cells: Mapping[Register, RegisterField]
-    # First address of the RAM area; below it is EEPROM, which is locked while torque is on
+    name: str
+    cells: Mapping[Register, RegisterField]  # The family has no others
     ram_start: int
     indirect: Indirect
-    # Whether some firmware answers a fast sync read. ROBOTIS publishes the first such version for
-    # some models only, so `DynamixelBus.connect` tries it.
     fast_sync_read: bool
 
     def __getitem__(self, register: Register) -> RegisterField:
@@ -145,116 +137,6 @@ class ControlTable:
 _MEASURED: Final = (Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
 _WATCHED: Final = (Register.TORQUE_ENABLE, Register.BUS_WATCHDOG)
 
-
-def _table(
-    name: str,
-    ram_start: int,
-    indirect: Indirect,
-    rows: Mapping[Register, RegisterField | tuple[int, int]],
-    *,
-    fast_sync_read: bool = True,
-) -> ControlTable:
-    cells = {register: RegisterField(*cell) for register, cell in rows.items()}
-    return ControlTable(name, cells, ram_start, indirect, fast_sync_read)
-
-
-def _with_ram_at(
-    ram_start: int, table: ControlTable, name: str, indirect: Indirect
-) -> ControlTable:
-    """Return a table with the registers of another, with the RAM area moved to an address."""
-    shift = ram_start - table.ram_start
-    cells = {
-        register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
-        for register, cell in table.cells.items()
-    }
-    return ControlTable(name, cells, ram_start, indirect, table.fast_sync_read)
-
-
-_SIGNED, _READ_ONLY = True, False
-
-LEGACY_PRO: Final = _table(
-    "legacy PRO",
-    562,
-    Indirect(49, 634, 256),
-    {
-        Register.MODEL_NUMBER: RegisterField(0, 2, False, _READ_ONLY),
-        Register.FIRMWARE_VERSION: RegisterField(6, 1, False, _READ_ONLY),
-        Register.ID: (7, 1),
-        Register.BAUD_RATE: (8, 1),
-        Register.RETURN_DELAY: (9, 1),
-        Register.OPERATING_MODE: (11, 1),
-        Register.HOMING_OFFSET: RegisterField(13, 4, _SIGNED),
-        Register.CURRENT_LIMIT: (30, 2),
-        Register.VELOCITY_LIMIT: (32, 4),
-        Register.MAX_POSITION_LIMIT: RegisterField(36, 4, _SIGNED),
-        Register.MIN_POSITION_LIMIT: RegisterField(40, 4, _SIGNED),
-        Register.SHUTDOWN: (48, 1),
-        Register.TORQUE_ENABLE: (562, 1),
-        Register.VELOCITY_I_GAIN: (586, 2),
-        Register.VELOCITY_P_GAIN: (588, 2),
-        Register.POSITION_P_GAIN: (594, 2),
-        Register.GOAL_POSITION: RegisterField(596, 4, _SIGNED),
-        Register.GOAL_VELOCITY: RegisterField(600, 4, _SIGNED),
-        Register.GOAL_CURRENT: RegisterField(604, 2, _SIGNED),
-        Register.PROFILE_VELOCITY: RegisterField(600, 4, _SIGNED),  # the goal velocity limits it
-        Register.PROFILE_ACCELERATION: (606, 4),  # the e-Manual calls it goal acceleration
-        Register.MOVING: RegisterField(610, 1, False, _READ_ONLY),
-        Register.PRESENT_POSITION: RegisterField(611, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_VELOCITY: RegisterField(615, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_CURRENT: RegisterField(621, 2, _SIGNED, _READ_ONLY),
-        Register.PRESENT_INPUT_VOLTAGE: RegisterField(623, 2, False, _READ_ONLY),
-        Register.PRESENT_TEMPERATURE: RegisterField(625, 1, False, _READ_ONLY),
-        Register.STATUS_RETURN_LEVEL: (891, 1),
-        Register.HARDWARE_ERROR: RegisterField(892, 1, False, _READ_ONLY),
-    },
-    fast_sync_read=False,  # docs/sources.md, "Control tables"
-)
-"""H54 and H42 `-R`: no bus watchdog, and only a proportional position gain."""
-
-PRO_P: Final = _table(
-    "PRO(A) and P",
-    512,
-    Indirect(168, 634, 128),
-    {
-        Register.MODEL_NUMBER: RegisterField(0, 2, False, _READ_ONLY),
-        Register.FIRMWARE_VERSION: RegisterField(6, 1, False, _READ_ONLY),
-        Register.ID: (7, 1),
-        Register.BAUD_RATE: (8, 1),
-        Register.RETURN_DELAY: (9, 1),
-        Register.DRIVE_MODE: (10, 1),
-        Register.OPERATING_MODE: (11, 1),
-        Register.HOMING_OFFSET: RegisterField(20, 4, _SIGNED),
-        Register.CURRENT_LIMIT: (38, 2),
-        Register.VELOCITY_LIMIT: (44, 4),
-        Register.MAX_POSITION_LIMIT: RegisterField(48, 4, _SIGNED),
-        Register.MIN_POSITION_LIMIT: RegisterField(52, 4, _SIGNED),
-        Register.SHUTDOWN: (63, 1),
-        Register.TORQUE_ENABLE: (512, 1),
-        Register.STATUS_RETURN_LEVEL: (516, 1),
-        Register.HARDWARE_ERROR: RegisterField(518, 1, False, _READ_ONLY),
-        Register.VELOCITY_I_GAIN: (524, 2),
-        Register.VELOCITY_P_GAIN: (526, 2),
-        Register.POSITION_D_GAIN: (528, 2),
-        Register.POSITION_I_GAIN: (530, 2),
-        Register.POSITION_P_GAIN: (532, 2),
-        Register.BUS_WATCHDOG: RegisterField(546, 1, _SIGNED),
-        Register.GOAL_CURRENT: RegisterField(550, 2, _SIGNED),
-        Register.GOAL_VELOCITY: RegisterField(552, 4, _SIGNED),
-        Register.PROFILE_ACCELERATION: (556, 4),
-        Register.PROFILE_VELOCITY: (560, 4),
-        Register.GOAL_POSITION: RegisterField(564, 4, _SIGNED),
-        Register.MOVING: RegisterField(570, 1, False, _READ_ONLY),
-        Register.PRESENT_CURRENT: RegisterField(574, 2, _SIGNED, _READ_ONLY),
-        Register.PRESENT_VELOCITY: RegisterField(576, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_POSITION: RegisterField(580, 4, _SIGNED, _READ_ONLY),
-        Register.PRESENT_INPUT_VOLTAGE: RegisterField(592, 2, False, _READ_ONLY),
-        Register.PRESENT_TEMPERATURE: RegisterField(594, 1, False, _READ_ONLY),
-    },
-)
-"""H54 and H42 `-R(A)`, PH54 and PH42."""
-
-X_SERIES: Final = _with_ram_at(64, PRO_P, "X", Indirect(168, 224, 28))
-"""X series (XM430): the table of the P with the RAM area at addresses 448 lower."""
 
 ANSWERS_ALL: Final = 2
 """Status return level at which a servo answers every instruction; below it, writes are not

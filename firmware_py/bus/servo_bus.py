@@ -42,31 +42,19 @@ class BusStatus(IntEnum):
 
 
 class ServoBus(Protocol):
-    """Bus of the servos as the loop uses it, real or in memory.
-
-    Attributes
-    ----------
-    dof : int
-        Number of joints.
-    angle_rad, current_a : ndarray, shape (dof,)
-        The last valid measurement in rad and A, overwritten in place.
-    alert : int
-        Alert bits of all servos, or-ed; see `firmware_py.bus.registers.describe_alert`.
-    late_ns : int
-        Delay of the last measurement after the start of its read in ns, if the retry delivered it;
-        0 if the first attempt did, and after a read that failed.
-    wait_ns : int
-        Total time spent waiting for the servos, in ns.
-    """
+    """Bus of the servos as the loop uses it, real or in memory; times are in ns on its clock."""
 
     dof: int
-    angle_rad: Array
-    current_a: Array
-    alert: int
+    angle_rad: Array  # (dof,), the last valid measurement, overwritten in place
+    current_a: Array  # (dof,), the same
+    alert: int  # Alert bits of all servos, or-ed; see `firmware_py.bus.registers.describe_alert`
 
     @property
     def late_ns(self) -> int:
-        """Delay of the last measurement after the start of its read."""
+        """Delay of the last measurement after the start of its read, if the retry delivered it.
+
+        0 if the first attempt did, and after a read that failed.
+        """
         ...
 
     @property
@@ -75,45 +63,15 @@ class ServoBus(Protocol):
         ...
 
     def connect(self) -> None:
-        """Check and prepare every servo, torque off.
-
-        Raises
-        ------
-        InputError
-            If a servo does not answer, or is not set up for the run.
-        """
+        """Check and prepare every servo, torque off; raises InputError if one is not fit."""
         ...
 
     def read(self, deadline_ns: int) -> BusStatus:
-        """Measure angles and currents.
-
-        Parameters
-        ----------
-        deadline_ns : int
-            End of the wait for the answers, in ns on the clock of the bus.
-
-        Returns
-        -------
-        BusStatus
-            Whether the arrays hold a fresh measurement, or why not.
-        """
+        """Measure angles and currents, waiting for the answers until the deadline at most."""
         ...
 
     def write(self, goal_rad: Array, deadline_ns: int) -> BusStatus:
-        """Send the goals.
-
-        Parameters
-        ----------
-        goal_rad : ndarray, shape (dof,)
-            Goal angles in rad.
-        deadline_ns : int
-            End of the slot, in ns on the clock of the bus.
-
-        Returns
-        -------
-        BusStatus
-            OK if the goals were sent; no servo confirms them.
-        """
+        """Send the goals, shape (dof,), by the end of the slot; OK if sent, no servo confirms."""
         ...
 
     def torque(self, on: bool) -> BusStatus:

@@ -1,25 +1,102 @@
-"""Servo models, and the conversion between raw register values and SI units."""
+"""Servo models as `servos.toml` has them, and the conversion of raw register values to SI units."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from pathlib import Path
+from typing import Final, Literal
 
-from firmware_py.bus.registers import (
-    LEGACY_PRO,
-    PRO_P,
-    X_SERIES,
-    ControlTable,
-    Indirect,
-    Register,
-    RegisterField,
-)
+import msgspec
+
+from firmware_py.bus.registers import ControlTable, Indirect, Register, RegisterField
 from firmware_py.core.errors import InputError
 
-__all__ = ["MODELS", "Model", "model_named"]
+__all__ = [
+    "GAINS",
+    "MODELS",
+    "PRESETS",
+    "Model",
+    "ServoGains",
+    "ServoPreset",
+    "check_servo",
+    "model_named",
+    "read_models",
+]
+
+
+class ServoGains(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Gains with which the plant was identified (`gains` in `[[servos]]`), as register values."""
+
+    position_p: int | None = None  # Register value; None skips the comparison
+    position_i: int | None = None
+    position_d: int | None = None
+    velocity_p: int | None = None
+    velocity_i: int | None = None
+
+    def registers(self) -> dict[Register, int]:
+        given = {register: getattr(self, name) for name, register in GAINS.items()}
+        return {register: raw for register, raw in given.items() if raw is not None}
+
+
+GAINS: Final = {
+    "position_p": Register.POSITION_P_GAIN,
+    "position_i": Register.POSITION_I_GAIN,
+    "position_d": Register.POSITION_D_GAIN,
+    "velocity_p": Register.VELOCITY_P_GAIN,
+    "velocity_i": Register.VELOCITY_I_GAIN,
+}
+"""Register of each gain in `ServoGains`."""
+
+
+class ServoPreset(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Physical properties of a servo, at its output; a link's file may override any of them."""
+
+    gear: float  # Turns of the motor per turn of the output
+    torque_constant_nm_a: float  # Torque at the output per ampere
+    coulomb_friction_nm: float
+    viscous_friction_nm_s_rad: float
+    load_friction: float  # Friction torque per transmitted torque
+    rotor_inertia_kg_m2: float  # Inertia of the rotor, times the gear squared
+    backlash_rad: float  # Play at the output
+    current_limit_a: float  # Largest current
+    speed_limit_rad_s: float  # Speed without load
+    mass_kg: float
+    source: str  # Source of the numbers
+
+    @property
+    def torque_limit_nm(self) -> float:
+        """Torque at the current limit."""
+        return self.torque_constant_nm_a * self.current_limit_a
+
+
+_RANGES: Final = {
+    "gear": (0.1, 5e4, ""),
+    "torque_constant_nm_a": (3e-3, 700.0, "N.m/A"),
+    "coulomb_friction_nm": (0.0, 500.0, "N.m"),
+    "viscous_friction_nm_s_rad": (0.0, 200.0, "N.m.s/rad"),
+    "load_friction": (0.0, 1.0, ""),
+    "rotor_inertia_kg_m2": (1e-5, 90.0, "kg.m2"),
+    "backlash_rad": (0.0, 0.3, "rad"),
+    "current_limit_a": (0.01, 1e3, "A"),
+    "speed_limit_rad_s": (0.03, 1e3, "rad/s"),
+    "mass_kg": (1e-4, 50.0, "kg"),
+}
+"""Bounds and unit of each number: a hundred times below the XL330 and above the H54. They detect a
+wrong unit, or a value for the motor's side of the gear."""
+
+
+def check_servo(servo: ServoPreset, where: Path | str) -> None:
+    """Refuse numbers that are out of range for any servo."""
+    for name, (low, high, unit) in _RANGES.items():
+        value = getattr(servo, name)
+        if not low <= value <= high:
+            raise InputError(
+                where, f"servo.{name} is {value:g} {unit}".rstrip() + f", outside {low:g} to "
+                f"{high:g}", f"give it in {unit}, at the output" if unit else "correct it",
+            )  # fmt: skip
 
 
 def round_half_away(value: float) -> int:
@@ -38,29 +115,15 @@ def round_half_away(value: float) -> int:
 
 @dataclass(frozen=True)
 class Model:
-    """Servo model: control table, and conversion of raw register values to SI units.
+    """Servo model: control table, and conversion of raw register values to SI units."""
 
-    Attributes
-    ----------
-    number : int
-        Value of the register Model Number, which identifies the servo.
-    name : str
-        Name on the type plate.
-    table : ControlTable
-        Registers of the servo's family.
-    pulses_per_turn : int
-        Pulses per turn of the output shaft.
-    zero_pulse : int
-        Raw position at zero angle: 0 for PRO and P, whose positions are signed; 2048 for X.
-    current_a_per_lsb, velocity_rad_s_per_lsb : float
-        Resolution of current in A and velocity in rad/s (docs/sources.md, "Control tables").
-    """
-
-    number: int
-    name: str
-    table: ControlTable
+    number: int  # Value of the register Model Number, which identifies the servo
+    name: str  # Name on the type plate
+    table: ControlTable  # Registers of the servo's family
+    factory: Mapping[Register, int]  # Raw values from the factory
+    preset: ServoPreset
     pulses_per_turn: int
-    zero_pulse: int
+    zero_pulse: int  # Raw position at zero angle: 0 for PRO and P, whose positions are signed
     current_a_per_lsb: float
     velocity_rad_s_per_lsb: float
 
@@ -74,71 +137,98 @@ class Model:
         return (raw - self.zero_pulse) * self.rad_per_pulse
 
     def position_raw(self, angle_rad: float) -> int:
-        """Return the raw position nearest to an angle.
-
-        Parameters
-        ----------
-        angle_rad : float
-            Angle of the output shaft in rad, zero where the link is upright.
-
-        Raises
-        ------
-        ValueError
-            If the angle is not finite or does not fit the register.
-        """
+        """Return the raw position nearest to an angle; ValueError if it does not fit."""
         raw = self.zero_pulse + round_half_away(angle_rad / self.rad_per_pulse)
-        return _checked(raw, self.table[Register.GOAL_POSITION], "angle", angle_rad, "rad")
+        size = self.table[Register.GOAL_POSITION].size
+        limit = 1 << (8 * size - 1)
+        if not -limit <= raw < limit:
+            raise ValueError(f"angle {angle_rad:g} rad does not fit a register of {size} bytes")
+        return raw
 
     def current_a(self, raw: int) -> float:
         """Return the current of a raw value, in A."""
         return raw * self.current_a_per_lsb
 
-    def current_raw(self, current_a: float) -> int:
-        """Return the raw value nearest to a current; raises as `position_raw`."""
-        raw = round_half_away(current_a / self.current_a_per_lsb)
-        return _checked(raw, self.table[Register.PRESENT_CURRENT], "current", current_a, "A")
 
-    def velocity_rad_s(self, raw: int) -> float:
-        """Return the angular velocity of a raw value, in rad/s."""
-        return raw * self.velocity_rad_s_per_lsb
-
-    def velocity_raw(self, velocity_rad_s: float) -> int:
-        """Return the raw value nearest to an angular velocity; raises as `position_raw`."""
-        raw = round_half_away(velocity_rad_s / self.velocity_rad_s_per_lsb)
-        cell = self.table[Register.PRESENT_VELOCITY]
-        return _checked(raw, cell, "velocity", velocity_rad_s, "rad/s")
+class _Family(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    ram_start: int
+    indirect: Indirect
+    fast_sync_read: bool
+    factory: dict[str, int]
+    like: str | None = None
+    registers: dict[str, tuple[int, str, Literal["r", "rw"]]] = {}
 
 
-def _checked(raw: int, cell: RegisterField, what: str, value: float, unit: str) -> int:
-    limit = 1 << (8 * cell.size - 1)
-    if not -limit <= raw < limit:
-        raise ValueError(f"{what} {value:g} {unit} does not fit a register of {cell.size} bytes")
-    return raw
+class _Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    number: int
+    family: str
+    motor: str
+    pulses_per_turn: int
+    zero_pulse: int
+    current_a_per_lsb: float
+    velocity_rpm_per_lsb: float
 
 
-def _rpm(value: float) -> float:
-    return value * 2.0 * math.pi / 60.0
+class _Servos(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    families: dict[str, _Family]
+    models: dict[str, _Row]
+    motors: dict[str, ServoPreset]
 
 
-_H54_LSB_A, _H42_LSB_A = 33.0 / 2048.0, 8.25 / 2048.0
+def read_models(toml: bytes | str) -> dict[int, Model]:
+    """Read servo models in the form of `servos.toml`, by model number."""
+    try:
+        return _models(msgspec.toml.decode(toml, type=_Servos))
+    except KeyError as error:
+        raise InputError("servos.toml", f"has no table {error}", "correct the name") from error
+    except ValueError as error:
+        raise InputError("servos.toml", f"cannot be read ({error})", "correct it") from error
 
-X330: Final = replace(X_SERIES, name="X330", indirect=Indirect(168, 208, 20))
-"""XL330: the table of the X with fewer indirect addresses (docs/sources.md, "Control tables")."""
 
-MODELS: Final[Mapping[int, Model]] = {
-    model.number: model
-    for model in (
-        Model(54024, "H54-200-S500-R", LEGACY_PRO, 501_923, 0, _H54_LSB_A, _rpm(0.00199234)),
-        Model(51200, "H42-20-S300-R", LEGACY_PRO, 303_750, 0, _H42_LSB_A, _rpm(0.00329218)),
-        Model(54025, "H54-200-S500-R(A)", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
-        Model(51201, "H42-20-S300-R(A)", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
-        Model(2020, "PH54-200-S500-R", PRO_P, 1_003_846, 0, 1e-3, _rpm(0.01)),
-        Model(2000, "PH42-020-S300-R", PRO_P, 607_500, 0, 1e-3, _rpm(0.01)),
-        Model(1020, "XM430-W350", X_SERIES, 4096, 2048, 2.69e-3, _rpm(0.229)),
-        Model(1200, "XL330-M288", X330, 4096, 2048, 1e-3, _rpm(0.229)),
-    )
-}
+def _models(servos: _Servos) -> dict[int, Model]:
+    tables: dict[str, ControlTable] = {}
+    for name, family in servos.families.items():
+        cells = {Register(each): _cell(*row) for each, row in family.registers.items()}
+        if family.like is not None:
+            cells = _with_ram_at(family.ram_start, tables[family.like])
+        tables[name] = ControlTable(
+            name, cells, family.ram_start, family.indirect, family.fast_sync_read
+        )
+    return {
+        row.number: Model(
+            number=row.number,
+            name=name,
+            table=tables[row.family],
+            factory={Register(r): raw for r, raw in servos.families[row.family].factory.items()},
+            preset=servos.motors[row.motor],
+            pulses_per_turn=row.pulses_per_turn,
+            zero_pulse=row.zero_pulse,
+            current_a_per_lsb=row.current_a_per_lsb,
+            velocity_rad_s_per_lsb=row.velocity_rpm_per_lsb * 2.0 * math.pi / 60.0,
+        )
+        for name, row in servos.models.items()
+    }
+
+
+def _cell(address: int, kind: str, access: str) -> RegisterField:
+    return RegisterField(address, int(kind[1:]), kind[0] == "i", access == "rw")
+
+
+def _with_ram_at(ram_start: int, table: ControlTable) -> dict[Register, RegisterField]:
+    """Return the registers of a table with its RAM area moved to an address."""
+    shift = ram_start - table.ram_start
+    return {
+        register: cell._replace(address=cell.address + shift * (cell.address >= table.ram_start))
+        for register, cell in table.cells.items()
+    }
+
+
+_FILE: Final = Path(__file__).with_name("servos.toml")
+MODELS: Final[Mapping[int, Model]] = read_models(_FILE.read_bytes())
 """Supported servo models, by model number."""
+
+PRESETS: Final[Mapping[str, ServoPreset]] = {m.name: m.preset for m in MODELS.values()}
+"""Presets by model name."""
 
 
 def model_named(name: str) -> Model:
@@ -146,5 +236,4 @@ def model_named(name: str) -> Model:
     for model in MODELS.values():
         if model.name == name:
             return model
-    known = ", ".join(model.name for model in MODELS.values())
-    raise InputError(f"servo model {name!r}", "is not known", f"use one of {known}")
+    raise InputError(f"servo model {name!r}", "is not known", f"use one of {', '.join(PRESETS)}")

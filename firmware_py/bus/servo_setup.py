@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from firmware_py.bus.register_access import RegisterAccess
+from firmware_py.bus.codec import MOST_ID
+from firmware_py.bus.port import RegisterAccess
 from firmware_py.bus.registers import (
     ANSWERS_ALL,
     POSITION_MODE,
@@ -16,14 +17,20 @@ from firmware_py.bus.registers import (
     RegisterField,
     describe_alert,
 )
-from firmware_py.bus.servo_models import MODELS, Model, round_half_away
-from firmware_py.bus.servo_settings import DRIVE_REVERSE, GAINS, AssumedSettings
+from firmware_py.bus.servo_models import GAINS, MODELS, Model, round_half_away
 from firmware_py.core.errors import InputError
 
-__all__ = ["ServoPreparation", "ServoSetup", "check_assumed", "check_ids"]
+DRIVE_REVERSE: Final = 1
+"""Bit of the register Drive Mode: positions count in reverse. The other bits, time-based profiles
+and torque on by a goal, must be zero (docs/sources.md, "Control tables")."""
 
-MOST_ID: Final = 252
-"""Largest id of a servo; the protocol needs the others."""
+
+class AssumedSettings(NamedTuple):
+    """Settings that the plant assumes of a servo; a run refuses others."""
+
+    reverse: bool = False  # Whether its positions count in reverse
+    homing_offset_rad: float = 0.0  # Angle that the servo adds to its encoder
+    gains: Mapping[Register, int] = {}
 
 
 class ServoSetup(NamedTuple):

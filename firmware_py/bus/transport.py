@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+import contextlib
 import glob
 import os
 import select
@@ -24,7 +25,7 @@ BAUD_RATES: Final = (
     9600, 57_600, 115_200, 230_400, 460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000,
     2_000_000, 2_500_000, 3_000_000, 3_500_000, 4_000_000,
 )  # fmt: skip
-"""Baud rates that the SDK offers."""
+"""Baud rates that servos or adapters offer."""
 
 _DISCARD_SIZE: Final = 1 << 16
 _MOST_DISCARDS: Final = 8
@@ -37,58 +38,18 @@ _TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 1 << 13
 
 
 class Transport(Protocol):
-    """Byte stream to and from the servos; raises OSError after a disconnect."""
+    """Byte stream to and from the servos; every method but `close` raises OSError if it is gone."""
 
     def read(self, size: int, deadline_ns: int) -> bytes:
-        """Return received bytes as soon as any arrive, or none after the deadline.
-
-        Parameters
-        ----------
-        size : int
-            Largest number of bytes.
-        deadline_ns : int
-            End of the wait, in ns on the clock of the transport.
-
-        Returns
-        -------
-        bytes
-            Between 0 and `size` bytes.
-
-        Raises
-        ------
-        OSError
-            If the device is disconnected.
-        """
+        """Return up to `size` bytes as soon as any arrive, or none after the deadline."""
         ...
 
     def write(self, data: bytes) -> int:
-        """Send bytes without waiting.
-
-        Parameters
-        ----------
-        data : bytes
-            Bytes to send.
-
-        Returns
-        -------
-        int
-            Number of bytes that the device accepted.
-
-        Raises
-        ------
-        OSError
-            If the device is disconnected.
-        """
+        """Send bytes without waiting; return how many the device accepted."""
         ...
 
     def discard_input(self) -> None:
-        """Drop the bytes received so far; this ends even if bytes keep arriving.
-
-        Raises
-        ------
-        OSError
-            If the device is disconnected.
-        """
+        """Drop the bytes received so far; this ends even if bytes keep arriving."""
         ...
 
     def close(self) -> None:
@@ -106,18 +67,15 @@ class SerialTransport:
             raise InputError(path, f"cannot be opened ({error})", _port_remedy(path)) from None
         self._clock = clock
         self._fd: int = self._serial.fileno()
-        self.low_latency = self._request_low_latency()
+        self._request_low_latency()
 
-    def _request_low_latency(self) -> bool:
-        """Ask the USB adapter to pass bytes on at once; a pseudo-terminal has no such flag."""
+    def _request_low_latency(self) -> None:
+        """Ask the USB adapter to pass bytes on at once, if it knows how and permits it."""
         settings = array.array("i", [0] * 32)
-        try:
+        with contextlib.suppress(OSError):  # ENOTTY on a pseudo-terminal, EPERM without permission
             fcntl.ioctl(self._fd, _TIOCGSERIAL, settings)
             settings[4] |= _ASYNC_LOW_LATENCY
             fcntl.ioctl(self._fd, _TIOCSSERIAL, settings)
-        except OSError:  # ENOTTY on a pseudo-terminal, EPERM without permission
-            return False
-        return True
 
     def read(self, size: int, deadline_ns: int) -> bytes:
         if not _readable(self._fd, deadline_ns, self._clock):

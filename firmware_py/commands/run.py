@@ -27,7 +27,7 @@ from pathlib import Path
 
 import msgspec
 
-from firmware_py.bus.servo_settings import GAINS
+from firmware_py.bus.servo_models import GAINS, PRESETS
 from firmware_py.commands.payload_check import contradicted_payload, unused_payload
 from firmware_py.config import RobotConfig, check_config, read_config
 from firmware_py.core.console import DONE, NEGATIVE, emit
@@ -51,7 +51,6 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.bundle_signature import SIGNATURE
 from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_facts import facts_of_bundle
-from firmware_py.link.servo_presets import PRESETS
 from firmware_py.log.recorder import recording
 from firmware_py.log.recording import OUTSIDE, SLOTS_KEY
 from firmware_py.log.telemetry import Telemetry

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import msgspec
 
-from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.documents import check_version
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import FileContent, content_of

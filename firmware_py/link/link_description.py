@@ -13,10 +13,10 @@ from typing import Any, Final, Literal
 
 import msgspec
 
+from firmware_py.bus.servo_models import PRESETS, ServoPreset, check_servo, model_named
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_toml
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from firmware_py.link.servo_presets import PRESETS, ServoPreset, check_servo, preset_named
 
 Vector = tuple[float, float, float]
 Mounting = Literal["upright", "horizontal", "hanging", "balloon"]
@@ -105,7 +105,7 @@ class LinkServo(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             for f in msgspec.structs.fields(ServoPreset)
             if (value := getattr(self, f.name)) is not None
         }
-        return msgspec.structs.replace(preset_named(self.model), **given)
+        return msgspec.structs.replace(model_named(self.model).preset, **given)
 
 
 class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True,

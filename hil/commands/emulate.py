@@ -22,7 +22,7 @@ from firmware_py.link.link_description import STUDY_LINK
 from firmware_py.system.clock import RealTimeOptions, real_time
 from hil.emulator.emulator import EmulatorSpecification, serve_forever
 from hil.emulator.line_faults import LINE_FAULTS, parse_rates
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from models.plant.document import link_of_plant
 
 SCHEDULING: Final = RealTimeOptions(lock_memory=False, freeze_gc=False)

@@ -49,7 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from hil.emulator.twin_fmu import build_twin
+    from hil.emulator.physics import build_twin
     from hil.faults.campaign import cases_of, run_campaign
     from hil.faults.cases.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS

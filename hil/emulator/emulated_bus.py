@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.bus import codec
+from firmware_py.bus.codec import BROADCAST, Instruction, Packet, StatusError, word
 from firmware_py.bus.registers import Register
-from hil.emulator import packets
 from hil.emulator.emulated_servo import EmulatedServo
-from hil.emulator.packets import BROADCAST, Instruction, Packet, StatusError
 from hil.emulator.physics import Physics
 
 __all__ = ["EmulatedBus", "Reply"]
@@ -121,13 +121,13 @@ class EmulatedBus:
 
     @staticmethod
     def _reply(servo: EmulatedServo, error: int, data: bytes = b"") -> Reply:
-        return Reply(servo, packets.status_packet(servo.id, error | servo.alert, data))
+        return Reply(servo, codec.build_status(servo.id, error | servo.alert, data))
 
     def _synchronous(self, packet: Packet, now_ns: int) -> list[Reply]:
         parameters = packet.parameters
         if packet.id != BROADCAST or len(parameters) < 5:
             return []
-        address, length = _word(parameters, 0), _word(parameters, 2)
+        address, length = word(parameters, 0), word(parameters, 2)
         by_id = {s.id: s for s in self.servos}
         if packet.instruction == Instruction.SYNC_WRITE:
             for start in range(4, len(parameters) - length, length + 1):
@@ -151,7 +151,7 @@ class EmulatedBus:
             error, data = self._read(servo, address, length, now_ns)
             # Assumed: a servo that refuses the read fills its block with zeros.
             blocks.append((servo.id, error | servo.alert, data or bytes(length)))
-        return [Reply(servos[0], packets.fast_status_packet(asked, blocks))] if blocks else []
+        return [Reply(servos[0], codec.build_fast_status(asked, blocks))] if blocks else []
 
     def _single(self, servo: EmulatedServo, packet: Packet, now_ns: int) -> tuple[int, bytes]:
         """Error number and data of one servo's reply."""
@@ -166,13 +166,13 @@ class EmulatedBus:
             case Instruction.READ:
                 if len(parameters) != 4:
                     return StatusError.DATA_LENGTH, b""
-                return self._read(servo, _word(parameters, 0), _word(parameters, 2), now_ns)
+                return self._read(servo, word(parameters, 0), word(parameters, 2), now_ns)
             case Instruction.WRITE | Instruction.REG_WRITE if len(parameters) < 3:
                 return StatusError.DATA_LENGTH, b""
             case Instruction.WRITE:
-                return servo.write(_word(parameters, 0), parameters[2:]), b""
+                return servo.write(word(parameters, 0), parameters[2:]), b""
             case Instruction.REG_WRITE:
-                self._registered[servo.id] = (_word(parameters, 0), parameters[2:])
+                self._registered[servo.id] = (word(parameters, 0), parameters[2:])
                 return StatusError.NONE, b""
             case Instruction.ACTION if servo.id in self._registered:
                 return servo.write(*self._registered.pop(servo.id)), b""
@@ -187,7 +187,3 @@ class EmulatedBus:
         if servo.covers(address, length, Register.PRESENT_POSITION):
             self._on_sample(now_ns)
         return servo.read(address, length)
-
-
-def _word(data: bytes, offset: int) -> int:
-    return data[offset] | data[offset + 1] << 8

@@ -18,17 +18,18 @@ from __future__ import annotations
 
 from typing import Final
 
+from firmware_py.bus.codec import ALERT, MOST_ID, StatusError, word
 from firmware_py.bus.registers import (
+    ANSWERS_ALL,
+    MOST_WATCHDOG_STEPS,
+    POSITION_MODE,
     RETURN_DELAY_STEP_S,
     WATCHDOG_STEP_S,
+    WATCHDOG_TRIPPED,
     Register,
     RegisterField,
 )
 from firmware_py.bus.servo_models import Model
-from hil.emulator.packets import ALERT, StatusError
-from hil.emulator.register_memory import RegisterMemory
-
-__all__ = ["EmulatedServo"]
 
 EXTENDED_POSITION_MODE: Final = 4
 BAUD_OF_CODE: Final = {
@@ -39,28 +40,30 @@ BAUD_OF_CODE: Final = {
 _GOALS = (Register.GOAL_POSITION, Register.GOAL_VELOCITY, Register.GOAL_CURRENT)
 _FIRMWARE_VERSION = 46
 _VOLTAGE_RAW, _TEMPERATURE_DEGC = 240, 35
-_CURRENT_LIMIT_RAW = {"legacy PRO": 620, "PRO(A) and P": 10_000, "X": 1193, "X330": 1750}
+_MEMORY_BYTES: Final = 1024
 
 _RANGES: Final = {
-    Register.ID: (0, 252),
+    Register.ID: (0, MOST_ID),
     Register.BAUD_RATE: (min(BAUD_OF_CODE), max(BAUD_OF_CODE)),
     Register.RETURN_DELAY: (0, 254),
-    Register.OPERATING_MODE: (3, EXTENDED_POSITION_MODE),
+    Register.OPERATING_MODE: (POSITION_MODE, EXTENDED_POSITION_MODE),
     Register.TORQUE_ENABLE: (0, 1),
-    Register.STATUS_RETURN_LEVEL: (0, 2),
-    Register.BUS_WATCHDOG: (0, 127),
+    Register.STATUS_RETURN_LEVEL: (0, ANSWERS_ALL),
+    Register.BUS_WATCHDOG: (0, MOST_WATCHDOG_STEPS),
 }
 """Values that a register accepts; a register that is not listed accepts any that fits its bytes."""
 
 
-class EmulatedServo(RegisterMemory):
+class EmulatedServo:
     """Servo on the bus; `return_delay_s` is its pause before a status packet (factory: 500 µs)."""
 
     def __init__(
         self, model: Model, servo_id: int = 1, baud: int = 1_000_000, return_delay_s: float = 500e-6
     ) -> None:
-        super().__init__(model.table)
         self.model = model
+        self._table = model.table
+        self._memory = bytearray(_MEMORY_BYTES)
+        self._spans: dict[tuple[int, int], list[int]] = {}
         self._cell_at = {cell.address: (r, cell) for r, cell in model.table.cells.items()}
         self._present = tuple(
             model.table[register]
@@ -81,27 +84,45 @@ class EmulatedServo(RegisterMemory):
             Register.ID: servo_id,
             Register.BAUD_RATE: code,
             Register.RETURN_DELAY: round(return_delay_s / RETURN_DELAY_STEP_S),
-            Register.OPERATING_MODE: 3,
-            Register.CURRENT_LIMIT: _CURRENT_LIMIT_RAW[model.table.name],
+            Register.OPERATING_MODE: POSITION_MODE,
             Register.MAX_POSITION_LIMIT: high,
             Register.MIN_POSITION_LIMIT: low,
-            Register.SHUTDOWN: 58 if Register.BUS_WATCHDOG not in model.table else 52,
             Register.PRESENT_INPUT_VOLTAGE: _VOLTAGE_RAW,
             Register.PRESENT_TEMPERATURE: _TEMPERATURE_DEGC,
+            **model.factory,
         }.items():
             self.put(register, raw)
         self._reset_indirect()
-        self._boot()
+        self.reboot()
 
     # --- registers as the servo's own firmware sees them ---------------------------------------
 
+    def get(self, register: Register) -> int:
+        """Return the raw value of a register; 0 if the model lacks it."""
+        cell = self._table.cells.get(register)
+        return cell.decode(self._memory, cell.address) if cell else 0
+
     def put(self, register: Register, raw: int) -> None:
-        """Set a register regardless of access rights, and apply its effect."""
-        super().put(register, raw)
+        """Set a register regardless of access rights, and apply its effect.
+
+        No effect if the model lacks it.
+        """
+        if register in self._table:
+            self._store(self._table[register], raw)
         if register is Register.GOAL_POSITION:
             self._follow_goal()
         else:
             self._refresh()
+
+    def _reset_indirect(self) -> None:
+        """Restore the factory setting, in which each indirect entry points at itself."""
+        indirect = self._table.indirect
+        for k in range(indirect.entries):
+            self._store(RegisterField(indirect.address + 2 * k, 2), indirect.data + k)
+        self._spans.clear()
+
+    def _store(self, cell: RegisterField, raw: int) -> None:
+        self._memory[cell.address : cell.address + cell.size] = cell.encode(raw)
 
     def _refresh(self) -> None:
         """Update the attributes that line and plant read in every tick."""
@@ -159,7 +180,7 @@ class EmulatedServo(RegisterMemory):
     def trip_watchdog(self) -> None:
         """Stop at the present angle and lock the goals until 0 is written to the watchdog."""
         self._hold_rad = self._angle_rad
-        self.put(Register.BUS_WATCHDOG, -1)
+        self.put(Register.BUS_WATCHDOG, WATCHDOG_TRIPPED)
 
     def feed_watchdog(self, now_ns: int) -> None:
         """Restart the watchdog, after an instruction for any servo on the bus."""
@@ -169,22 +190,42 @@ class EmulatedServo(RegisterMemory):
         self._hold_rad = self._angle_rad
         self.put(Register.TORQUE_ENABLE, 0)
 
-    def _boot(self) -> None:
-        """Reset the RAM area to its initial values."""
+    def reboot(self) -> None:
+        """Set the RAM area to its initial values; keep the EEPROM."""
         self._release()
         if self._table.indirect.address >= self._table.ram_start:
             self._reset_indirect()
         for register in (Register.HARDWARE_ERROR, Register.BUS_WATCHDOG, *_GOALS):
             self.put(register, 0)
-        self.put(Register.STATUS_RETURN_LEVEL, 2)
-        self.put(Register.POSITION_P_GAIN, 800)
+        self.put(Register.STATUS_RETURN_LEVEL, ANSWERS_ALL)
+        for register, raw in self.model.factory.items():
+            if self._table[register].address >= self._table.ram_start:
+                self.put(register, raw)
         self.observe(self._angle_rad, 0.0, 0.0)
 
-    def reboot(self) -> None:
-        """Clear hardware errors and RAM; keep the EEPROM."""
-        self._boot()
-
     # --- registers as the bus sees them --------------------------------------------------------
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read registers; return the error number and, if it is 0, the bytes."""
+        if length == 0:
+            return StatusError.DATA_LENGTH, b""
+        if address + length > _MEMORY_BYTES:
+            return StatusError.ACCESS, b""
+        if not self._is_redirected(address, length):
+            return StatusError.NONE, bytes(self._memory[address : address + length])
+        memory = self._memory
+        return StatusError.NONE, bytes([memory[a] for a in self._span(address, length)])
+
+    def covers(self, address: int, length: int, register: Register) -> bool:
+        """Return whether a read, through indirect addresses, covers a register's first byte."""
+        wanted = self._table[register].address
+        if not self._is_redirected(address, length):
+            return address <= wanted < address + length
+        return wanted in self._span(address, length)
+
+    def _is_redirected(self, address: int, length: int) -> bool:
+        data = self._table.indirect.data
+        return address + length > data and address < data + self._table.indirect.entries
 
     def write(self, address: int, data: bytes) -> int:
         """Write complete registers in order; if one is refused, none changes.
@@ -220,8 +261,25 @@ class EmulatedServo(RegisterMemory):
             return StatusError.ACCESS
         if address + len(data) > end:
             return StatusError.DATA_LENGTH
-        self._write_indirect(address, data)
+        self._memory[address : address + len(data)] = data
+        self._spans.clear()
         return StatusError.NONE
+
+    def _span(self, address: int, length: int) -> list[int]:
+        """Addresses that a read refers to; cached, because a program repeats it in every tick."""
+        span = self._spans.get((address, length))
+        if span is None:
+            span = [self._referred(address + k) for k in range(length)]
+            self._spans[address, length] = span
+        return span
+
+    def _referred(self, address: int) -> int:
+        """Address after indirection: the content of its indirect entry, or the address itself."""
+        entry = self._table.indirect.entry_of(address)
+        if entry is None:
+            return address
+        behind = word(self._memory, entry)
+        return behind if behind < _MEMORY_BYTES else address
 
     def _refusal(self, register: Register, cell: RegisterField, raw: int) -> int:
         if not cell.writable or (cell.address < self._table.ram_start and self.torque_on):

@@ -28,22 +28,9 @@ from firmware_py.system.clock import RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
-from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
 from hil.emulator.line_faults import FaultPlan
-from hil.emulator.physics import Physics, RigSource
-
-__all__ = [
-    "Emulator",
-    "EmulatorOutcome",
-    "EmulatorSpecification",
-    "Releases",
-    "Truth",
-    "TruthLog",
-    "build_line",
-    "open_physics",
-    "serve_forever",
-]
+from hil.emulator.physics import FmuPhysics, Physics, RigSource
 
 PRIORITY: Final = 60
 """Real-time priority above the loop's: on a single processor the loop must not delay a reply."""
@@ -139,7 +126,7 @@ def open_physics(source: Path | RigSource, dof: int, payload_kg: float = 0.0) ->
     """Open a twin FMU or a rig in its initial state."""
     if isinstance(source, Path):
         return FmuPhysics(source, dof, payload_kg)
-    from hil.emulator.rig_physics import RigPhysics  # imported here because it loads MuJoCo
+    from hil.emulator.rig_physics import RigPhysics  # loads MuJoCo
 
     return RigPhysics(source, dof, payload_kg)
 

@@ -24,18 +24,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from firmware_py.bus.bus_plan import BITS_PER_BYTE
+from firmware_py.bus.codec import PacketSearch
 from firmware_py.system.clock import SimClock
 from hil.emulator.emulated_bus import EmulatedBus
 from hil.emulator.line_faults import FaultPlan
-from hil.emulator.packets import PacketParser
 
 if sys.platform != "win32":  # --help works there
     import tty
 
-__all__ = ["Arrival", "Line", "VirtualTransport", "pty_endpoint", "serve_line", "socket_endpoint"]
-
-BITS_PER_BYTE: Final = 10
-"""Start bit, eight data bits, stop bit."""
 USB_PACKET_BYTES: Final = 62
 """Bytes after which an FTDI adapter sends without waiting for its latency timer (AN232B-04)."""
 _IDLE_S: Final = 0.05
@@ -43,17 +40,12 @@ _READ_SIZE: Final = 4096
 _NO_FAULTS: Final = FaultPlan()
 
 
-class Arrival(NamedTuple):
+class _Arrival(NamedTuple):
     """Bytes that reach the adapter one after the other, from `start_ns` on."""
 
     start_ns: int
     data: bytes
     byte_ns: int
-
-    @property
-    def end_ns(self) -> int:
-        """Time at which the last byte has arrived."""
-        return self.start_ns + len(self.data) * self.byte_ns
 
 
 class Line:
@@ -70,7 +62,12 @@ class Line:
         self._latency_ns = round(latency_s * 1e9)
         self._timer_ns = 0
         self._free_ns = 0
-        self._parser = PacketParser()
+        self._search = PacketSearch(host=False)
+
+    def resume(self, now_ns: int) -> None:
+        """Begin with another program at `now_ns`: what the last one left unfinished is dropped."""
+        self._search.pending = b""
+        self.bus.resume(now_ns)
 
     def receive(self, now_ns: int, data: bytes) -> list[tuple[int, bytes]]:
         """Transmit bytes of the host and the replies to them.
@@ -79,8 +76,8 @@ class Line:
         """
         heard_ns = max(now_ns, self._free_ns) + len(data) * _byte_ns(self.bus.servos[0].baud)
         self._free_ns = heard_ns
-        arrivals: list[Arrival] = []
-        for packet in self._parser.feed(data):
+        arrivals: list[_Arrival] = []
+        for packet in self._search.feed(data):
             faults = self.faults if self.bus.driven else _NO_FAULTS
             if faults.loses(packet):
                 continue
@@ -88,14 +85,14 @@ class Line:
                 self._free_ns += reply.servo.return_delay_ns
                 byte_ns = _byte_ns(reply.servo.baud)
                 for delay_ns, damaged in faults.apply(reply.frame):
-                    arrivals.append(Arrival(self._free_ns + delay_ns, damaged, byte_ns))
+                    arrivals.append(_Arrival(self._free_ns + delay_ns, damaged, byte_ns))
                 self._free_ns += len(reply.frame) * byte_ns
         return self._adapter(sorted(arrivals))
 
-    def _adapter(self, arrivals: list[Arrival]) -> list[tuple[int, bytes]]:
+    def _adapter(self, arrivals: list[_Arrival]) -> list[tuple[int, bytes]]:
         """Hold bytes back until there are 62 or the free-running latency timer expires."""
         if self._latency_ns == 0:
-            return [(a.end_ns, a.data) for a in arrivals]
+            return [(start + len(data) * byte_ns, data) for start, data, byte_ns in arrivals]
         releases: list[tuple[int, bytes]] = []
         held, tick_ns = b"", 0
         for start_ns, data, byte_ns in arrivals:
@@ -213,7 +210,7 @@ def serve_line(
     """
     pending: list[tuple[int, int, bytes]] = []
     count = 0
-    line.bus.resume(time.monotonic_ns())
+    line.resume(time.monotonic_ns())
     while True:
         now_ns = time.monotonic_ns()
         if pending and pending[0][0] <= now_ns:

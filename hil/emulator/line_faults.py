@@ -1,34 +1,90 @@
-"""Random faults of the line: status packets lost, late or damaged, instructions lost.
+"""Faults of the line: status packets lost, late or damaged, instructions lost.
 
-A rate is the fraction of the servos' packets that have the fault; for "unheard", of the host's
-packets. A packet has at most one fault, so the rates add up. The seed selects the faulty packets.
-The campaign over all faults of the robot is in `hil.faults`.
+`REPLY_FAULTS` has every kind of fault of a status packet, for the emulator and for the campaign
+over all faults of the robot (`hil.faults`). The emulator draws faults at random: a rate is the
+fraction of the servos' packets that have the fault; for "unheard", of the host's packets. A packet
+has at most one fault, so the rates add up. The seed selects the faulty packets.
 """
 
 from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Final
 
+from firmware_py.bus.codec import BODY, CRC_BYTES, Packet, crc16
 from firmware_py.core.errors import InputError
-from hil.emulator.packets import Packet
-
-__all__ = ["LINE_FAULTS", "FaultPlan", "parse_rates"]
 
 UNHEARD: Final = "unheard"
 """Fault of an instruction: no servo receives it."""
 LINE_FAULTS: Final = ("lost", "late", "duplicated", "corrupt", "truncated", "noise", UNHEARD)
-LATE_NS: Final = 12_000_000
-"""Delay of a late packet: it misses the deadline of its exchange, but arrives before the second
-exchange after that."""
+"""Kinds that can be drawn at random (`dropstitch emulate --faults`)."""
+LATE_S: Final = 0.012
+"""Delay of a packet that is late at random: it misses the deadline of its exchange, but arrives
+before the second exchange after that."""
+_FOREIGN_ID: Final = 77
+
+Arrivals = list[tuple[int, bytes]]
+"""What arrives instead of a packet: extra delay in ns, bytes."""
+ReplyFault = Callable[[bytes, float, random.Random], Arrivals]
+"""Map from frame, size of the fault and source of chance to what arrives."""
+
+
+def _late(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    return [(round(value * 1e9), frame)]
+
+
+def _flipped(first: int, end: int) -> ReplyFault:
+    """Return the flip of one bit of `frame[first:end]`; an `end` of 0 is that of the frame."""
+
+    def fault(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+        start, stop, _ = slice(first, end or None).indices(len(frame))
+        damaged = bytearray(frame)
+        damaged[chance.randrange(start, stop)] ^= 1 << chance.randrange(8)
+        return [(0, bytes(damaged))]
+
+    return fault
+
+
+def _truncated(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    return [(0, frame[: chance.randrange(1, len(frame))])]
+
+
+def _noise(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    return [(0, chance.randbytes(chance.randint(1, 8)) + frame)]
+
+
+def _babble(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    return [(0, chance.randbytes(round(value * 1e6)) + frame)]
+
+
+def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
+    renamed = bytes((*frame[:4], _FOREIGN_ID, *frame[5:-CRC_BYTES]))
+    return [(0, renamed + crc16(renamed).to_bytes(CRC_BYTES, "little"))]
+
+
+REPLY_FAULTS: Final[dict[str, ReplyFault]] = {
+    "lost": lambda frame, value, chance: [],
+    "late": _late,  # by the value in s
+    "duplicated": lambda frame, value, chance: [(0, frame + frame)],
+    "corrupt": _flipped(0, 0),
+    "flip in header": _flipped(0, 3),
+    "flip in length": _flipped(5, BODY),
+    "flip in payload": _flipped(BODY, -CRC_BYTES),
+    "flip in CRC": _flipped(-CRC_BYTES, 0),
+    "truncated": _truncated,
+    "noise": _noise,
+    "babble": _babble,  # the value in MB
+    "other id": _foreign,
+}
+"""Every fault of a status packet."""
 
 
 class FaultPlan:
     """Faults of the line, reproducible for equal seed and packets.
 
-    `rates` gives the fraction of packets for each kind of fault; other kinds do not occur.
+    `rates` gives the fraction of packets for each of `LINE_FAULTS`; others do not occur.
     """
 
     def __init__(self, rates: dict[str, float] | None = None, seed: int = 0) -> None:
@@ -37,26 +93,13 @@ class FaultPlan:
         self.injected: Counter[str] = Counter()
         self._random = random.Random(seed)
 
-    def apply(self, frame: bytes) -> list[tuple[int, bytes]]:
-        """Return what arrives instead of `frame`: (extra delay in ns, bytes), or nothing."""
+    def apply(self, frame: bytes) -> Arrivals:
+        """Return what arrives instead of a status packet."""
         kind = self._draw()
         if kind is None:
             return [(0, frame)]
         self.injected[kind] += 1
-        chance = self._random
-        if kind == "lost":
-            return []
-        if kind == "late":
-            return [(LATE_NS, frame)]
-        if kind == "duplicated":
-            return [(0, frame + frame)]
-        if kind == "truncated":
-            return [(0, frame[: chance.randrange(1, len(frame))])]
-        if kind == "noise":
-            return [(0, chance.randbytes(chance.randint(1, 8)) + frame)]
-        damaged = bytearray(frame)
-        damaged[chance.randrange(len(damaged))] ^= 1 << chance.randrange(8)
-        return [(0, bytes(damaged))]
+        return REPLY_FAULTS[kind](frame, LATE_S, self._random)
 
     def loses(self, packet: Packet) -> bool:
         """Return whether the instruction is lost before it reaches any servo."""

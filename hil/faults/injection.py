@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from hil.emulator import packets
+from firmware_py.bus import codec
 from hil.emulator.line_faults import UNHEARD, FaultPlan
 from hil.faults.servo_log import LoggedServo
 
@@ -58,7 +58,7 @@ def _babble(frame: bytes, value: float, chance: random.Random) -> Arrivals:
 
 def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     renamed = bytes((*frame[:4], _FOREIGN_ID, *frame[5:-_CRC_BYTES]))
-    return [(0, renamed + packets.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
+    return [(0, renamed + codec.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
 
 
 class OnReply(NamedTuple):
@@ -183,10 +183,10 @@ class FaultSchedule(FaultPlan):
                     change(servo, injection.value, self.exchange == first)
                     self._note_begin()
 
-    def loses(self, packet: packets.Packet) -> bool:
+    def loses(self, packet: codec.Packet) -> bool:
         """Return whether an instruction is lost; only writes to a single servo can be."""
         due = [i for i in self._unheard_writes if self.exchange >= self.first(i)]
-        if not due or packet.instruction != packets.Instruction.WRITE:
+        if not due or packet.instruction != codec.Instruction.WRITE:
             return False
         self._writes[packet.id] += 1
         lost = self._writes[packet.id] <= max(i.times for i in due)

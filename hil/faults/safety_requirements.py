@@ -194,8 +194,8 @@ REQUIREMENTS: Final = (
     SafetyRequirement(
         "SR-20", "Damaged, foreign or stuffed bytes never become data or goals.",
         (
-            "hil/emulator/test_packets.py::test_no_packet_with_a_flipped_bit_is_taken_for_intact",
-            f"{_T}/bus/test_port.py::test_whatever_is_sent_arrives_and_holds_no_false_header",
+            f"{_T}/bus/test_codec.py::test_no_packet_with_a_flipped_bit_is_taken_for_intact",
+            f"{_T}/bus/test_codec.py::test_whatever_is_sent_arrives_and_holds_no_false_header",
         ),
         ("bit flip in *", "truncation", "noise before a packet", "reply from another id",
          "goal whose bytes need stuffing"),
@@ -220,7 +220,7 @@ REQUIREMENTS: Final = (
         "SR-23", "A hardware error stops the robot in its tick and is named.",
         (
             f"{_T}/safety/test_supervisor.py::test_a_hardware_error_stops_at_once_and_is_named",
-            f"{_T}/bus/test_registers.py::test_hardware_errors_are_named_by_bit",
+            f"{_T}/bus/test_servo_models.py::test_hardware_errors_are_named_by_bit",
         ),
         ("hardware error",),
     ),

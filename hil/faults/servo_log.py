@@ -16,10 +16,10 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_py.bus.codec import Instruction, Packet, StatusError
 from firmware_py.bus.registers import Register
 from hil.emulator.emulated_bus import EmulatedBus, Reply
 from hil.emulator.emulated_servo import EmulatedServo
-from hil.emulator.packets import Instruction, Packet, StatusError
 from hil.emulator.physics import Physics
 
 Array = NDArray[np.float64]

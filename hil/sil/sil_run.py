@@ -55,8 +55,7 @@ from hil.emulator.emulator import (
     build_line,
 )
 from hil.emulator.line import VirtualTransport
-from hil.emulator.physics import RigSource
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import RigSource, build_twin
 from hil.sil.probe import Probe, ProbeRecord
 from hil.sil.processors import (
     assign_processors,

@@ -14,7 +14,7 @@ from typing import Final
 
 import msgspec
 
-from firmware_py.bus.servo_settings import GAINS, ServoGains
+from firmware_py.bus.servo_models import GAINS, ServoGains
 from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError

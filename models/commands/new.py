@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
+from firmware_py.bus.servo_models import PRESETS
 from firmware_py.core.console import DONE, emit
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import (
@@ -30,7 +31,6 @@ from firmware_py.link.link_description import (
     link_toml,
 )
 from firmware_py.link.marker_layout import MarkerLayout, square_corners_m
-from firmware_py.link.servo_presets import PRESETS
 from models.shared.link_scale import LinkScale
 
 EXAMPLE = (

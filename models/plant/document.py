@@ -29,7 +29,7 @@ from typing import Any, ClassVar
 import msgspec
 import tomli_w
 
-from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.documents import Document, check_version
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_json, read_toml

@@ -15,7 +15,7 @@ from dropstitch.__main__ import main
             "rigs",
             "chain  tuning  13 hinge pairs of the span, a box that wrinkles",
         ),
-        ("servos", "XM430-W350  1020  4096  2.69"),
+        ("servos", "XM430-W350  1020  4096  2.69  yes"),
     ],
 )
 def test_each_is_one_line(what, line, capsys):

@@ -13,7 +13,7 @@ import pytest
 from dropstitch.__main__ import main
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.bus.register_access import RegisterAccess
+from firmware_py.bus.port import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS

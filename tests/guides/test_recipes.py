@@ -12,6 +12,7 @@ import pytest
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
+from firmware_py.bus.servo_models import check_servo, read_models
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
 from models.plant import components
@@ -34,7 +35,10 @@ def code(section, space=None):
 
 
 def test_the_servo_turns_angles_into_pulses_and_back():
-    model = code("Add a servo")["XM540_W270"]
+    row = re.search(r"```toml\n(.*?)```", SECTIONS["Add a servo"], re.DOTALL)[1]
+    servos = (ROOT / "firmware_py" / "bus" / "servos.toml").read_text(encoding="utf-8")
+    model = read_models(servos + row)[1120]
+    check_servo(model.preset, "extend.md")
     assert model.position_raw(0.0) == 2048 and model.position_raw(np.pi / 2) == 3072
     assert model.angle_rad(3072) == pytest.approx(np.pi / 2)
     assert Register.BUS_WATCHDOG in model.table

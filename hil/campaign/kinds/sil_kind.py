@@ -147,7 +147,7 @@ KIND = SilKind()
 def _twin_of(bundle: str, directory: Path) -> Path:
     from firmware_py.inference.bundle import read_manifest
     from hil.campaign.code_version import content_sha256
-    from hil.emulator.twin_fmu import build_twin  # loads CasADi
+    from hil.emulator.physics import build_twin  # loads CasADi
 
     dof, plant = read_manifest(Path(bundle)).dof, Path(bundle) / "plant.json"
     if not plant.is_file():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.dynamixel import DynamixelBus
-from firmware_py.bus.servo_models import MODELS
-from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.bus.servo_models import MODELS, Model, ServoGains
 from firmware_py.bus.transport import Transport
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
@@ -106,6 +105,11 @@ def case_config(robot: CaseRobot, row: FaultRow, number: int, port: str) -> Robo
     )
 
 
+def _with_gains(model: Model) -> Model:
+    """Return a model whose servos start with the gains that every case expects."""
+    return replace(model, factory={**model.factory, **GAINS.registers()})
+
+
 def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     """Return the servos on the bus: of model `number`, unless the row changes it."""
     setup = row.setup
@@ -115,7 +119,7 @@ def case_servos(dof: int, row: FaultRow, number: int) -> list[LoggedServo]:
     if setup.second_model != "as the first":
         numbers[1] = _OTHER_MODEL[number]
     servos = [
-        LoggedServo(MODELS[model], joint, 1_000_000, setup.return_delay_s)
+        LoggedServo(_with_gains(MODELS[model]), joint, 1_000_000, setup.return_delay_s)
         for joint, model in enumerate(numbers, start=1)
     ]
     if setup.refuses_indirect:

@@ -20,8 +20,8 @@ from typing import Any, Final
 from firmware_py.system.clock import RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulator import PRIORITY
-from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
+from hil.emulator.physics import FmuPhysics
 from hil.faults.cases.case_robot import case_servos
 from hil.faults.fault_row import FaultRow
 from hil.faults.injection import FaultSchedule

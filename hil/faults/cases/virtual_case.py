@@ -11,8 +11,8 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.transport import Transport
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
-from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, VirtualTransport
+from hil.emulator.physics import FmuPhysics
 from hil.faults.cases.case_robot import (
     CaseRobot,
     case_config,

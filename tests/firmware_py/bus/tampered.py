@@ -1,5 +1,6 @@
 """Servos in memory whose answers are tampered with, late or lost."""
 
+from firmware_py.bus import codec
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.servo_models import MODELS
@@ -10,6 +11,28 @@ LEGACY, PRO_A, XM = 54024, 54025, 1020
 BUDGET_NS = 8_000_000
 EXCHANGE_NS, MARGIN_NS = 1_500_000, 2_000_000
 SYNC_READ = 0x82
+
+
+class TapeTransport:
+    """Plays bytes, and is silent until the deadline after them."""
+
+    def __init__(self, clock, *plays):
+        self.clock, self.plays = clock, list(plays)
+
+    def read(self, size, deadline_ns):
+        if not self.plays:
+            self.clock.sleep_until(deadline_ns)
+            return b""
+        return self.plays.pop(0)
+
+    def write(self, data):
+        return len(data)
+
+    def discard_input(self):
+        pass
+
+    def close(self):
+        pass
 
 
 class TamperedTransport(LoopbackTransport):
@@ -56,6 +79,12 @@ def drop_second(data):
 
 def flip_payload(data):
     return bytes([*data[:11], data[11] ^ 1, *data[12:]])
+
+
+def with_error(frame, error):
+    """A whole packet with another error byte."""
+    frame = frame[:8] + bytes([error]) + frame[9:-2]
+    return frame + codec.crc16(frame).to_bytes(2, "little")
 
 
 def cut(data):

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.bus import codec
 from firmware_py.bus.bus_plan import available_s, plain, plans, require_any, require_time
+from firmware_py.bus.codec import Instruction
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
-from firmware_py.bus.registers import LEGACY_PRO, PRO_P, X_SERIES, Register
+from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.bus.servo_setup import ServoSetup
@@ -16,6 +18,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
 
 LEGACY, PRO_A, XM = 54024, 54025, 1020
+PRO_P = MODELS[PRO_A].table
 
 
 @pytest.mark.parametrize(
@@ -41,7 +44,7 @@ def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
 
 
 @given(
-    table=st.sampled_from([LEGACY_PRO, PRO_P, X_SERIES]),
+    table=st.sampled_from([model.table for model in MODELS.values()]),
     servos=st.integers(1, 20),
     baud=st.sampled_from([57_600, 1_000_000, 4_000_000]),
     delay_s=st.floats(0.0, 508e-6),
@@ -82,8 +85,8 @@ class PickyTransport(LoopbackTransport):
         self.clock, self.deaf_to, self.locked = clock, deaf_to, locked
 
     def _execute(self, packet):
-        address = packet[8] | packet[9] << 8
-        if packet[7] != self.deaf_to and not (packet[7] == 3 and address == self.locked):
+        written = packet.instruction == Instruction.WRITE and codec.word(packet.parameters, 0)
+        if packet.instruction != self.deaf_to and written != self.locked:
             super()._execute(packet)
 
     def read(self, size, deadline_ns):
@@ -150,11 +153,10 @@ def test_a_refusal_or_alert_inside_the_common_packet_is_seen(block):
 
     def tampered(error):
         def read(size, deadline_ns):
-            data = list(LoopbackTransport.read(transport, size, deadline_ns))
-            if data and data[4] == 254:
+            data = bytearray(LoopbackTransport.read(transport, size, deadline_ns))
+            if data and data[4] == codec.BROADCAST:
                 data[8 + block * (len(data) - 8) // 2] = error
-                crc = transport._packets.updateCRC(0, data, len(data) - 2)
-                data[-2:] = [crc & 0xFF, crc >> 8]
+                data[-2:] = codec.crc16(data[:-2]).to_bytes(2, "little")
             return bytes(data)
 
         return read

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from firmware_py.bus import codec
 from firmware_py.bus.registers import STOPPED_BY_WATCHDOG, TORQUE_LOST, Register
 from firmware_py.bus.servo_bus import BusStatus
 from tests.firmware_py.bus.tampered import (
@@ -11,13 +12,13 @@ from tests.firmware_py.bus.tampered import (
     LEGACY,
     MARGIN_NS,
     PRO_A,
-    XM,
     cut,
     drop_second,
     flip_payload,
     make,
     paced,
     read,
+    with_error,
 )
 
 
@@ -60,12 +61,10 @@ def test_noise_in_front_of_the_answers_does_no_harm(pair, noise):
 
 def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
     bus, transport, clock = make(LEGACY, LEGACY)
-    _, transport_of_stranger, _ = make(LEGACY, LEGACY, LEGACY)
     bus.connect()
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
-    size, (low, high) = bus.plan.block.size, divmod(bus.plan.block.address, 256)[::-1]
-    transport_of_stranger._execute([0, 0, 0, 0, 254, 0, 0, 0x82, low, high, size, 0, 3, 0, 0])
-    strange, each = transport_of_stranger._answers, 11 + size
+    size = bus.plan.block.size
+    strange, each = codec.build_status(3, 0, bytes(size)), codec.STATUS_OVERHEAD + size
     transport.tamper = lambda data: strange + data[each:] + data[each:] + data[:each]
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad == pytest.approx([0.1, 0.2], abs=1e-4)
@@ -75,20 +74,10 @@ def test_the_alert_bit_is_kept_and_its_cause_read_once():
     bus, transport, clock = make(LEGACY, LEGACY)
     bus.connect()
     transport.put(2, Register.HARDWARE_ERROR, 0b100000)
-    packets, size = transport._packets, 11 + bus.plan.block.size
-
-    def alert(data):
-        out = b""
-        for k in range(0, len(data), size):
-            frame = list(data[k : k + size])
-            if len(frame) == size and frame[4] == 2:
-                frame[8] |= 0x80
-                crc = packets.updateCRC(0, frame, size - 2)
-                frame[-2:] = [crc & 0xFF, crc >> 8]
-            out += bytes(frame)
-        return out
-
-    transport.tamper = alert
+    size = codec.STATUS_OVERHEAD + bus.plan.block.size
+    transport.tamper = lambda data: (
+        data[:size] + with_error(data[size:], 0x80) if len(data) == 2 * size else data
+    )
     assert read(bus, clock) is BusStatus.ALERT
     assert BusStatus.ALERT.fresh
     assert bus.alert == 0b100000
@@ -164,10 +153,7 @@ def test_an_alert_in_the_second_read_stops_the_robot_all_the_same():
     def alert(data):
         if len(data) < 30 or transport.fates:  # the answers of both servos
             return data
-        frame = list(data[: len(data) // 2])
-        frame[8] |= 0x80
-        crc = transport._packets.updateCRC(0, frame, len(frame) - 2)
-        return bytes([*frame[:-2], crc & 0xFF, crc >> 8]) + data[len(data) // 2 :]
+        return with_error(data[: len(data) // 2], 0x80) + data[len(data) // 2 :]
 
     transport.fates, transport.tamper = ("lost",), alert
     assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.ALERT
@@ -189,14 +175,6 @@ def test_a_servo_that_does_not_drive_says_so_in_the_next_read(register, raw, num
     transport.put(joint, register, raw)
     assert (read(bus, clock), bus.alert) == (BusStatus.ALERT, bits)
     assert len(transport.written[-1]) == len(transport.written[-2]), "nothing was asked besides"
-
-
-def test_a_servo_whose_block_lacks_its_torque_is_not_asked_for_it():
-    bus, transport, clock = make(XM)
-    bus.connect()
-    bus.torque(True)
-    transport.put(1, Register.TORQUE_ENABLE, 0)
-    assert (read(bus, clock), bus.plan.indirect) == (BusStatus.OK, False)
 
 
 def test_a_torque_that_was_never_switched_on_is_no_alert(pair):

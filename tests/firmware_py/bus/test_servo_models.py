@@ -1,5 +1,6 @@
-"""Conversions between raw values and SI units, against exact arithmetic and published figures."""
+"""Servo models: their tables, and conversions against exact arithmetic and published figures."""
 
+import itertools
 import math
 from fractions import Fraction
 
@@ -7,27 +8,83 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_py.bus.servo_models import MODELS, model_named, round_half_away
+from firmware_py.bus.registers import (
+    STOPPED_BY_WATCHDOG,
+    TORQUE_LOST,
+    Register,
+    RegisterField,
+    describe_alert,
+)
+from firmware_py.bus.servo_models import MODELS, check_servo, model_named, round_half_away
 from firmware_py.core.errors import InputError
 
 models = st.sampled_from(list(MODELS.values()))
 int32 = st.integers(-(2**31), 2**31 - 1)
-int16 = st.integers(-(2**15), 2**15 - 1)
+EVERY_MODEL = pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
+LEGACY_PRO, PRO_P, X_SERIES = (MODELS[number].table for number in (54024, 54025, 1020))
+
+# --- tables -----------------------------------------------------------------------------------
+
+
+@EVERY_MODEL
+def test_a_model_is_whole_and_its_registers_do_not_overlap(model):
+    table = model.table
+    aliases = {(Register.GOAL_VELOCITY, Register.PROFILE_VELOCITY)}
+    cells = sorted(table.cells.items(), key=lambda item: item[1].address)
+    for (first, a), (second, b) in itertools.pairwise(cells):
+        assert a.address + a.size <= b.address or (first, second) in aliases
+    assert table.feedback.size <= 12, "one contiguous block"
+    assert all(register in table for register in model.factory)
+    check_servo(model.preset, model.name)
+    no_load_nm = model.preset.coulomb_friction_nm
+    no_load_nm += model.preset.viscous_friction_nm_s_rad * model.preset.speed_limit_rad_s
+    assert 0.03 < no_load_nm / model.preset.torque_limit_nm < 0.45  # the rest turns a load
+
+
+@pytest.mark.parametrize(
+    ("table", "addresses"),
+    [(LEGACY_PRO, [611, 612, 613, 614, 621, 622, 562]),
+     (PRO_P, [580, 581, 582, 583, 574, 575, 512, 546])],
+)  # fmt: skip
+def test_a_gathered_block_has_position_current_torque_and_watchdog(table, addresses):
+    assert table.gathered.size == len(addresses)
+    assert list(table.gathered_addresses) == addresses
+
+
+@pytest.mark.parametrize(
+    ("register", "address"),
+    [(Register.SHUTDOWN, 63), (Register.TORQUE_ENABLE, 64), (Register.PRESENT_POSITION, 132)],
+)  # fmt: skip
+def test_a_family_like_another_has_its_ram_registers_moved(register, address):
+    assert X_SERIES[register].address == address
+
+
+@given(int32)
+def test_values_are_little_endian_in_twos_complement(raw):
+    cell = RegisterField(0, 4, True)
+    assert cell.encode(raw) == (raw % 2**32).to_bytes(4, "little")
+    assert cell.decode(b"\0\0" + cell.encode(raw), 2) == raw
+
+
+@pytest.mark.parametrize(("size", "signed", "raw"), [(1, False, -1), (2, True, 2**15)])
+def test_a_value_that_does_not_fit_its_register_is_refused(size, signed, raw):
+    with pytest.raises(ValueError, match="does not fit"):
+        RegisterField(0, size, signed).encode(raw)
+
+
+def test_hardware_errors_are_named_by_bit():
+    assert describe_alert(0b100100) == "overheating, overload"
+    assert describe_alert(0) == "none"
+    both = describe_alert(0b100000 | TORQUE_LOST | STOPPED_BY_WATCHDOG)
+    assert all(word in both for word in ("overload", "torque", "watchdog"))
+
+
+# --- conversions ------------------------------------------------------------------------------
 
 
 @given(models, int32)
 def test_every_position_survives_the_way_to_an_angle_and_back(model, raw):
     assert model.position_raw(model.angle_rad(raw)) == raw
-
-
-@given(models, int16)
-def test_every_current_survives_the_way_to_amperes_and_back(model, raw):
-    assert model.current_raw(model.current_a(raw)) == raw
-
-
-@given(models, int32)
-def test_every_velocity_survives_the_way_to_rad_s_and_back(model, raw):
-    assert model.velocity_raw(model.velocity_rad_s(raw)) == raw
 
 
 @given(models, st.floats(-3.0, 3.0))
@@ -50,14 +107,12 @@ def test_a_goal_that_is_no_number_is_refused(value):
         MODELS[54024].position_raw(value)
 
 
-@pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
+@EVERY_MODEL
 def test_a_goal_beyond_the_register_is_refused(model):
     last = model.angle_rad(2**31 - 1)
     assert model.position_raw(last) == 2**31 - 1
     with pytest.raises(ValueError, match="does not fit"):
         model.position_raw(last + model.rad_per_pulse)
-    with pytest.raises(ValueError, match="does not fit"):
-        model.current_raw(model.current_a(2**15))
 
 
 @pytest.mark.parametrize(

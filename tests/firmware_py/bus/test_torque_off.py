@@ -42,7 +42,7 @@ class BrokenTransport(LossyTransport):
     broken = True
 
     def _store(self, id_, address, data):
-        if self.broken and address == self._torque and data == [0]:
+        if self.broken and address == self._torque and data == b"\0":
             return
         super()._store(id_, address, data)
 

@@ -11,8 +11,7 @@ import pytest
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
 from firmware_py.bus.registers import Register
-from firmware_py.bus.servo_models import MODELS
-from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.bus.servo_models import MODELS, ServoGains
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import tick_dtype

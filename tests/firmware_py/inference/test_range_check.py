@@ -91,7 +91,7 @@ def test_each_cause_is_counted_apart():
 def test_the_summary_of_a_run_names_the_input(servos, config, toy_bundle, tmp_path, capsys):
     current_a = 20.0
     config.write_text(config.read_text().replace("[limits]", "[limits]\ncurrent_a = 90.0"))
-    servos.put(1, Register.PRESENT_CURRENT, MODELS[54024].current_raw(current_a))
+    servos.put(1, Register.PRESENT_CURRENT, round(current_a / MODELS[54024].current_a_per_lsb))
     code, output = call(capsys, "run", "--config", config)
     assert code == 0, output.err
     (line,) = (line for line in output.out.splitlines() if "training range" in line)

@@ -5,7 +5,6 @@ import math
 import msgspec
 import pytest
 
-from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.errors import InputError
 from firmware_py.link.link_description import (
     STUDY_LINK,
@@ -17,7 +16,6 @@ from firmware_py.link.link_description import (
     read_link,
 )
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
-from firmware_py.link.servo_presets import PRESETS
 
 SMALL = LinkDescription(
     name='a "small" link', length_m=0.6, width_m=0.1, payload_kg=0.1, joints=1,
@@ -40,14 +38,6 @@ def test_weight_falls_along_the_mounting():
         assert gravity.vector_m_s2 == pytest.approx((0.0, 0.0, direction * 0.4 * 9.81))
     assert math.hypot(*LinkGravity(direction=(3.0, 0.0, 4.0)).unit) == pytest.approx(1.0)
     assert STUDY_LINK.gravity.vector_m_s2 == (0.0, 0.0, -9.81)
-
-
-def test_every_servo_of_the_bus_has_a_preset():
-    assert set(PRESETS) == {model.name for model in MODELS.values()}
-    for preset in PRESETS.values():
-        no_load_nm = preset.coulomb_friction_nm
-        no_load_nm += preset.viscous_friction_nm_s_rad * preset.speed_limit_rad_s
-        assert 0.03 < no_load_nm / preset.torque_limit_nm < 0.45  # what is left turns a load
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import PERIOD_S
-from hil.emulator.fmu_physics import FmuPhysics
+from hil.emulator.physics import FmuPhysics
 
 
 def _start(instance, start_s, stop_s):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -11,9 +12,12 @@ import dynamixel_sdk as sdk
 import pytest
 
 from dropstitch.__main__ import main
+from firmware_py.core.errors import InputError
 from firmware_py.system.clock import RealTimeOptions
+from fmu import fmu_builder
 from hil.commands.emulate import NOT_REAL_TIME
 from hil.emulator.emulator import open_physics
+from hil.emulator.physics import build_twin
 from models.plant.plant import NOMINAL
 
 
@@ -128,3 +132,18 @@ def test_what_cannot_be_emulated_is_refused_in_one_sentence(arguments, complaint
     assert main(["emulate", *arguments]) == 2
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+def test_the_twin_is_built_for_this_machine(machine, tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(fmu_builder, "build_fmu", lambda *_, platforms: asked.extend(platforms))
+    build_twin(NOMINAL, 1, tmp_path)
+    assert asked == [f"{machine}-linux"]
+
+
+def test_a_machine_without_a_target_gets_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "riscv64")
+    with pytest.raises(InputError, match="unknown platform 'riscv64-linux'; choose all or some of"):
+        build_twin(NOMINAL, 1, tmp_path)

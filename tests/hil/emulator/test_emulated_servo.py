@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
+import tomllib
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_py.bus import codec
+from firmware_py.bus.codec import ALERT, BROADCAST, Instruction, PacketSearch, StatusError
 from firmware_py.bus.registers import Register
-from firmware_py.bus.servo_models import MODELS
-from hil.emulator import packets
-from hil.emulator.emulated_servo import BAUD_OF_CODE, EmulatedServo
-from hil.emulator.packets import ALERT, BROADCAST, Instruction, PacketParser, StatusError
+from firmware_py.bus.servo_models import GAINS, MODELS, model_named
+from hil.emulator.emulated_servo import EmulatedServo
 
 LEGACY, PRO_A, X = 54024, 54025, 1020
 MS = 1_000_000
@@ -20,14 +23,16 @@ MS = 1_000_000
 
 def ask(bus, frame, now_ns=0):
     """Instruction in, (id, error, data) of every answer out."""
-    [packet] = PacketParser().feed(frame)
-    answers = [PacketParser().feed(reply.frame)[0] for reply in bus.execute(packet, now_ns)]
+    [packet] = PacketSearch(host=False).feed(frame)
+    answers = [
+        PacketSearch(host=False).feed(reply.frame)[0] for reply in bus.execute(packet, now_ns)
+    ]
     return [(a.id, a.parameters[0], a.parameters[1:]) for a in answers]
 
 
 def write(bus, register, raw, now_ns=0, servo=0):
     cell = bus.servos[servo].model.table[register]
-    frame = packets.write_packet(bus.servos[servo].id, cell.address, cell.encode(raw))
+    frame = codec.build_write(bus.servos[servo].id, cell.address, cell.encode(raw))
     [(_, error, _)] = ask(bus, frame, now_ns)
     return error
 
@@ -35,24 +40,22 @@ def write(bus, register, raw, now_ns=0, servo=0):
 def read(bus, register, now_ns=0, servo=0):
     cell = bus.servos[servo].model.table[register]
     [(_, error, data)] = ask(
-        bus, packets.read_packet(bus.servos[servo].id, cell.address, cell.size), now_ns
+        bus, codec.build_read(bus.servos[servo].id, cell.address, cell.size), now_ns
     )
     assert error & ~ALERT == 0
     return cell.decode(data)
 
 
-@pytest.mark.parametrize("number", sorted(MODELS))
-def test_ping_tells_the_model(bus_of, number):
-    bus = bus_of(number)
-    [(servo_id, error, data)] = ask(bus, packets.encode_packet(1, Instruction.PING))
-    assert (servo_id, error) == (1, 0)
-    assert int.from_bytes(data[:2], "little") == number == read(bus, Register.MODEL_NUMBER)
-
-
-def test_everyone_answers_a_broadcast_ping_and_nobody_a_stranger(bus_of):
-    bus = bus_of(ids=(3, 7))
-    assert [a[0] for a in ask(bus, packets.encode_packet(BROADCAST, Instruction.PING))] == [3, 7]
-    assert ask(bus, packets.encode_packet(5, Instruction.PING)) == []
+def test_everyone_answers_a_broadcast_and_nobody_another_id(bus_of):
+    bus = bus_of(X, ids=(3, 7))
+    answers = ask(bus, codec.build(BROADCAST, Instruction.PING))
+    assert [(id_, int.from_bytes(data[:2], "little")) for id_, _, data in answers] == [
+        (3, X),
+        (7, X),
+    ]
+    assert ask(bus, codec.build(5, Instruction.PING)) == []
+    assert ask(bus, codec.build_write(BROADCAST, 64, b"\x01")) == []
+    assert [servo.torque_on for servo in bus.servos] == [True, True]
 
 
 @pytest.mark.parametrize("number", [LEGACY, PRO_A, X])
@@ -123,7 +126,8 @@ def test_eeprom_is_locked_while_torque_is_on(bus_of):
     assert write(bus, Register.RETURN_DELAY, 0) == StatusError.ACCESS
     write(bus, Register.TORQUE_ENABLE, 0)
     assert write(bus, Register.RETURN_DELAY, 0) == StatusError.NONE
-    assert bus.servos[0].return_delay_ns == 0
+    assert write(bus, Register.BAUD_RATE, 5) == StatusError.NONE
+    assert (bus.servos[0].return_delay_ns, bus.servos[0].baud) == (0, 3_000_000)
 
 
 def test_limits_do_not_bind_in_extended_mode(bus_of):
@@ -132,19 +136,28 @@ def test_limits_do_not_bind_in_extended_mode(bus_of):
     assert write(bus, Register.GOAL_POSITION, 10_000_000) == StatusError.NONE
 
 
+def test_a_servo_starts_with_the_gains_that_robot_toml_suggests():
+    text = (Path(__file__).resolve().parents[3] / "robot.toml").read_text(encoding="utf-8")
+    gains = tomllib.loads(re.search(r"^# (gains = .*)", text, re.MULTILINE)[1])["gains"]
+    servo = EmulatedServo(model_named(tomllib.loads(text)["servos"][0]["model"]))
+    servo.put(Register.POSITION_P_GAIN, 1)
+    servo.reboot()
+    assert {name: servo.get(GAINS[name]) for name in gains} == gains
+
+
 @pytest.mark.parametrize(
     ("frame", "error"),
     [
-        (packets.write_packet(1, 564, b"\x01\x02"), StatusError.DATA_LENGTH),
-        (packets.write_packet(1, 564, b""), StatusError.DATA_LENGTH),
-        (packets.write_packet(1, 565, b"\x01"), StatusError.ACCESS),
-        (packets.read_packet(1, 1020, 10), StatusError.ACCESS),
-        (packets.read_packet(1, 0, 0), StatusError.DATA_LENGTH),
-        (packets.encode_packet(1, Instruction.READ, b"\x00"), StatusError.DATA_LENGTH),
-        (packets.encode_packet(1, Instruction.WRITE, b""), StatusError.DATA_LENGTH),
-        (packets.encode_packet(1, 0x77), StatusError.INSTRUCTION),
-        (packets.encode_packet(1, Instruction.ACTION), StatusError.INSTRUCTION),
-        (packets.encode_packet(1, Instruction.PING)[:-1] + b"\x00", StatusError.CRC),
+        (codec.build_write(1, 564, b"\x01\x02"), StatusError.DATA_LENGTH),
+        (codec.build_write(1, 564, b""), StatusError.DATA_LENGTH),
+        (codec.build_write(1, 565, b"\x01"), StatusError.ACCESS),
+        (codec.build_read(1, 1020, 10), StatusError.ACCESS),
+        (codec.build_read(1, 0, 0), StatusError.DATA_LENGTH),
+        (codec.build(1, Instruction.READ, b"\x00"), StatusError.DATA_LENGTH),
+        (codec.build(1, Instruction.WRITE, b""), StatusError.DATA_LENGTH),
+        (codec.build(1, 0x77), StatusError.INSTRUCTION),
+        (codec.build(1, Instruction.ACTION), StatusError.INSTRUCTION),
+        (codec.build(1, Instruction.PING)[:-1] + b"\x00", StatusError.CRC),
     ],
 )
 def test_what_is_wrong_with_an_instruction_is_named(bus_of, frame, error):
@@ -152,40 +165,38 @@ def test_what_is_wrong_with_an_instruction_is_named(bus_of, frame, error):
 
 
 def test_nobody_complains_about_a_broken_broadcast(bus_of):
-    frame = packets.sync_write_packet(564, {1: bytes(4)})
+    frame = codec.build_sync_write(564, {1: bytes(4)})
     assert ask(bus_of(), frame[:-1] + bytes((frame[-1] ^ 1,))) == []
 
 
 def test_one_write_can_span_several_registers_or_none(bus_of):
     bus = bus_of(PRO_A)
     velocity_and_position = (5).to_bytes(4, "little") + (77).to_bytes(4, "little")
-    assert ask(bus, packets.write_packet(1, 560, velocity_and_position)) == [(1, 0, b"")]
+    assert ask(bus, codec.build_write(1, 560, velocity_and_position)) == [(1, 0, b"")]
     assert (read(bus, Register.PROFILE_VELOCITY), read(bus, Register.GOAL_POSITION)) == (5, 77)
     beyond = (6).to_bytes(4, "little") + (10**8).to_bytes(4, "little")
-    assert ask(bus, packets.write_packet(1, 560, beyond))[0][1] == StatusError.DATA_LIMIT
+    assert ask(bus, codec.build_write(1, 560, beyond))[0][1] == StatusError.DATA_LIMIT
     assert read(bus, Register.PROFILE_VELOCITY) == 5
 
 
 def test_registered_writes_wait_for_action(bus_of):
     bus = bus_of(PRO_A)
-    frame = packets.encode_packet(
-        1, Instruction.REG_WRITE, bytes((564 & 0xFF, 564 >> 8, 9, 0, 0, 0))
-    )
+    frame = codec.build(1, Instruction.REG_WRITE, bytes((564 & 0xFF, 564 >> 8, 9, 0, 0, 0)))
     assert ask(bus, frame) == [(1, 0, b"")]
     assert read(bus, Register.GOAL_POSITION) == 0
-    assert ask(bus, packets.encode_packet(BROADCAST, Instruction.ACTION)) == []
+    assert ask(bus, codec.build(BROADCAST, Instruction.ACTION)) == []
     assert read(bus, Register.GOAL_POSITION) == 9
 
 
 def test_sync_read_answers_in_the_order_asked_until_one_is_missing(bus_of):
     bus = bus_of(ids=(1, 2))
-    assert [a[0] for a in ask(bus, packets.sync_read_packet((2, 1), 574, 10))] == [2, 1]
-    assert [a[0] for a in ask(bus, packets.sync_read_packet((1, 9, 2), 574, 10))] == [1]
+    assert [a[0] for a in ask(bus, codec.build_sync_read((2, 1), 574, 10))] == [2, 1]
+    assert [a[0] for a in ask(bus, codec.build_sync_read((1, 9, 2), 574, 10))] == [1]
 
 
 def test_sync_write_reaches_each_servo_with_its_own_goal(bus_of):
     bus = bus_of(PRO_A, ids=(1, 2))
-    frame = packets.sync_write_packet(564, {1: b"\x05\0\0\0", 2: b"\xfb\xff\xff\xff", 9: bytes(4)})
+    frame = codec.build_sync_write(564, {1: b"\x05\0\0\0", 2: b"\xfb\xff\xff\xff", 9: bytes(4)})
     assert ask(bus, frame) == []
     assert [read(bus, Register.GOAL_POSITION, servo=k) for k in (0, 1)] == [5, -5]
 
@@ -195,9 +206,9 @@ def test_status_return_level(bus_of, level, answers):
     bus = bus_of()
     bus.servos[0].put(Register.STATUS_RETURN_LEVEL, level)
     frames = (
-        packets.encode_packet(1, Instruction.PING),
-        packets.read_packet(1, 0, 2),
-        packets.write_packet(1, 564, bytes(4)),
+        codec.build(1, Instruction.PING),
+        codec.build_read(1, 0, 2),
+        codec.build_write(1, 564, bytes(4)),
     )
     assert sum(len(ask(bus, frame)) for frame in frames) == answers
 
@@ -207,11 +218,11 @@ def test_a_fatal_hardware_error_stops_the_motor_until_a_reboot(bus_of):
     write(bus, Register.TORQUE_ENABLE, 1)
     write(bus, Register.GOAL_POSITION, 10_000)
     bus.servos[0].fail(1 << 5)
-    assert ask(bus, packets.encode_packet(1, Instruction.PING))[0][1] == ALERT
+    assert ask(bus, codec.build(1, Instruction.PING))[0][1] == ALERT
     assert read(bus, Register.TORQUE_ENABLE) == 0
     assert write(bus, Register.TORQUE_ENABLE, 1) == StatusError.RESULT_FAIL | ALERT
     assert read(bus, Register.PRESENT_POSITION, 1000 * MS) == 0
-    ask(bus, packets.encode_packet(1, Instruction.REBOOT), 1000 * MS)
+    ask(bus, codec.build(1, Instruction.REBOOT), 1000 * MS)
     assert read(bus, Register.HARDWARE_ERROR, 1000 * MS) == 0
     assert write(bus, Register.TORQUE_ENABLE, 1, 1000 * MS) == StatusError.NONE
 
@@ -221,7 +232,7 @@ def test_a_hardware_error_outside_the_shutdown_mask_only_alerts(bus_of):
     write(bus, Register.TORQUE_ENABLE, 1)
     bus.servos[0].fail(1 << 3)  # encoder; shutdown is 52 = bits 2, 4, 5
     assert read(bus, Register.TORQUE_ENABLE) == 1
-    assert ask(bus, packets.encode_packet(1, Instruction.PING))[0][1] == ALERT
+    assert ask(bus, codec.build(1, Instruction.PING))[0][1] == ALERT
 
 
 @pytest.mark.parametrize("number", [PRO_A, X])
@@ -261,19 +272,12 @@ def test_homing_offset_shifts_position_and_goal_alike(bus_of):
     assert bus.physics.angle_rad[0] == pytest.approx(0.0, abs=1e-12)
 
 
-@pytest.mark.parametrize(("code", "baud"), BAUD_OF_CODE.items())
-def test_the_baud_register_sets_the_rate(bus_of, code, baud):
-    bus = bus_of()
-    write(bus, Register.BAUD_RATE, code)
-    assert bus.servos[0].baud == baud
-
-
 # --- fast sync read, indirect addresses -----------------------------------------------------------
 
 
 def together(bus, ids, address, length):
     """(id, error, data) of every block of the one answer; the block CRCs are the codec's affair."""
-    [packet] = PacketParser().feed(packets.sync_read_packet(ids, address, length, fast=True))
+    [packet] = PacketSearch(host=False).feed(codec.build_sync_read(ids, address, length, fast=True))
     replies = bus.execute(packet, 0)
     if not replies:
         return None
@@ -288,7 +292,7 @@ def together(bus, ids, address, length):
 def test_a_fast_sync_read_gives_what_a_sync_read_gives(bus_of, address, length):
     bus = bus_of(PRO_A, ids=(1, 2, 3))
     bus.servos[1].fail(1)
-    apart = ask(bus, packets.sync_read_packet((3, 1, 2), address, length))
+    apart = ask(bus, codec.build_sync_read((3, 1, 2), address, length))
     assert together(bus, (3, 1, 2), address, length) == apart
 
 
@@ -313,12 +317,12 @@ def test_indirect_data_shows_and_sets_what_its_entries_name(bus_of, number, data
     addresses = [c.address + k for c in shown for k in range(c.size)]
     addresses += [goal.address + k for k in range(4)]
     entries = b"".join(address.to_bytes(2, "little") for address in addresses)
-    assert ask(bus, packets.write_packet(1, table.indirect.address, entries))[0][1] == 0
-    plain = b"".join(ask(bus, packets.read_packet(1, c.address, c.size))[0][2] for c in shown)
+    assert ask(bus, codec.build_write(1, table.indirect.address, entries))[0][1] == 0
+    plain = b"".join(ask(bus, codec.build_read(1, c.address, c.size))[0][2] for c in shown)
     start = table.indirect.data
-    assert ask(bus, packets.read_packet(1, start, len(plain)))[0][2] == plain
+    assert ask(bus, codec.build_read(1, start, len(plain)))[0][2] == plain
     raw = bus.servos[0].model.position_raw(data.draw(st.floats(-0.5, 0.5)))
-    assert ask(bus, packets.write_packet(1, start + len(plain), goal.encode(raw)))[0][1] == 0
+    assert ask(bus, codec.build_write(1, start + len(plain), goal.encode(raw)))[0][1] == 0
     assert read(bus, Register.GOAL_POSITION) == raw
 
 
@@ -327,9 +331,9 @@ def test_entries_in_eeprom_are_locked_and_kept_those_in_ram_are_lost(bus_of):
         bus = bus_of(number)
         first = bus.servos[0].model.table.indirect.address
         new = (600).to_bytes(2, "little")
-        ask(bus, packets.write_packet(1, first, new))
-        ask(bus, packets.encode_packet(1, Instruction.REBOOT))
-        assert (ask(bus, packets.read_packet(1, first, 2))[0][2] == new) is kept
+        ask(bus, codec.build_write(1, first, new))
+        ask(bus, codec.build(1, Instruction.REBOOT))
+        assert (ask(bus, codec.build_read(1, first, 2))[0][2] == new) is kept
         write(bus, Register.TORQUE_ENABLE, 1)
-        refused = ask(bus, packets.write_packet(1, first, new))[0][1] == StatusError.ACCESS
+        refused = ask(bus, codec.build_write(1, first, new))[0][1] == StatusError.ACCESS
         assert refused is kept

@@ -11,9 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bus import feedback
+from firmware_py.bus import codec
+from firmware_py.bus.codec import BROADCAST, Instruction, Packet
 from firmware_py.bus.dynamixel import DynamixelBus
-from firmware_py.bus.register_access import RegisterAccess
+from firmware_py.bus.port import RegisterAccess
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.errors import InputError
@@ -21,8 +22,6 @@ from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.estimator import NoEstimator
 from firmware_py.inference.manifest import Manifest
 from firmware_py.inference.predictor import Prediction
-from hil.emulator import packets
-from hil.emulator.packets import BROADCAST, Instruction, Packet
 from hil.faults import fault_docs, fault_verdict
 from hil.faults.campaign import cases_of
 from hil.faults.cases import virtual_case
@@ -98,7 +97,7 @@ def test_the_same_seed_gives_the_same_run_and_another_one_another(robot):
 def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(robot, monkeypatch):
     row = row_named("reply late by a period", "once")
     assert run(robot, row).verdict == "pass"
-    monkeypatch.setattr(feedback, "_DISTINCT_LENGTHS", 1)
+    monkeypatch.setattr("firmware_py.bus.exchange._DISTINCT_LENGTHS", 1)
     judged = run(robot, row)
     assert judged.verdict == "fail"
     assert any("old data for fresh" in words for words in judged.safety_violations)
@@ -107,9 +106,11 @@ def test_a_bus_that_takes_late_answers_for_fresh_is_found_out(robot, monkeypatch
 def test_a_bus_that_takes_any_answer_for_a_confirmation_is_found_out(robot, monkeypatch):
     def put(registers, id_, cell, raw):
         registers._port.deadline_ns = registers._clock.now_ns() + 50_000_000
-        packets_, data = registers._packets, list(cell.encode(raw))
-        result, _ = packets_.writeTxRx(registers._port, id_, *cell[:2], data)
-        return result == 0
+        registers._port.request(codec.build_write(id_, cell.address, cell.encode(raw)))
+        packet, _ = registers._port.receive()
+        while packet is not None and packet.id != id_:
+            packet, _ = registers._port.receive()
+        return packet is not None
 
     monkeypatch.setattr(RegisterAccess, "put", put)
     monkeypatch.setattr(
@@ -251,7 +252,7 @@ def test_verdicts_are_counted_and_written(tmp_path):
 
 # --- what is injected ------------------------------------------------------------------------
 
-FRAME = packets.status_packet(1, 0, bytes(range(10)))
+FRAME = codec.build_status(1, 0, bytes(range(10)))
 
 
 def test_an_unknown_kind_of_fault_is_refused():
@@ -300,7 +301,7 @@ def test_a_flipped_bit_leaves_no_intact_answer_of_that_servo(kind, seed):
         script.begin_exchange((), 0)
     ((_, damaged),) = script.apply(FRAME)
     assert len(damaged) == len(FRAME)
-    assert not any(p.intact and p.id == 1 for p in packets.PacketParser().feed(damaged))
+    assert not any(p.intact and p.id == 1 for p in codec.PacketSearch(host=False).feed(damaged))
     if kind != "other id":
         flipped = int.from_bytes(damaged, "big") ^ int.from_bytes(FRAME, "big")
         assert flipped.bit_count() == 1

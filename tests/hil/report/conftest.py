@@ -15,7 +15,7 @@ from firmware_py.inference.bundle import ModelBundle
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.report import write_report
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests

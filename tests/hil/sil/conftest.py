@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from models.plant.plant import NOMINAL
 
 

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus.bus_plan import plans
-from firmware_py.bus.registers import PRO_P
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.servo_models import MODELS
 from firmware_py.core.signals import STAGES, tick_dtype
 from firmware_py.safety.states import Fault, SafetyState
 from firmware_py.system.timing import Cause, Percentiles
@@ -281,7 +281,7 @@ def test_junit_has_the_same_verdict(slow_ns, why):
     assert suite.find("properties/property[@name='line']").get("value") == "socket"
 
 
-PLAN = tick_budget.plan_times(plans(PRO_P, 2, 1_000_000)[0])
+PLAN = tick_budget.plan_times(plans(MODELS[54025].table, 2, 1_000_000)[0])
 
 
 def staged_run(ticks: int = 500) -> np.ndarray:
@@ -309,7 +309,7 @@ def test_the_parts_of_the_read_and_the_stages_add_up_to_the_period():
     budget = budget_of(records, reference_ns=10_000)
     parts_ns = sum(budget.read[part].p50_ns for part in ("own", "transmission", "servo", "wait"))
     assert parts_ns == records["read_ns"][0]
-    read_s = plans(PRO_P, 2, 1_000_000)[0].read_s
+    read_s = plans(MODELS[54025].table, 2, 1_000_000)[0].read_s
     assert (PLAN.transmission_ns + PLAN.servo_ns) * 1e-9 == pytest.approx(read_s, abs=1e-9)
     stages_ns = sum(row.p50_ns for row in budget.stages.values()) + MS
     assert stages_ns + budget.slack.p50_ns == PERIOD_NS

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bus.servo_settings import ServoGains
+from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import unit_of
 from models.plant.document import Evaluation, FittedTrial, Provenance, SignalError

@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from firmware_py.inference.bundle import ModelBundle
-from hil.emulator.twin_fmu import build_twin
+from hil.emulator.physics import build_twin
 from hil.faults.cases.case_robot import CaseRobot
 from hil.faults.cases.process_case import run_process
 from hil.faults.fault_table import PROCESS
