@@ -10,7 +10,7 @@ from pathlib import Path
 
 from firmware_py.inference.fmi_platform import platform_here
 from fmu.fmu_builder import build_fmu
-from fmu.packaging.platforms import platform_names
+from fmu.packaging import platform_names
 from models.plant.plant import read_plant
 
 

@@ -141,7 +141,7 @@ def foreign_fmu(file):
     """FMU as `fmu check` reads it before its library is loaded."""
     from fmu.fmpy_instance import FmuArchive
     from fmu.fmu_models import embedded_parts
-    from fmu.packaging.reference_run import read_reference_run
+    from fmu.documents import read_reference_run
 
     with FmuArchive(file) as archive:
         embedded_parts(archive.directory / "resources")
