@@ -1,173 +1,183 @@
-/* Host of an FMU in C, for Co-Simulation in FMI 3.0, with the FMU linked into the program.
+/* Host of an FMI 3.0 FMU for Co-Simulation in plain C: reads inputs, prints outputs in 17 digits.
  *
- * It measures a step of the FMU, the same step by hand-called functions of CasADi, a directional
- * derivative of all derivatives and outputs, and the time and the resident memory of instances that
- * are made, initialized, stepped, reset and freed. Prints one line of JSON. Argument: instances.
+ *     fmu_host LIBRARY TOKEN [ROUNDS] < rows > results
+ *
+ * It reads no model description. The first line of the rows holds the value references of the
+ * inputs, the second those of the outputs, the third the step in s; all further lines hold the
+ * inputs of one step. It prints one line of outputs for the start and one after each step. The
+ * inputs of the first step are also those of the initialization.
+ *
+ * With ROUNDS it repeats the run that often, and prints the processor time of a step in µs with
+ * setting its inputs and getting its outputs: the mean over the fastest run.
  */
-#define _POSIX_C_SOURCE 200809L
-#include <math.h>
+#include "fmi3Functions.h"
+
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
-#include <unistd.h>
 
-#include "fmi3Functions.h"
-#include "fmu_core.h"
+#ifdef _WIN32
+#include <windows.h>
+#define OPEN(path) LoadLibraryA(path)
+#define FIND(library, name) GetProcAddress(library, name)
+typedef HMODULE Library;
+#else
+#include <dlfcn.h>
+#define OPEN(path) dlopen(path, RTLD_NOW)
+#define FIND(library, name) dlsym(library, name)
+typedef void *Library;
+#endif
 
-enum { STEPS = 500, ROUNDS = 9 };
+enum { MOST = 256, MOST_ROWS = 1024, LONGEST_LINE = 8192 };
 
-static double now_us(void)
+static fmi3InstantiateCoSimulationTYPE *instantiate;
+static fmi3EnterInitializationModeTYPE *enter_initialization;
+static fmi3ExitInitializationModeTYPE *exit_initialization;
+static fmi3SetFloat64TYPE *set_float64;
+static fmi3GetFloat64TYPE *get_float64;
+static fmi3DoStepTYPE *do_step;
+static fmi3ResetTYPE *reset;
+static fmi3TerminateTYPE *terminate;
+static fmi3FreeInstanceTYPE *free_instance;
+
+static void fail(const char *what)
 {
-    struct timespec t;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-    return 1e6 * (double)t.tv_sec + 1e-3 * (double)t.tv_nsec;
+    fprintf(stderr, "fmu_host: %s\n", what);
+    exit(2);
 }
 
-static long resident_kb(void)
+static void check(fmi3Status status, const char *call)
 {
-    long pages = 0, resident = 0;
-    FILE *file = fopen("/proc/self/statm", "r");
-    if (!file || fscanf(file, "%ld %ld", &pages, &resident) != 2)
-        resident = 0;
-    if (file)
-        fclose(file);
-    return resident * (sysconf(_SC_PAGESIZE) / 1024);
+    if (status != fmi3OK)
+        fail(call);
 }
 
-static double goal(int k) { return 0.5 * sin(0.0245 * k); }
-
-static fmi3Instance ready(void)
+/* A pointer to an object becomes a pointer to a function, as POSIX and Windows allow. */
+static void look_up(Library library, const char *name, void *function)
 {
-    fmi3Instance instance = fmi3InstantiateCoSimulation("bench", FMU_TOKEN, NULL, 0, 0, 0, 0, NULL, 0,
-                                                        NULL, NULL, NULL);
-    if (!instance || fmi3EnterInitializationMode(instance, 0, 0.0, 0.0, 0, 0.0) != fmi3OK ||
-        fmi3ExitInitializationMode(instance) != fmi3OK)
-        exit(1);
-    return instance;
+    void *address = (void *)FIND(library, name);
+    if (!address)
+        fail(name);
+    memcpy(function, &address, sizeof address);
 }
 
-static void step(fmi3Instance instance, int k)
+static void load(const char *path)
 {
-    fmi3Boolean event, end, early;
-    double last_s;
-    if (fmi3DoStep(instance, k * SAMPLE_S, SAMPLE_S, 1, &event, &end, &early, &last_s) != fmi3OK)
-        exit(1);
+    Library library = OPEN(path);
+    if (!library)
+        fail("the library cannot be loaded");
+    look_up(library, "fmi3InstantiateCoSimulation", &instantiate);
+    look_up(library, "fmi3EnterInitializationMode", &enter_initialization);
+    look_up(library, "fmi3ExitInitializationMode", &exit_initialization);
+    look_up(library, "fmi3SetFloat64", &set_float64);
+    look_up(library, "fmi3GetFloat64", &get_float64);
+    look_up(library, "fmi3DoStep", &do_step);
+    look_up(library, "fmi3Reset", &reset);
+    look_up(library, "fmi3Terminate", &terminate);
+    look_up(library, "fmi3FreeInstance", &free_instance);
 }
 
-static double step_by_fmu(double *tip)
+/* Numbers of the next line; -1 at the end of the file. */
+static int read_numbers(double number[])
 {
-    fmi3Instance instance = ready();
-    const fmi3ValueReference first = FIRST_INPUT, out = FIRST_STATE - 1;
-    double begin_us = now_us();
-    for (int k = 0; k < STEPS; k++) {
-        double value = goal(k);
-        fmi3SetFloat64(instance, &first, 1, &value, 1);
-        step(instance, k);
-        fmi3GetFloat64(instance, &out, 1, tip, 1);
+    static char line[LONGEST_LINE];
+    int count = 0;
+    if (!fgets(line, sizeof line, stdin))
+        return -1;
+    for (char *next = line, *end; count < MOST; next = end) {
+        number[count] = strtod(next, &end);
+        if (end == next)
+            break;
+        count++;
     }
-    double us = (now_us() - begin_us) / STEPS;
-    fmi3FreeInstance(instance);
-    return us;
+    return count;
 }
 
-/* What somebody writes who calls the functions of CasADi without an FMU. */
-static double step_by_hand(double *tip)
+static int read_references(fmi3ValueReference reference[])
 {
-    static const double *argument[WORK_ARGUMENTS];
-    static double *result[WORK_RESULTS], reals[WORK_REALS];
-    static casadi_int integers[WORK_INTEGERS];
-    static double x[N_STATES], next[N_STATES], u[N_INPUTS], p[ROOM(N_PARAMETERS)], y[N_OUTPUTS], h;
-    static Model *const PARTS[] = {model_begin, model_flow, model_finish};
-    int count = (int)ceil(SAMPLE_S / MAX_SUBSTEP_S - 1e-9);
-    for (int i = 0; i < N_INPUTS; i++)
-        u[i] = VARIABLES[FIRST_INPUT + i].start;
-    for (int i = 0; i < N_PARAMETERS; i++)
-        p[i] = VARIABLES[FIRST_PARAMETER + i].start;
-    argument[0] = u, argument[1] = p, result[0] = x;
-    model_initial(argument, result, integers, reals, 0);
-    double begin_us = now_us();
-    for (int k = 0; k < STEPS; k++) {
-        u[0] = goal(k);
-        for (int part = 0; part < count + 2; part++) {
-            int kind = part == 0 ? 0 : part <= count ? 1 : 2;
-            h = kind == 1 ? SAMPLE_S / count : SAMPLE_S;
-            argument[0] = x, argument[1] = u, argument[2] = p, argument[3] = &h, result[0] = next;
-            PARTS[kind](argument, result, integers, reals, 0);
-            memcpy(x, next, sizeof x);
-        }
-        argument[0] = x, argument[1] = u, argument[2] = p, result[0] = y;
-        model_output(argument, result, integers, reals, 0);
-    }
-    *tip = y[N_OUTPUTS - 1];
-    return (now_us() - begin_us) / STEPS;
+    static double number[MOST];
+    int count = read_numbers(number);
+    for (int i = 0; i < count; i++)
+        reference[i] = (fmi3ValueReference)number[i];
+    return count;
 }
 
-static double derivative(int adjoint)
+static void log_message(fmi3InstanceEnvironment environment, fmi3Status status,
+                        fmi3String category, fmi3String message)
 {
-    fmi3Instance instance = ready();
-    static fmi3ValueReference unknown[N_VARIABLES], known[N_KNOWNS];
-    static double seed[N_VARIABLES], slope[N_VARIABLES];
-    size_t unknowns = 0, knowns = 0;
-    for (uint32_t r = FIRST_OUTPUT; r < FIRST_INDICATOR; r++)
-        if (VARIABLES[r].type == FLOAT64 && (r < FIRST_STATE || r >= FIRST_DERIVATIVE))
-            unknown[unknowns++] = r;
-    for (uint32_t r = FIRST_INPUT; r < FIRST_OUTPUT; r++)
-        known[knowns++] = r;
-    for (int i = 0; i < N_CONTINUOUS; i++)
-        known[knowns++] = FIRST_STATE + (uint32_t)CONTINUOUS_STATES[i];
-    for (size_t i = 0; i < N_VARIABLES; i++)
-        seed[i] = 1.0;
-    for (int k = 0; k < 20; k++)
-        step(instance, k);
-    double begin_us = now_us();
-    for (int k = 0; k < STEPS; k++) {
-        int status = adjoint ? fmi3GetAdjointDerivative(instance, unknown, unknowns, known, knowns,
-                                                        seed, unknowns, slope, knowns)
-                             : fmi3GetDirectionalDerivative(instance, unknown, unknowns, known,
-                                                            knowns, seed, knowns, slope, unknowns);
-        if (status != fmi3OK)
-            exit(1);
-    }
-    double us = (now_us() - begin_us) / STEPS;
-    fmi3FreeInstance(instance);
-    return us;
+    (void)environment, (void)status, (void)category;
+    fprintf(stderr, "%s\n", message);
 }
 
-static double instances(int count)
+static fmi3Instance fmu;
+static fmi3ValueReference inputs[MOST], outputs[MOST];
+static int n_inputs, n_outputs, n_rows;
+static double step_s, row[MOST_ROWS][MOST], value[MOST];
+
+static void set_inputs(const double values[])
 {
-    double begin_us = now_us();
-    for (int k = 0; k < count; k++) {
-        fmi3Instance instance = ready();
-        step(instance, 0);
-        if (fmi3Reset(instance) != fmi3OK)
-            exit(1);
-        fmi3FreeInstance(instance);
-    }
-    return (now_us() - begin_us) / (count ? count : 1);
+    check(set_float64(fmu, inputs, (size_t)n_inputs, values, (size_t)n_inputs), "fmi3SetFloat64");
 }
 
-static double least(double best, double value) { return value < best ? value : best; }
+static void get_outputs(int shown)
+{
+    check(get_float64(fmu, outputs, (size_t)n_outputs, value, (size_t)n_outputs),
+          "fmi3GetFloat64");
+    for (int i = 0; shown && i < n_outputs; i++)
+        printf("%s%.17g", i ? " " : "", value[i]);
+    if (shown)
+        printf("\n");
+}
+
+/* One run over all rows; the mean processor time of a step in µs. */
+static double run(int shown)
+{
+    fmi3Boolean event, stop, early;
+    fmi3Float64 time_s = 0.0, reached_s;
+    set_inputs(row[0]);
+    check(enter_initialization(fmu, fmi3False, 0.0, 0.0, fmi3False, 0.0),
+          "fmi3EnterInitializationMode");
+    check(exit_initialization(fmu), "fmi3ExitInitializationMode");
+    get_outputs(shown);
+    clock_t begin = clock();
+    for (int k = 0; k < n_rows; k++) {
+        set_inputs(row[k]);
+        check(do_step(fmu, time_s, step_s, fmi3True, &event, &stop, &early, &reached_s),
+              "fmi3DoStep");
+        time_s += step_s;
+        get_outputs(shown);
+    }
+    return 1e6 * (double)(clock() - begin) / CLOCKS_PER_SEC / n_rows;
+}
 
 int main(int count, char **argument)
 {
-    int wanted = count > 1 ? atoi(argument[1]) : 1000;
-    double tip[2], fmu_us = 1e9, hand_us = 1e9, forward_us = 1e9, adjoint_us = 1e9;
-    for (int round = 0; round < ROUNDS; round++) { /* in turn, so that both see the same host */
-        fmu_us = least(fmu_us, step_by_fmu(&tip[0]));
-        hand_us = least(hand_us, step_by_hand(&tip[1]));
-        forward_us = least(forward_us, derivative(0));
-        adjoint_us = least(adjoint_us, derivative(1));
+    if (count != 3 && count != 4)
+        fail("give the library and the instantiation token");
+    load(argument[1]);
+    fmu = instantiate("host", argument[2], NULL, fmi3False, fmi3True, fmi3False, fmi3False, NULL, 0,
+                      NULL, log_message, NULL);
+    if (!fmu)
+        fail("fmi3InstantiateCoSimulation");
+    n_inputs = read_references(inputs), n_outputs = read_references(outputs);
+    if (n_inputs < 0 || n_outputs < 1 || read_numbers(value) != 1)
+        fail("the first three lines are not references, references and a step");
+    step_s = value[0];
+    while (n_rows < MOST_ROWS && read_numbers(row[n_rows]) == n_inputs)
+        n_rows++;
+    if (n_rows == 0)
+        fail("there are no rows of inputs");
+    run(1);
+    double least_us = 1e9;
+    for (int round = count == 4 ? atoi(argument[3]) : 0; round > 0; round--) {
+        check(reset(fmu), "fmi3Reset");
+        double us = run(0);
+        least_us = us < least_us ? us : least_us;
     }
-    instances(wanted / 10);
-    long before_kb = resident_kb();
-    double instance_us = instances(wanted);
-    printf("{\"step_us\": %.3f, \"by_hand_us\": %.3f, \"step_ratio\": %.4f, \"same\": %s, "
-           "\"directional_us\": %.3f, \"directional_ratio\": %.4f, \"adjoint_us\": %.3f, "
-           "\"adjoint_ratio\": %.4f, \"instances\": %d, \"instance_us\": %.3f, "
-           "\"grown_kb\": %ld, \"instance_bytes\": %u}\n",
-           fmu_us, hand_us, fmu_us / hand_us, tip[0] == tip[1] ? "true" : "false", forward_us,
-           forward_us / fmu_us, adjoint_us, adjoint_us / fmu_us, wanted, instance_us,
-           resident_kb() - before_kb, (unsigned)sizeof(Fmu));
+    if (count == 4)
+        printf("%.3f\n", least_us);
+    check(terminate(fmu), "fmi3Terminate");
+    free_instance(fmu);
     return 0;
 }

@@ -28,7 +28,6 @@ from firmware_py.inference.manifest import Manifest, write_manifest
 from firmware_py.inference.predictor import OnnxPredictor, Predictor
 from fmu.fmu_builder import build_fmu
 from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
-from fmu.packaging.platforms import HOST
 from models.plant.step_model import StepModel, names
 from models.predictor.document import Latency, measure_latency, read_predictors, write_predictors
 
@@ -41,7 +40,7 @@ class ModelEstimator:
 
     waits_for_fresh: ClassVar[bool] = True
 
-    def __init__(self, model: StepModel, wanted: Sequence[str] = ()) -> None:
+    def __init__(self, model: StepModel, wanted: Sequence[str]) -> None:
         self._model, self._parameters = model, model.parameter_values()
         outputs = names(model.outputs)
         for name in wanted:
@@ -63,7 +62,8 @@ class ModelEstimator:
         Shapes: `angle_rad`, `current_a` (dof,).
         """
         model, p = self._model, self._parameters
-        u = np.concatenate([angle_rad, current_a])
+        u = np.zeros(len(model.inputs))  # an age, if any, stays zero
+        u[: 2 * len(angle_rad)] = *angle_rad, *current_a
         before = np.asarray(model.initial(u, p)).ravel() if self._state is None else self._state
         self._state = model.advance(before, u, p, step_s)
         y = np.asarray(model.output(self._state, u, p)).ravel()
@@ -75,9 +75,9 @@ def add_observer(
     bundle: Path,
     manifest: Manifest,
     parts: FmuParts,
-    platforms: Sequence[str] = (HOST,),
-    report: Callable[[str], None] = lambda text: None,
-) -> Path:
+    platforms: Sequence[str],
+    report: Callable[[str], None],
+) -> None:
     """Build the observer FMU into a bundle and make it the bundle's estimator.
 
     The golden ticks keep their motion. The interpreted model recomputes their expected outputs, so
@@ -94,54 +94,47 @@ def add_observer(
             file=sys.stderr,
         )
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
-    golden = _expected(read_golden(bundle / GOLDEN, parts.dof), parts, predictor)
+    motion = read_golden(bundle / GOLDEN, parts.dof)
+    model = parts.model()
+    report("computing the golden ticks")
+    golden = record_golden(
+        ModelEstimator(parts.plant_model(), predictor.wanted), predictor,
+        motion.angle_rad, motion.current_a, motion.step_s,
+    )  # fmt: skip
     scratch = build_fmu(
-        parts.model(),
+        model,
         bundle / f".{OBSERVER}",
         description=parts.description(),
-        resources=parts.resources(),
+        files=parts.resources(),
         platforms=platforms,
         derivatives=False,  # the robot needs none
         report=report,
     )
-    runtimes = _proven(golden, scratch, predictor, compiled=parts.predictor is not None)
+    runtimes = _verify(golden, scratch, predictor)
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
     plant.write(bundle / PLANT)
-    _tell_runtimes(bundle, manifest, runtimes)
+    _add_runtimes(bundle, manifest, runtimes)
     renewed = {
         "estimator": "observer", "plant_sha256": plant.sha256(),
         "servo_gains": plant.provenance.servo_gains[: parts.dof],
     }  # fmt: skip
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
-    return bundle / OBSERVER
 
 
-def _expected(motion: Golden, parts: FmuParts, predictor: OnnxPredictor) -> Golden:
-    """Golden ticks of a motion, with the outputs of the interpreted model."""
-    reference = parts._replace(predictor=None).model()
-    return record_golden(
-        ModelEstimator(reference, predictor.wanted), predictor,
-        motion.angle_rad, motion.current_a, motion.step_s,
-    )  # fmt: skip
-
-
-def _proven(
-    golden: Golden, path: Path, predictor: OnnxPredictor, *, compiled: bool
-) -> dict[str, Latency]:
+def _verify(golden: Golden, path: Path, predictor: OnnxPredictor) -> dict[str, Latency]:
     """Verify each runtime of a new observer on the golden ticks; return their latencies."""
     dof = golden.angle_rad.shape[1]
-    with FmuInstance(path) as fmu:
+    with FmuInstance(path) as fmu, FmuInstance(path) as other:
         estimator = ObserverEstimator(fmu, dof, predictor.wanted)
+        compiled = CompiledObserver(other, dof)
         verify(golden, estimator, predictor, path)
-        found = {"onnx": _latency(golden, estimator, predictor)}
-        if compiled:
-            with FmuInstance(path) as other:
-                both = CompiledObserver(other, dof)
-                verify(golden, both, both, path)
-                verify_equal(golden, (estimator, predictor), (both, both), path)
-                found["compiled"] = _latency(golden, both, both)
-    return found
+        verify(golden, compiled, compiled, path)
+        verify_equal(golden, (estimator, predictor), (compiled, compiled), path)
+        return {
+            "onnx": _latency(golden, estimator, predictor),
+            "compiled": _latency(golden, compiled, compiled),
+        }
 
 
 def _latency(golden: Golden, estimator: ObserverEstimator, predictor: Predictor) -> Latency:
@@ -152,12 +145,12 @@ def _latency(golden: Golden, estimator: ObserverEstimator, predictor: Predictor)
         estimate = estimator.update(angle_rad, current_a, golden.step_s)
         predictor.predict(angle_rad, current_a, estimate.di, estimate.signals)
 
-    found = measure_latency(answer)
+    latency = measure_latency(answer)
     estimator.reset()
-    return found
+    return latency
 
 
-def _tell_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency]) -> None:
+def _add_runtimes(bundle: Path, manifest: Manifest, runtimes: dict[str, Latency]) -> None:
     """Add the latencies to the bundle's comparison of predictors and its model card, if any."""
     path = bundle / "predictors.json"
     if not path.is_file():

@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import ARCHIVE_DAMAGE, check_archive, open_bounded
 from firmware_py.inference.fmu_instance import platform_here
-from fmu.packaging.platforms import PLATFORMS
+from fmu.packaging import PLATFORMS
 
 InterfaceType = Literal["CoSimulation", "ModelExchange"]
-
-__all__ = ["FmpyInstance", "FmuArchive"]
 
 Array = NDArray[np.float64]
 
@@ -152,12 +150,19 @@ class FmpyInstance:
         each step, shape (n + 1, len(outputs)).
         """
         self.initialize(dict(zip(inputs, u[0], strict=True)))
-        rows = [self.get(outputs)]
+        start = self.get(outputs)
+        return np.array([start, *self.go_on(inputs, u, steps_s, outputs)])
+
+    def go_on(
+        self, inputs: Sequence[str], u: Array, steps_s: Array, outputs: Sequence[str]
+    ) -> list[Array]:
+        """Take steps from where the instance is; return the outputs after each."""
+        rows = []
         for row, step_s in zip(u, steps_s, strict=True):
             self.set(dict(zip(inputs, row, strict=True)))
             self.step(float(step_s))
             rows.append(self.get(outputs))
-        return np.array(rows)
+        return rows
 
     def close(self) -> None:
         """Free the instance."""

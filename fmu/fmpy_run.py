@@ -1,26 +1,29 @@
-"""Simulation of an FMU in FMPy along a motion or a trial."""
+"""Run of an FMU in FMPy along a motion or a trial: inputs, simulation, table and plot."""
 
 from __future__ import annotations
 
+import csv
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from numpy.typing import NDArray
 
+from firmware_py.core import units as display_units
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
-from firmware_py.core.signals import DI, PAYLOAD, tip_names
+from firmware_py.core.signals import AGE, DI, PAYLOAD, PERIOD_S, TIME, observer_signals, tip_names
+from firmware_py.link.link_description import STUDY_LINK
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
-from fmu.fmu_models import embedded_parts
-from fmu.stimulus import (
-    check_link_of_trial,
-    inputs_from_motion,
-    inputs_from_trial,
-    usual_payload_kg,
-)
-from models.plant.step_model import names
+from fmu.fmu_models import FmuParts, embedded_parts
+from models.plant.identification.doubts import ALIKE_M_S2, SAME_SIZE_FRACTION
+from models.plant.simulation.runner import model_inputs
+from models.plant.step_model import StepModel, names
+from models.shared.palette import SERIES
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
@@ -112,8 +115,9 @@ def simulate_fmu(
         check_link_of_trial(parts, source, parameters)
         u, step_s = inputs_from_trial(parts, model, source), source.step_s
     else:
-        held_kg = usual_payload_kg(parts) if payload_kg is None else payload_kg
-        u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), held_kg, step_s)
+        if payload_kg is None:
+            payload_kg = usual_payload_kg(parts)
+        u = inputs_from_motion(parts, model, replace(source, dof=parts.dof), payload_kg, step_s)
     # A goal holds during the step after it; a measured sample is taken at the end of a step.
     goals = parts.kind == "twin"
     with archive.instance() as instance:
@@ -155,3 +159,212 @@ def _measured(trial: Trial, outputs: Sequence[str]) -> dict[str, Array]:
     for name, predicted in zip(tip_names(), tip_names("predicted_"), strict=True):
         columns[predicted] = columns[name]
     return {name: columns[name] for name in outputs if name in columns}
+
+
+# ---- Inputs -------------------------------------------------------------------------------------
+
+
+def usual_payload_kg(parts: FmuParts) -> float:
+    """Return the default payload: half of the largest that the link of the plant carries."""
+    link = parts.plant.link if parts.plant else None
+    return (link or STUDY_LINK).payload_kg / 2
+
+
+def check_link_of_trial(parts: FmuParts, trial: Trial, parameters: Mapping[str, float]) -> None:
+    """Refuse a trial of another link than the FMU's, if the FMU has the plant of a link."""
+    plant, meta = parts.plant, trial.meta
+    if plant is None or plant.load != "link" or not meta.link_length_m:
+        return
+
+    def own(name: str) -> float:
+        return parameters.get(f"parameters.{name}", plant.parameters[name].value)
+
+    for name in ("link_length_m", "link_width_m", "base_offset_m"):
+        size_m = getattr(meta, name)
+        if abs(size_m - own(name)) > SAME_SIZE_FRACTION * meta.link_length_m:
+            raise InputError(
+                trial.path,
+                f"is of another link than the FMU: {name} {size_m:g} instead of {own(name):g}",
+                f"give a trial of the FMU's link, or pass --set parameters.{name}={size_m:g}",
+            )
+    unit = (plant.link or STUDY_LINK).gravity.unit
+    gravity = tuple(own("gravity_m_s2") * axis for axis in unit)
+    if math.dist(gravity, meta.gravity) > ALIKE_M_S2:
+        there, here = (
+            "[" + ", ".join(f"{part + 0.0:.3g}" for part in vector) + "]"  # no -0
+            for vector in (meta.gravity, gravity)
+        )
+        raise InputError(
+            trial.path,
+            f"is of a link with another mounting than the FMU's: gravity_m_s2 {there} instead of "
+            f"{here}",
+            "give a trial of the FMU's link, or build the FMU from a plant of this link",
+        )
+
+
+def inputs_from_motion(
+    parts: FmuParts,
+    model: StepModel,
+    motion: Motion,
+    payload_kg: float,
+    step_s: float = PERIOD_S,
+    rows: int | None = None,
+) -> Array:
+    """Make the inputs of an FMU from a motion, shape (n, inputs); row k drives step k.
+
+    A twin gets the goals. An observer gets angles and currents of the twin of the same plant, with
+    age zero. A predictor gets the goals as angles; its currents and DI sweep through typical
+    values. `rows` limits the inputs to the first rows of the motion.
+    """
+    goal_rad = motion.table_rad(step_s)
+    if parts.kind == "predictor":
+        return _sweep(model, goal_rad)[:rows]
+    goal_rad = goal_rad[:rows]
+    columns = {f"goal_{j + 1}_rad": goal_rad[:, j] for j in range(parts.dof)}
+    columns[PAYLOAD.name] = np.full(len(goal_rad), payload_kg)
+    if parts.kind == "twin":
+        return _columns(model, columns)
+    twin = parts.required_plant().step_model(parts.dof, "twin")
+    y = twin.simulate(_columns(twin, columns), step_s)[1:]
+    columns = dict(zip(names(twin.outputs), y.T, strict=True))
+    return _columns(model, columns | {AGE.name: np.zeros(len(y))})
+
+
+def inputs_from_trial(parts: FmuParts, model: StepModel, trial: Trial) -> Array:
+    """Make the inputs of an FMU from a trial, shape (n, inputs); row k drives step k.
+
+    They are the trial's columns, its payload and, for a predictor, its true DI.
+    """
+    if trial.meta.dof != parts.dof:
+        raise InputError(
+            trial.path, f"is of {trial.meta.dof}DOF, the FMU of {parts.dof}DOF",
+            f"give a trial of {parts.dof}DOF",
+        )  # fmt: skip
+    if parts.kind == "predictor":
+        observed = set(names(model.inputs)) & {s.name for s in observer_signals(parts.dof)}
+        if observed:
+            raise InputError(
+                trial.path, f"has no {min(observed)}, which an observer gives the predictor",
+                "simulate the twin of the same bundle, which holds this predictor",
+            )  # fmt: skip
+        trial = replace(trial, columns={**trial.columns, DI.name: deformation_index(trial)})
+    if parts.kind == "observer":
+        trial = replace(trial, columns={**trial.columns, AGE.name: np.zeros(len(trial))})
+    return model_inputs(model, trial)
+
+
+def _columns(model: StepModel, columns: Mapping[str, Array]) -> Array:
+    return np.column_stack([columns[name] for name in names(model.inputs)])
+
+
+_AMPLITUDE: Final = {"A": 0.2, "kg": 1.0, "m": 0.1, "rad": 0.05, "rad/s": 0.3, "s": 0.01}
+"""Amplitude of a predictor's inputs that are not measured, by unit [assumed]."""
+
+REACH_M: Final = 1.0
+"""Length of the rigid link whose tip stands for the observer's in the sweep [assumed]."""
+
+
+def _sweep(model: StepModel, angle_rad: Array) -> Array:
+    """Inputs of a predictor: the angles, and all other inputs as sinusoids of various frequencies.
+
+    Currents reach 3 A, DI 1 %, the rest `_AMPLITUDE`; the tip is that of a rigid link.
+    """
+    count, dof = angle_rad.shape
+    turn = 2.0 * np.pi * np.arange(count) / count
+    columns = {
+        v.name: _AMPLITUDE.get(v.unit, 0.0) * np.sin((k + 7) * turn)
+        for k, v in enumerate(model.inputs)
+    }
+    columns |= {f"angle_{j + 1}_rad": angle_rad[:, j] for j in range(dof)}
+    columns |= {f"current_{j + 1}_a": 3.0 * np.sin((j + 3) * turn) for j in range(dof)}
+    columns[DI.name] = 0.005 * (1.0 - np.cos(5.0 * turn))
+    columns["tip_x_m"] = REACH_M * np.sin(angle_rad[:, 0])
+    return _columns(model, columns)
+
+
+# ---- Result files -------------------------------------------------------------------------------
+
+
+def write_fmu_run(run: FmuRun, path: Path) -> None:
+    """Write time, inputs and outputs as CSV in SI units, one row per step."""
+    columns = [run.time_s, *run.columns.values()]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([TIME.name, *run.columns])
+        writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
+
+
+def draw_run(run: FmuRun, path: Path) -> None:
+    """Plot a run as SVG, one panel per quantity; trial dashed, predictions dotted."""
+    import matplotlib.pyplot as plt  # a campaign's cases draw nothing
+
+    from models.shared.drawing import FILE_STYLE
+
+    panels = panels_by_quantity(run.columns, run.units)
+    with plt.rc_context(FILE_STYLE):
+        figure, axes = plt.subplots(
+            len(panels), 1, figsize=(8.0, 2.2 * len(panels)), sharex=True, squeeze=False,
+            layout="constrained",
+        )  # fmt: skip
+        for ax, ((quantity, unit), shown) in zip(axes[:, 0], panels.items(), strict=True):
+            columns = {name: run.columns[name] for name in shown}
+            plot_panel(ax, run.time_s, columns, quantity, unit, run.measured)
+            ax.set_xlabel("")
+            ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+        axes[0, 0].set_title(run.title)
+        axes[-1, 0].set_xlabel(display_units.TIME.label("time"))
+        figure.savefig(path, format="svg", metadata={"Date": None})
+        plt.close(figure)
+
+
+def panels_by_quantity(
+    columns: Mapping[str, Array], units: Mapping[str, str]
+) -> dict[tuple[str, str], list[str]]:
+    """Return the names of the columns in each panel, by quantity and unit."""
+    panels: dict[tuple[str, str], list[str]] = {}
+    for name in columns:
+        panels.setdefault((_quantity(name), units[name]), []).append(name)
+    return panels
+
+
+def plot_panel(
+    ax: Any,
+    time_s: Array,
+    columns: Mapping[str, Array],
+    quantity: str,
+    unit: str,
+    measured: Mapping[str, Array] | None = None,
+) -> None:
+    """Plot the columns of one panel, measured values dashed, predictions dotted."""
+    shown = display_units.DEFORMATION if "di" in columns else display_units.value_unit(unit)
+    variables = list(dict.fromkeys(name.removeprefix("predicted_") for name in columns))
+    for name, values in columns.items():
+        predicted = name not in variables
+        colour = SERIES[variables.index(name.removeprefix("predicted_")) % len(SERIES)]
+        style = ":" if predicted else "-"
+        ax.plot(time_s, shown.shown(values), style, lw=1.0, color=colour, label=name)
+        if measured and name in measured and not predicted:  # tip and predicted tip share it
+            ax.plot(
+                time_s, shown.shown(measured[name]), "--", lw=1.0, color=colour, alpha=0.5,
+                label=f"{name}, trial",
+            )  # fmt: skip
+    ax.set(ylabel=shown.label(quantity), xlabel=display_units.TIME.label("time"))
+
+
+def _quantity(name: str) -> str:
+    """Quantity of a variable; for "tip_x_m" and "predicted_tip_x_m" it is the tip."""
+    if name == "di":
+        return "DI"
+    for quantity in (
+        "half_width",
+        "deviation",
+        "tip",
+        "angle",
+        "goal",
+        "current",
+        "payload",
+        "in_range",
+    ):
+        if quantity in name:
+            return {"goal": "angle", "half_width": "half width"}.get(quantity, quantity)
+    return name

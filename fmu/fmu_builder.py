@@ -17,13 +17,25 @@ from typing import Final
 
 import fmpy
 
-from fmu.generated_c import write_equations, write_variables
-from fmu.interface import Interface, interface_of
-from fmu.model_description import FmiVersion, model_description_xml
-from fmu.packaging.documentation import documentation_page
-from fmu.packaging.platforms import HOST, PLATFORMS, SOURCE_CODE, binary_files
-from fmu.packaging.source_code import source_files
-from fmu.packaging.zip_file import build_time_s, date_and_time, write_zip
+from fmu.documents import documentation_page
+from fmu.interface import (
+    FmiVersion,
+    Interface,
+    interface_of,
+    model_description_xml,
+    write_equations,
+    write_variables,
+)
+from fmu.packaging import (
+    HOST,
+    PLATFORMS,
+    SOURCE_CODE,
+    binary_files,
+    build_time_s,
+    date_and_time,
+    source_files,
+    write_zip,
+)
 from fmu.relations import Derivatives
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
@@ -43,7 +55,6 @@ def build_fmu(
     *,
     fmi: FmiVersion = 3,
     description: str = "",
-    resources: Mapping[str, bytes] = MappingProxyType({}),
     derivatives: bool = True,
     platforms: Sequence[str] = (HOST,),
     files: Mapping[str, bytes] = MappingProxyType({}),
@@ -63,13 +74,10 @@ def build_fmu(
         Major version of FMI.
     description : str
         Description in one sentence.
-    resources : mapping of str to bytes, optional
-        Files to embed under resources/, by path.
     derivatives : bool
         Whether the FMU offers directional derivatives and, in FMI 3.0, adjoint ones.
     platforms : sequence of str
-        Platforms to compile for, keys of `fmu.packaging.platforms.PLATFORMS`; `SOURCE_CODE` adds
-        the sources.
+        Platforms to compile for, keys of `fmu.packaging.PLATFORMS`; `SOURCE_CODE` adds the sources.
     files : mapping of str to bytes, optional
         Further files, by path in the FMU.
     sections : sequence of Section
@@ -77,41 +85,48 @@ def build_fmu(
     example : sequence of float
         Amplitude of the example motion for each input (`fmu/c/fmu_example.c`); empty for none.
     report : callable
-        Called with a phrase when the equations are written, and after each platform.
+        Called with a phrase when the next part of the work begins.
 
     Returns
     -------
     Path
         The .fmu file.
     """
-    interface = interface_of(model, _offered(derivatives, fmi), example)
+    offered: Derivatives = "none" if not derivatives else "both" if fmi == 3 else "forward"
     epoch_s = build_time_s()
+    report("writing the equations in C")
+    interface = interface_of(model, offered, example)
     with TemporaryDirectory(prefix="dropstitch-fmu-") as scratch:
         directory = Path(scratch)
         model_c = write_equations(model, interface, directory)
-        report("equations written in C")
-        token = _token(interface, fmi, description, model_c, resources)
+        token = _token(interface, fmi, description, model_c, files)
         variables_c = write_variables(model, interface, token, directory)
         sources = [*core_sources(fmi), model_c, variables_c]
         listed = [path.name for path in sources] if SOURCE_CODE in platforms else []
-        dated = date_and_time(epoch_s)
-        xml = model_description_xml(interface, fmi, token, description, dated, listed)
-        content = {"modelDescription.xml": xml, **files}
-        content |= _documents(interface, description, resources, sections)
+        xml = model_description_xml(
+            interface, fmi, token, description, date_and_time(epoch_s), listed
+        )
+        page = documentation_page(interface, description, sections)
+        content = {
+            "modelDescription.xml": xml,
+            "documentation/index.html": page.encode(),
+            "documentation/licenses/license.txt": _licences(),
+            **files,
+        }
         include = [WRAPPER, directory, HEADERS]
         if SOURCE_CODE in platforms:
             headers = [path for folder in include[:2] for path in sorted(folder.glob("*.h"))]
             content |= source_files(interface.name, fmi, sources, headers)
-        libraries = _libraries(interface.name, sources, include, platforms, report)
+        libraries = {}
+        for name in platforms:
+            if name != SOURCE_CODE:
+                report(f"compiling for {name}")
+                library = directory / name / f"{interface.name}{PLATFORMS[name].suffix}"
+                compile_library(sources, library, include=include, target=PLATFORMS[name].target)
+                libraries[name] = library.read_bytes()
         content |= binary_files(interface.name, libraries, fmi)
     write_zip(content, output, epoch_s)
     return output
-
-
-def _offered(derivatives: bool, fmi: FmiVersion) -> Derivatives:
-    if not derivatives:
-        return "none"
-    return "both" if fmi == 3 else "forward"
 
 
 def core_sources(fmi: FmiVersion) -> list[Path]:
@@ -119,51 +134,21 @@ def core_sources(fmi: FmiVersion) -> list[Path]:
     return [WRAPPER / f"fmi{fmi}.c", *sorted(WRAPPER.glob("fmu_*.c"))]
 
 
-def _documents(
-    interface: Interface,
-    description: str,
-    resources: Mapping[str, bytes],
-    sections: Sequence[Section],
-) -> dict[str, bytes]:
-    return {
-        "documentation/index.html": documentation_page(interface, description, sections).encode(),
-        "documentation/licenses/license.txt": _licences(),
-        **{f"resources/{name}": data for name, data in resources.items()},
-    }
-
-
-def _libraries(
-    identifier: str,
-    sources: Sequence[Path],
-    include: Sequence[Path],
-    platforms: Sequence[str],
-    report: Callable[[str], None],
-) -> dict[str, bytes]:
-    """Compile the library for each platform; return them by name of the platform."""
-    libraries = {}
-    for name in platforms:
-        if name != SOURCE_CODE:
-            library = sources[-1].parent / name / f"{identifier}{PLATFORMS[name].suffix}"
-            compile_library(sources, library, include=include, target=PLATFORMS[name].target)
-            libraries[name] = library.read_bytes()
-            report(f"compiled for {name}")
-    return libraries
-
-
 def _token(
     interface: Interface,
     fmi: FmiVersion,
     description: str,
     model_c: Path,
-    resources: Mapping[str, bytes],
+    files: Mapping[str, bytes],
 ) -> str:
-    """GUID that is a hash of all parts of the FMU."""
+    """GUID that is a hash of all that the FMU computes and carries under resources/."""
     digest = hashlib.sha256(model_description_xml(interface, fmi, "", description, ""))
     digest.update(repr(interface.example).encode())
     for path in (model_c, *sorted(WRAPPER.glob("*.[ch]"))):
         digest.update(path.read_bytes())
-    for name in sorted(resources):
-        digest.update(name.encode() + hashlib.sha256(resources[name]).digest())
+    for name in sorted(files):
+        if name.startswith("resources/"):
+            digest.update(name.encode() + hashlib.sha256(files[name]).digest())
     return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
 
 

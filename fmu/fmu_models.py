@@ -28,8 +28,6 @@ from models.plant.plant import Plant, read_plant
 from models.plant.step_model import StepModel, Variable, names
 from models.predictor.onnx_graphs import predictor_function, predictor_inputs
 
-__all__ = ["KINDS", "FmuParts", "embedded_parts", "read_parts"]
-
 Kind = Literal["twin", "predictor", "observer"]
 KINDS: Final[tuple[Kind, ...]] = ("twin", "predictor", "observer")
 PLANT, PREDICTOR, CARD = "plant.json", "predictor.onnx", "fmu.json"
@@ -63,10 +61,16 @@ class FmuParts(NamedTuple):
         """Compose the FMU's model."""
         if self.kind == "predictor":
             return _predictor(self.dof, self.required_predictor())
-        model = self.required_plant().step_model(self.dof, self.kind)
-        if self.kind == "observer":
-            return _aged(model, self.dof, self.predictor) if self.predictor else model
-        return _with_predictor(model, self.dof, self.required_predictor())
+        model = self.plant_model()
+        return _with_predictor(model, self) if self.predictor else model
+
+    def plant_model(self) -> StepModel:
+        """Compose the plant alone, with all inputs that the predictor beside it needs."""
+        plant = self.required_plant()
+        if self.kind == "twin":
+            return plant.step_model(self.dof, "twin")
+        wanted = predictor_inputs(self.predictor, self.dof) if self.predictor else ()
+        return plant.step_model(self.dof, "observer", with_age=AGE.name in wanted)
 
     def required_plant(self) -> Plant:
         if self.plant is None:
@@ -95,7 +99,7 @@ class FmuParts(NamedTuple):
         return card.read_text(encoding="utf-8") if card and card.is_file() else ""
 
     def resources(self) -> dict[str, bytes]:
-        """Return the files to embed, by name, which let the FMU be checked without other files."""
+        """Return the files from which the FMU can be checked, by path in it."""
         files = {CARD: json.dumps({"kind": self.kind, "dof": self.dof}).encode()}
         if self.plant:
             files[PLANT] = plant_json(self.plant.document()).encode()
@@ -103,7 +107,7 @@ class FmuParts(NamedTuple):
             files[PREDICTOR] = self.predictor.read_bytes()
         if card := self.model_card():
             files[MODEL_CARD] = card.encode()
-        return files
+        return {f"resources/{name}": data for name, data in files.items()}
 
 
 def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> FmuParts:
@@ -192,14 +196,15 @@ def _predictor(dof: int, path: Path) -> StepModel:
     )
 
 
-def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
+def _with_predictor(plant: StepModel, parts: FmuParts) -> StepModel:
     """Add the predictor's outputs, for the motion of the plant, to those of the plant."""
+    path = parts.required_predictor()
     x, u, p = (
         ca.MX.sym(name, len(group))
         for name, group in (("x", plant.states), ("u", plant.inputs), ("p", plant.parameters))
     )
     y = plant.output(x, u, p)
-    inputs = predictor_inputs(path, dof)
+    inputs = predictor_inputs(path, parts.dof)
     features = [_of_twin(plant, x, u, y, name) for name in inputs]
     shown = {*names(plant.outputs), *names(plant.inputs)}
     further = {
@@ -208,41 +213,21 @@ def _with_predictor(plant: StepModel, dof: int, path: Path) -> StepModel:
         if name not in shown and not _ERRORS.fullmatch(name)
     }
     rows = ca.vertcat(y, *further.values(), _predictions(path, features))
-    outputs = (*plant.outputs, *_variables(*further), *_OUTPUTS)
+    predicted = [
+        replace(v, description=f"{v.description}, {_OF_A_TWIN}")
+        if parts.kind == "twin" and v.name != IN_RANGE.name
+        else v
+        for v in _OUTPUTS
+    ]
+    outputs = (*plant.outputs, *_variables(*further), *predicted)
     return replace(plant, outputs=outputs, output=ca.Function("output", [x, u, p], [rows]))
 
 
-def _aged(observer: StepModel, dof: int, path: Path) -> StepModel:
-    """Add the predictor to an observer, with the age of the sample as input if it needs that."""
-    if AGE.name not in predictor_inputs(path, dof):
-        return _with_predictor(observer, dof, path)
-    count = len(observer.inputs)
-    x, u, p, h = (
-        ca.MX.sym(name, size)
-        for name, size in (
-            ("x", len(observer.states)), ("u", count + 1), ("p", len(observer.parameters)),
-            ("h", 1),
-        )
-    )  # fmt: skip
-    own = u[:count]
-
-    def wrapped(name: str) -> ca.Function:
-        return ca.Function(name, [x, u, p, h], [getattr(observer, name)(x, own, p, h)])
-
-    aged = replace(
-        observer,
-        inputs=(*observer.inputs, *_variables(AGE.name)),
-        initial=ca.Function("initial", [u, p], [observer.initial(own, p)]),
-        begin=wrapped("begin"),
-        flow=wrapped("flow"),
-        finish=wrapped("finish"),
-        output=ca.Function("output", [x, u, p], [observer.output(x, own, p)]),
-    )
-    return _with_predictor(aged, dof, path)
-
-
 _ERRORS: Final = re.compile(r"innovation_\d_a|tip_[xyz]_deviation_m|age_s")
-"""Outputs of an observer about its estimation error, which is zero for a twin."""
+"""Inputs of a predictor about the observer's estimation error, which is zero for a twin."""
+
+_OF_A_TWIN: Final = "from the twin's signals, as of an observer without error"
+"""What the predictor in a twin computes its outputs from."""
 
 
 def _of_twin(plant: StepModel, x: ca.MX, u: ca.MX, y: ca.MX, name: str) -> ca.MX:
@@ -253,10 +238,10 @@ def _of_twin(plant: StepModel, x: ca.MX, u: ca.MX, y: ca.MX, name: str) -> ca.MX
     if _ERRORS.fullmatch(name):
         return ca.MX(0)
     # The bend of the link is the sum over its hinges; the rate of a joint is a state of the drive.
-    own = [k for k, s in enumerate(names(plant.states)) if s == name or s.endswith(f"_{name}")]
-    if not own:
+    states = [k for k, s in enumerate(names(plant.states)) if s == name or s.endswith(f"_{name}")]
+    if not states:
         raise InputError(
             f"plant of {plant.name}", f"has no output {name}, which the predictor needs",
             "choose a plant of the link",
         )  # fmt: skip
-    return sum((x[k] for k in own), start=ca.MX(0))
+    return sum((x[k] for k in states), start=ca.MX(0))

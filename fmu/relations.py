@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any, Final, Literal
 
 import casadi as ca
@@ -62,7 +63,7 @@ class Relations:
 
 def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relations:
     """Derive the relations of a model."""
-    symbols = _symbols(model)
+    symbols = _symbols(model, ca.SX)
     rate, kinks = ca.SX(0, 1), ca.SX(0, 1)
     continuous: tuple[int, ...] = ()
     if model.rate is not None and not model.inputs_at_end:
@@ -73,14 +74,16 @@ def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relatio
         "rate": ca.Function("rate", symbols, [ca.densify(rate)]),
         "indicators": ca.Function("indicators", symbols, [ca.cse(ca.densify(kinks))]),
     }
-    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", symbols, strict=True))
+    x, u, p = _symbols(model, ca.MX)
     if derivatives != "none":
         rows = ca.vertcat(
             model.output(x, u, p), functions["rate"](x, u, p), functions["indicators"](x, u, p)
         )
         derived = {
             "response": _scalar(ca.Function("response", [x, u, p], [rows])),
-            "sample": _sample(model) if not continuous else _scalar(_begin(model)),
+            "sample": (
+                _scalar(_sample(model, whole=False)) if continuous else _sample(model, whole=True)
+            ),
             "initial": _scalar(model.initial),
         }
         for name, function in derived.items():
@@ -93,20 +96,16 @@ def relations_of(model: StepModel, derivatives: Derivatives = "both") -> Relatio
     return Relations(continuous, functions, kinks.numel(), derivatives)
 
 
-def _begin(model: StepModel) -> ca.Function:
-    """States after the discrete updates at the begin of a step of SAMPLE_S."""
-    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", _symbols(model), strict=True))
-    return ca.Function("sample", [x, u, p], [model.begin(x, u, p, SAMPLE_S)])
-
-
-def _sample(model: StepModel) -> ca.Function:
-    """States after a whole step of SAMPLE_S."""
-    x, u, p = (ca.MX.sym(label, s.numel()) for label, s in zip("xup", _symbols(model), strict=True))
-    count = math.ceil(SAMPLE_S / model.max_substep_s - 1e-9)
-    after = _begin(model)(x, u, p)
-    for _ in range(count):
-        after = model.flow(after, u, p, SAMPLE_S / count)
-    return ca.Function("sample", [x, u, p], [model.finish(after, u, p, SAMPLE_S)])
+def _sample(model: StepModel, *, whole: bool) -> ca.Function:
+    """States after the discrete updates at the begin of a step of SAMPLE_S, or after all of it."""
+    x, u, p = _symbols(model, ca.MX)
+    after = model.begin(x, u, p, SAMPLE_S)
+    if whole:
+        count = math.ceil(SAMPLE_S / model.max_substep_s - 1e-9)
+        for _ in range(count):
+            after = model.flow(after, u, p, SAMPLE_S / count)
+        after = model.finish(after, u, p, SAMPLE_S)
+    return ca.Function("sample", [x, u, p], [after])
 
 
 def _scalar(function: ca.Function) -> ca.Function:
@@ -118,9 +117,9 @@ def _scalar(function: ca.Function) -> ca.Function:
     return ca.Function("scalar", arguments, [ca.cse(expanded(*arguments))])
 
 
-def _symbols(model: StepModel) -> list[Any]:
+def _symbols(model: StepModel, kind: Any) -> list[Any]:
     sizes = len(model.states), len(model.inputs), len(model.parameters)
-    return [ca.SX.sym(label, size) for label, size in zip("xup", sizes, strict=True)]
+    return [kind.sym(label, size) for label, size in zip("xup", sizes, strict=True)]
 
 
 def _kinks(function: ca.Function, arguments: list[Any]) -> Iterable[Any]:
@@ -143,23 +142,21 @@ def _kinks(function: ca.Function, arguments: list[Any]) -> Iterable[Any]:
 
 def _forward(function: ca.Function) -> ca.Function:
     """Function (…, direction) -> derivative along the direction."""
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    kind, arguments = _arguments(function)
     direction = kind.sym("direction", sum(a.numel() for a in arguments))
     if kind is ca.SX:
         value = function(*arguments)
         slope = ca.cse(ca.jtimes(value, ca.vertcat(*arguments), direction))
     else:
-        parts = ca.vertsplit(direction, _places(arguments))
+        places = [0, *accumulate(a.numel() for a in arguments)]
         unused: Any = ca.MX(*function.size_out(0))  # only functions that are solved need the result
-        slope = function.forward(1)(*arguments, unused, *parts)
+        slope = function.forward(1)(*arguments, unused, *ca.vertsplit(direction, places))
     return ca.Function("forward", [*arguments, direction], [ca.densify(slope)])
 
 
 def _reverse(function: ca.Function) -> ca.Function:
     """Function (…, weights) -> gradient of the weighted sum with respect to all arguments."""
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    arguments = [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]
+    kind, arguments = _arguments(function)
     weight = kind.sym("weight", function.size1_out(0))
     if kind is ca.SX:
         value = function(*arguments)
@@ -171,8 +168,7 @@ def _reverse(function: ca.Function) -> ca.Function:
     return ca.Function("reverse", [*arguments, weight], [ca.densify(gradient)])
 
 
-def _places(arguments: list[Any]) -> list[int]:
-    places = [0]
-    for argument in arguments:
-        places.append(places[-1] + argument.numel())
-    return places
+def _arguments(function: ca.Function) -> tuple[Any, list[Any]]:
+    """Kind of a function's symbols, and one symbol for each argument."""
+    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
+    return kind, [kind.sym(f"i{k}", *function.size_in(k)) for k in range(function.n_in())]

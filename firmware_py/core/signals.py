@@ -54,7 +54,7 @@ _JOINT = (
 )
 _TIP = tuple(Signal(f"tip_{axis}_m", "m", f"end effector, world frame, {axis}") for axis in "xyz")
 _PREDICTED = tuple(
-    Signal(f"predicted_tip_{axis}_m", "m", f"end effector by the polynomial predictor, {axis}")
+    Signal(f"predicted_tip_{axis}_m", "m", f"end effector by the bundle's predictor, {axis}")
     for axis in "xyz"
 )
 _HALF_WIDTH = tuple(

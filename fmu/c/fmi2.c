@@ -90,30 +90,11 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component instance)
     return done(self, fmu_enter_initialization(fmu));
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component instance)
-{
-    ENTER(LEGAL_TO_EXIT);
-    return done(self, fmu_exit_initialization(fmu));
-}
-
 fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real currentCommunicationPoint,
                       fmi2Real communicationStepSize, fmi2Boolean noSetFMUStatePriorToCurrentPoint)
 {
     ENTER(LEGAL_TO_STEP);
     return done(self, fmu_step(fmu, currentCommunicationPoint, communicationStepSize));
-}
-
-fmi2Status fmi2Terminate(fmi2Component instance)
-{
-    ENTER(LEGAL_TO_TERMINATE);
-    return done(self, fmu_terminate(fmu));
-}
-
-fmi2Status fmi2Reset(fmi2Component instance)
-{
-    ENTER(ANY_STATE);
-    fmu_reset(fmu);
-    return fmi2OK;
 }
 
 fmi2Status fmi2GetRealStatus(fmi2Component instance, const fmi2StatusKind s, fmi2Real *value)
@@ -161,50 +142,6 @@ fmi2Status fmi2GetBoolean(fmi2Component instance, const fmi2ValueReference vr[],
     return done(self, ok);
 }
 
-/* ---- Saved states -------------------------------------------------------------------------- */
-
-fmi2Status fmi2GetFMUstate(fmi2Component instance, fmi2FMUstate *FMUstate)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_save(fmu, (Saved **)FMUstate));
-}
-
-fmi2Status fmi2SetFMUstate(fmi2Component instance, fmi2FMUstate FMUstate)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_restore(fmu, FMUstate));
-}
-
-fmi2Status fmi2FreeFMUstate(fmi2Component instance, fmi2FMUstate *FMUstate)
-{
-    if (!instance)
-        return fmi2Error;
-    fmu_free_saved(FMUstate);
-    return fmi2OK;
-}
-
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component instance, fmi2FMUstate FMUstate, size_t *size)
-{
-    if (!instance)
-        return fmi2Error;
-    *size = sizeof(Saved);
-    return fmi2OK;
-}
-
-fmi2Status fmi2SerializeFMUstate(fmi2Component instance, fmi2FMUstate FMUstate,
-                                 fmi2Byte serializedState[], size_t size)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_serialize(fmu, FMUstate, serializedState, size));
-}
-
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component instance, const fmi2Byte serializedState[],
-                                   size_t size, fmi2FMUstate *FMUstate)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUstate));
-}
-
 /* ---- Derivatives --------------------------------------------------------------------------- */
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component instance, const fmi2ValueReference unknown[],
@@ -239,55 +176,21 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInfo *info)
     return done(self, ok);
 }
 
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component instance)
-{
-    ENTER(LEGAL_TO_UPDATE);
-    return done(self, fmu_enter_continuous_time(fmu));
-}
+/* ---- As in FMI 3.0 ------------------------------------------------------------------------- */
 
-fmi2Status fmi2CompletedIntegratorStep(fmi2Component instance, fmi2Boolean noSetFMUStatePrior,
-                                       fmi2Boolean *enterEventMode, fmi2Boolean *terminateSimulation)
-{
-    ENTER(LEGAL_TO_INTEGRATE);
-    *enterEventMode = *terminateSimulation = fmi2False;
-    return done(self, fmu_complete_step(fmu));
-}
-
-fmi2Status fmi2SetTime(fmi2Component instance, fmi2Real time)
-{
-    ENTER(LEGAL_TO_SET_TIME);
-    return done(self, fmu_set_time(fmu, time));
-}
-
-fmi2Status fmi2SetContinuousStates(fmi2Component instance, const fmi2Real x[], size_t nx)
-{
-    ENTER(LEGAL_TO_INTEGRATE);
-    return done(self, fmu_set_states(fmu, x, nx));
-}
-
-fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real x[], size_t nx)
-{
-    ENTER(LEGAL_TO_EVALUATE);
-    return done(self, fmu_get_states(fmu, x, nx));
-}
-
-fmi2Status fmi2GetDerivatives(fmi2Component instance, fmi2Real derivatives[], size_t nx)
-{
-    ENTER(LEGAL_TO_EVALUATE);
-    return done(self, fmu_get_rates(fmu, derivatives, nx));
-}
-
-fmi2Status fmi2GetEventIndicators(fmi2Component instance, fmi2Real eventIndicators[], size_t ni)
-{
-    ENTER(LEGAL_TO_EVALUATE);
-    return done(self, fmu_get_indicators(fmu, eventIndicators, ni));
-}
-
-fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance, fmi2Real nominals[], size_t nx)
-{
-    ENTER(LEGAL_TO_EVALUATE | INSTANTIATED);
-    return done(self, fmu_get_nominals(fmu, nominals, nx));
-}
+#define FMI(name) fmi2##name
+#define FMU_STATE fmi2FMUstate
+#define BYTE fmi2Byte
+#define TRUTH fmi2Boolean
+#define FMI_GET_STATE fmi2GetFMUstate
+#define FMI_SET_STATE fmi2SetFMUstate
+#define FMI_FREE_STATE fmi2FreeFMUstate
+#define FMI_STATE_SIZE fmi2SerializedFMUstateSize
+#define FMI_SERIALIZE fmi2SerializeFMUstate
+#define FMI_DESERIALIZE fmi2DeSerializeFMUstate
+#define FMI_GET_RATES fmi2GetDerivatives
+#define FMI_LEGAL_TO_GET_NOMINALS (LEGAL_TO_EVALUATE | INSTANTIATED)
+#include "fmi_shared.h"
 
 /* ---- Not offered --------------------------------------------------------------------------- */
 

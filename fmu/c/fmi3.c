@@ -1,6 +1,7 @@
 /* FMI 3.0 for Model Exchange and Co-Simulation: signatures and types of the standard on top of fmu_core.c.
  *
- * Functions that this FMU does not offer are exported too, see fmi3_absent.h.
+ * Functions that this FMU does not offer are exported too, because importers look up every
+ * function: see the end.
  */
 #include "fmi3Functions.h"
 
@@ -110,12 +111,6 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean tolera
                           fmu_enter_initialization(fmu));
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance instance)
-{
-    ENTER(LEGAL_TO_EXIT);
-    return done(self, fmu_exit_initialization(fmu));
-}
-
 fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoint,
                       fmi3Float64 communicationStepSize,
                       fmi3Boolean noSetFMUStatePriorToCurrentPoint,
@@ -127,19 +122,6 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
     *eventHandlingNeeded = *terminateSimulation = *earlyReturn = fmi3False;
     *lastSuccessfulTime = fmu->memory.value[0];
     return done(self, ok);
-}
-
-fmi3Status fmi3Terminate(fmi3Instance instance)
-{
-    ENTER(LEGAL_TO_TERMINATE);
-    return done(self, fmu_terminate(fmu));
-}
-
-fmi3Status fmi3Reset(fmi3Instance instance)
-{
-    ENTER(ANY_STATE);
-    fmu_reset(fmu);
-    return fmi3OK;
 }
 
 /* ---- Variables ----------------------------------------------------------------------------- */
@@ -177,50 +159,6 @@ fmi3Status fmi3GetBoolean(fmi3Instance instance, const fmi3ValueReference valueR
         if ((ok = fmu_get_boolean(fmu, valueReferences[i], &truth)))
             values[i] = truth;
     return done(self, ok);
-}
-
-/* ---- Saved states -------------------------------------------------------------------------- */
-
-fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_save(fmu, (Saved **)FMUState));
-}
-
-fmi3Status fmi3SetFMUState(fmi3Instance instance, fmi3FMUState FMUState)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_restore(fmu, FMUState));
-}
-
-fmi3Status fmi3FreeFMUState(fmi3Instance instance, fmi3FMUState *FMUState)
-{
-    if (!instance)
-        return fmi3Error;
-    fmu_free_saved(FMUState);
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance instance, fmi3FMUState FMUState, size_t *size)
-{
-    if (!instance)
-        return fmi3Error;
-    *size = sizeof(Saved);
-    return fmi3OK;
-}
-
-fmi3Status fmi3SerializeFMUState(fmi3Instance instance, fmi3FMUState FMUState,
-                                 fmi3Byte serializedState[], size_t size)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_serialize(fmu, FMUState, serializedState, size));
-}
-
-fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte serializedState[],
-                                   size_t size, fmi3FMUState *FMUState)
-{
-    ENTER(ANY_STATE);
-    return done(self, fmu_deserialize(fmu, serializedState, size, (Saved **)FMUState));
 }
 
 /* ---- Derivatives --------------------------------------------------------------------------- */
@@ -267,7 +205,98 @@ FMI3_Export fmi3Status dropstitch_tick(fmi3Instance instance, const fmi3ValueRef
     return done(self, ok);
 }
 
-/* ---- Model Exchange, not offered ----------------------------------------------------------- */
+/* ---- Model Exchange ------------------------------------------------------------------------ */
 
-#include "fmi3_exchange.h"
-#include "fmi3_absent.h"
+fmi3Status fmi3EnterEventMode(fmi3Instance instance)
+{
+    ENTER(LEGAL_TO_INTEGRATE);
+    return done(self, fmu_enter_event_mode(fmu));
+}
+
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boolean *discreteStatesNeedUpdate,
+                                    fmi3Boolean *terminateSimulation,
+                                    fmi3Boolean *nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean *valuesOfContinuousStatesChanged,
+                                    fmi3Boolean *nextEventTimeDefined, fmi3Float64 *nextEventTime)
+{
+    ENTER(LEGAL_TO_UPDATE);
+    Update update;
+    int ok = fmu_update(fmu, &update);
+    if (ok) {
+        *discreteStatesNeedUpdate = *terminateSimulation = fmi3False;
+        *nominalsOfContinuousStatesChanged = fmi3False;
+        *valuesOfContinuousStatesChanged = update.states_changed;
+        *nextEventTimeDefined = fmi3True;
+        *nextEventTime = update.next_s;
+    }
+    return done(self, ok);
+}
+
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, size_t *nEventIndicators)
+{
+    ENTER(ANY_STATE);
+    *nEventIndicators = N_INDICATORS;
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance instance, size_t *nContinuousStates)
+{
+    ENTER(ANY_STATE);
+    *nContinuousStates = N_CONTINUOUS;
+    return fmi3OK;
+}
+
+/* ---- As in FMI 2.0 ------------------------------------------------------------------------- */
+
+#define FMI(name) fmi3##name
+#define FMU_STATE fmi3FMUState
+#define BYTE fmi3Byte
+#define TRUTH fmi3Boolean
+#define FMI_GET_STATE fmi3GetFMUState
+#define FMI_SET_STATE fmi3SetFMUState
+#define FMI_FREE_STATE fmi3FreeFMUState
+#define FMI_STATE_SIZE fmi3SerializedFMUStateSize
+#define FMI_SERIALIZE fmi3SerializeFMUState
+#define FMI_DESERIALIZE fmi3DeserializeFMUState
+#define FMI_GET_RATES fmi3GetContinuousStateDerivatives
+#define FMI_LEGAL_TO_GET_NOMINALS (LEGAL_TO_EVALUATE)
+#include "fmi_shared.h"
+
+/* ---- Not offered --------------------------------------------------------------------------- */
+
+#define TYPE(T)                                                                           \
+    TYPED(fmi3Get##T, fmi3##T values[], size_t nValues)                                   \
+    TYPED(fmi3Set##T, const fmi3##T values[], size_t nValues)
+
+TYPE(Float32) TYPE(Int8) TYPE(UInt8) TYPE(Int16) TYPE(UInt16) TYPE(Int32) TYPE(UInt32)
+TYPE(Int64) TYPE(UInt64) TYPE(String)
+TYPED(fmi3SetBoolean, const fmi3Boolean values[], size_t nValues)
+TYPED(fmi3GetBinary, size_t sizes[], fmi3Binary values[], size_t nValues)
+TYPED(fmi3SetBinary, const size_t sizes[], const fmi3Binary values[], size_t nValues)
+TYPED(fmi3GetClock, fmi3Clock values[])
+TYPED(fmi3SetClock, const fmi3Clock values[])
+
+CALL(fmi3GetNumberOfVariableDependencies, fmi3ValueReference r, size_t *n)
+CALL(fmi3GetVariableDependencies, fmi3ValueReference dependent, size_t elements[],
+     fmi3ValueReference independents[], size_t elementsOfIndependents[],
+     fmi3DependencyKind kinds[], size_t n)
+CALL(fmi3GetOutputDerivatives, REFERENCES, const fmi3Int32 orders[], fmi3Float64 values[],
+     size_t nValues)
+
+BARE_CALL(fmi3EnterStepMode)
+BARE_CALL(fmi3EnterConfigurationMode)
+BARE_CALL(fmi3ExitConfigurationMode)
+BARE_CALL(fmi3EvaluateDiscreteStates)
+
+CALL(fmi3GetIntervalDecimal, REFERENCES, fmi3Float64 intervals[], fmi3IntervalQualifier kinds[])
+CALL(fmi3GetIntervalFraction, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[],
+     fmi3IntervalQualifier kinds[])
+CALL(fmi3GetShiftDecimal, REFERENCES, fmi3Float64 shifts[])
+CALL(fmi3GetShiftFraction, REFERENCES, fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+CALL(fmi3SetIntervalDecimal, REFERENCES, const fmi3Float64 intervals[])
+CALL(fmi3SetIntervalFraction, REFERENCES, const fmi3UInt64 counters[],
+     const fmi3UInt64 resolutions[])
+CALL(fmi3SetShiftDecimal, REFERENCES, const fmi3Float64 shifts[])
+CALL(fmi3SetShiftFraction, REFERENCES, const fmi3UInt64 counters[],
+     const fmi3UInt64 resolutions[])
+CALL(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)

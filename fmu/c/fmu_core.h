@@ -1,6 +1,6 @@
 /* Core of an FMU, independent of the FMI version: variables, states of the instance, steps.
  *
- * CasADi writes the equations (model.c), fmu/generated_c.py the table of variables (variables.h and
+ * CasADi writes the equations (model.c), fmu/interface.py the table of variables (variables.h and
  * variables.c). A call that is refused leaves the instance unchanged and writes one sentence to
  * `message`.
  */

@@ -36,51 +36,50 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "aarch64-linux, x86_64-windows, x86_64-darwin, aarch64-darwin; c-code for the sources",
     )  # fmt: skip
     add(
-        "--unit",
-        choices=("twin", "predictor", "observer"),
-        default="twin",
+        "--unit", choices=("twin", "predictor", "observer"), default="twin", dest="kind",
         help="kind of FMU (twin)",
-        dest="kind",
-    )
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
     from firmware_py.inference.manifest import read_bundle_files
     from fmu.bundle_observer import add_observer
+    from fmu.documents import fmu_documents
     from fmu.fmu_builder import build_fmu
     from fmu.fmu_models import read_parts
-    from fmu.packaging.fmu_contents import fmu_contents
-    from fmu.packaging.platforms import SOURCE_CODE, platform_names
+    from fmu.packaging import SOURCE_CODE, platform_names
     from models.bundle.plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)
+    for_robot = kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve()
+    if for_robot and args.fmi != 3:
+        raise InputError("--fmi 2", "cannot run on the robot (FMI 3.0)", "omit --fmi or give --out")
     platforms = platform_names(args.platforms)
     files = read_bundle_files(args.bundle)
     manifest = files.manifest
     parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
     if args.plant and parts.plant:
         compare_with_bundle(parts.plant, args.plant, files, "this FMU")
-    progress = Progress(f"fmu {kind}", 2 + sum(name != SOURCE_CODE for name in platforms))
-    if kind == "observer" and output.resolve() == (args.bundle / _OBSERVER).resolve():
-        if args.fmi != 3:
-            raise InputError(
-                "--fmi 2",
-                "cannot run on the robot (FMI 3.0)",
-                "omit --fmi or give --out",
-            )
-        progress.begin("composing the model")
-        add_observer(args.bundle, manifest, parts, platforms, progress.step)
+    progress = Progress(f"fmu {kind}", 3 + sum(name != SOURCE_CODE for name in platforms))
+
+    def report(phase: str) -> None:
+        progress.done += 1
+        progress.begin(phase)  # always shown, because each phase may take many seconds
+
+    progress.begin("composing the model")
+    if for_robot:
+        add_observer(args.bundle, manifest, parts, platforms, report)
     else:
-        progress.begin("composing the model")
         model = parts.model()
-        contents = fmu_contents(parts, model, args.fmi)
+        report("simulating the reference run")
+        documents = fmu_documents(parts, model, args.fmi)
         build_fmu(
-            model, output, fmi=args.fmi, description=parts.description(),
-            resources=parts.resources(), platforms=platforms, files=contents.files,
-            sections=contents.sections, example=contents.example, report=progress.step,
+            model, output, fmi=args.fmi, description=parts.description(), platforms=platforms,
+            files=documents.files | parts.resources(), sections=documents.sections,
+            example=documents.example, report=report,
         )  # fmt: skip
-    progress.step("packed")
+    report("packed")
     size = output.stat().st_size
     data = {
         "unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size,

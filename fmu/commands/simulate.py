@@ -44,8 +44,7 @@ def run(args: argparse.Namespace) -> int:
             f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"
         )
     from fmu.fmpy_instance import FmuArchive
-    from fmu.fmpy_run import simulate_fmu
-    from fmu.run_files import draw_run, write_fmu_run
+    from fmu.fmpy_run import draw_run, simulate_fmu, write_fmu_run
     from models.trials.files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.core.console import DONE, emit
+from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import FILE_SIZE
 
@@ -32,10 +32,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from firmware_py.inference.manifest import read_bundle_files
+    from fmu.fmpy_run import usual_payload_kg
     from fmu.fmu_models import read_parts
-    from fmu.packaging.platforms import platform_names
-    from fmu.ssp.ssp_builder import build_ssp
-    from fmu.stimulus import usual_payload_kg
+    from fmu.packaging import platform_names
+    from fmu.ssp import PATHS, build_ssp
     from models.bundle.plant import compare_with_bundle
     from models.plant.parameter import check_payload
 
@@ -53,7 +53,13 @@ def run(args: argparse.Namespace) -> int:
         compare_with_bundle(twin.required_plant(), args.plant, files, "this package")
     payload_kg = usual_payload_kg(twin) if args.payload_kg is None else args.payload_kg
     check_payload(payload_kg, link=twin.required_plant().link)
-    build_ssp(twin, observer, args.out, payload_kg=payload_kg, platforms=platforms)
+    progress = Progress("fmu ssp", len(PATHS) + 1)
+    progress.begin("composing the models")
+    build_ssp(
+        twin, observer, args.out, payload_kg=payload_kg, platforms=platforms,
+        report=progress.step,
+    )  # fmt: skip
+    progress.step("packed")
     size = args.out.stat().st_size
     emit(
         args,

@@ -54,7 +54,7 @@ class RigSource:
 def build_twin(plant: Path, dof: int, directory: Path) -> Path:
     """Build the twin FMU of a plant file for this machine, without a predictor."""
     from fmu.fmu_builder import build_fmu
-    from fmu.packaging.platforms import platform_names
+    from fmu.packaging import platform_names
     from models.plant.plant import read_plant
 
     platforms = platform_names(platform_here())

@@ -20,7 +20,7 @@ from typing import Final
 
 import casadi as ca
 
-from firmware_py.core.signals import PAYLOAD, PERIOD_S
+from firmware_py.core.signals import AGE, PAYLOAD, PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK
 from models.plant.components.drive import Drive
 from models.plant.components.load import PlantLoad
@@ -73,11 +73,22 @@ LEAST_SQUARE: Final = 1e-24
 
 
 def compose_observer(
-    name: str, scope: Scope, drive: Drive, load: PlantLoad, effects: Sequence[Effect]
+    name: str,
+    scope: Scope,
+    drive: Drive,
+    load: PlantLoad,
+    effects: Sequence[Effect],
+    with_age: bool = False,
 ) -> StepModel:
-    """Compose the link driven by measurements, with the payload estimated."""
+    """Compose the link driven by measurements, with the payload estimated.
+
+    `with_age` adds the age of the sample as the last input, for a predictor that is composed with
+    the observer; the observer itself does not depend on it.
+    """
     declare_measured_motion(scope, effects)
     measured = [scope.input(current_variable(j)) for j in scope.joints]
+    if with_age:
+        scope.input(Variable(AGE.name, AGE.unit, description=AGE.description))
     payload = scope.state(payload_variable(scope), scope.p("payload_prior_kg"))
     mass_kg = scope.payload_kg = ca.SX.sym("payload")  # a separate symbol, for derivatives
     before = set(scope.states)

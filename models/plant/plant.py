@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Final, Literal
 
@@ -82,7 +82,9 @@ class Plant:
     provenance: Provenance = field(default_factory=Provenance)
     link: LinkDescription | None = None
 
-    def step_model(self, dof: int, kind: ModelKind = "twin") -> StepModel:
+    def step_model(
+        self, dof: int, kind: ModelKind = "twin", *, with_age: bool = False
+    ) -> StepModel:
         """Compose the plant for stepping.
 
         Parameters
@@ -92,6 +94,9 @@ class Plant:
         kind : {"twin", "observer", "driven"}
             `twin`: closed loop, driven by goals. `observer`: link driven by measured angles and
             currents. `driven`: link driven by measured angles, with a known payload.
+        with_age : bool
+            Whether the observer has the age of the sample, age_s, as its last input, which a
+            predictor beside it needs.
 
         Returns
         -------
@@ -120,7 +125,7 @@ class Plant:
             )  # fmt: skip
         model = _compose(
             self.drive, self.load, _classes(self.effects), without_values(self.parameters), dof,
-            kind, tuple(self.signals), self.link,
+            kind, tuple(self.signals), self.link, with_age=with_age,
         )  # fmt: skip
         values = tuple(variable_of(self.parameters[v.name]) for v in model.parameters)
         model = replace(model, parameters=values)
@@ -311,14 +316,15 @@ def _classes(names: Iterable[str]) -> tuple[type[Effect], ...]:
 def _compose(
     drive: str, load: str, effects: tuple[type[Effect], ...],
     parameters: tuple[tuple[str, Parameter], ...], dof: int, kind: ModelKind,
-    columns: tuple[str, ...], link: LinkDescription | None,
+    columns: tuple[str, ...], link: LinkDescription | None, *, with_age: bool,
 ) -> StepModel:  # fmt: skip
     """Compose a plant from hashable parts; values are arguments, so plants share a model."""
     scope, known = scope_of(drive, load, dof, columns, link), dict(parameters)
     declared = declared_parameters(scope, drive, load, effects, observer=kind != "twin")
     scope.declare([known[q.name] for q in declared])
+    compose: Callable[..., StepModel]
     if kind == "observer":
-        compose = compose_observer
+        compose = partial(compose_observer, with_age=with_age)
     elif kind == "driven" or "imposed motion" in DRIVES[drive].features:
         compose = compose_driven
     else:

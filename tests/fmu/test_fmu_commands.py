@@ -1,19 +1,26 @@
 """The commands from outside: results, exit codes and one sentence for each mistake."""
 
 import csv
+import dataclasses
 import json
 import shutil
 import zipfile
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from firmware_py.core.signals import tip_names
+from firmware_py.inference.bundle import read_manifest
+from firmware_py.inference.manifest import write_manifest
+from firmware_py.link.link_description import STUDY_LINK, LinkDescription, LinkGravity
 from firmware_py.link.marker_layout import square_corners_m
-from fmu.stimulus import inputs_from_trial
+from fmu.fmpy_run import check_link_of_trial, inputs_from_trial
+from fmu.fmu_models import FmuParts
+from models.plant.plant import read_plant
 from models.shared.kinematics import base_corners_m
 from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta
@@ -44,12 +51,13 @@ def _read(path):
 
 
 def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
-    out = tmp_path / "run"
-    assert (
-        main(["fmu", "simulate", str(twin), "--out", str(out), "--payload-kg", "2", "--json"]) == 0
-    )
-    assert json.loads(capsys.readouterr().out)["rows"] == 512
+    for payload in ("0", "2"):
+        out = tmp_path / payload
+        words = ["--out", str(out), "--payload-kg", payload, "--json"]
+        assert main(["fmu", "simulate", str(twin), *words]) == 0
+        assert json.loads(capsys.readouterr().out)["rows"] == 512
     columns = _read(out / "result.csv")
+    assert columns["di"].mean() > _read(tmp_path / "0/result.csv")["di"].mean()
     assert columns["time_s"][-1] == pytest.approx(511 * 0.017)
     assert np.degrees(np.abs(columns["goal_1_rad"])).max() == pytest.approx(30.0, abs=0.01)
     assert set(columns["payload_kg"]) == {2.0}
@@ -57,15 +65,6 @@ def test_simulate_writes_rows_and_a_drawing(twin, tmp_path, capsys):
     likeness = [np.corrcoef(goal[: 512 - lag], angle[lag:])[0, 1] for lag in range(60)]
     assert max(likeness) > 0.99  # the servo follows its goal within a second
     assert "<svg" in (out / "result.svg").read_text()[:500]
-
-
-def test_a_heavier_payload_bends_the_link_more(twin, tmp_path):
-    di = {}
-    for payload in ("0", "2"):
-        out = tmp_path / payload
-        assert main(["fmu", "simulate", str(twin), "--out", str(out), "--payload-kg", payload]) == 0
-        di[payload] = _read(out / "result.csv")["di"].mean()
-    assert di["2"] > di["0"]
 
 
 def _trial_of(columns, directory):
@@ -202,3 +201,91 @@ def test_build_refuses_a_damaged_predictor(bundle_1dof, tmp_path, capsys):
     (directory / "predictor.onnx").write_bytes(b"damaged")
     assert main(["fmu", "build", str(directory), "--out", str(tmp_path / "any.fmu")]) == 2
     assert "does not match the hash" in capsys.readouterr().err
+
+
+# ---- Another link -------------------------------------------------------------------------------
+
+SMALL = LinkDescription(length_m=0.6, width_m=0.1, payload_kg=0.1)
+META = TrialMeta(
+    dof=1, payload_kg=1.0, trial=1, motion="sinusoid", source="twin", period_s=4.352,
+    base_offset_m=0.06, link_length_m=0.95, link_width_m=0.15, rest_samples=1,
+)  # fmt: skip
+
+
+def parts(link=None):
+    return FmuParts("twin", 1, dataclasses.replace(read_plant(), link=link), None)
+
+
+@pytest.fixture
+def bundle_of_plant(bundle_1dof, tmp_path):
+    """Bundle that knows the plant that it was trained with."""
+    directory = tmp_path / "bundle"
+    shutil.copytree(bundle_1dof, directory)
+    known = msgspec.structs.replace(
+        read_manifest(directory), plant_sha256=read_plant().sha256(), files={}
+    )
+    write_manifest(directory, known)
+    return directory
+
+
+@pytest.mark.parametrize(
+    "words", [["build"], ["build", "--unit", "observer"], ["ssp"]], ids=["twin", "observer", "ssp"]
+)
+def test_a_plant_of_another_link_than_the_bundles_is_refused(
+    bundle_of_plant, tmp_path, capsys, words
+):
+    short = tmp_path / "short.json"
+    out = tmp_path / ("out.ssp" if words == ["ssp"] else "out.fmu")
+    read_plant().with_values({"link_length_m": 0.6}).write(short)
+    words = [*words, bundle_of_plant, "--plant", short, "--out", out]
+    assert main(["fmu", *map(str, words)]) == 2
+    said = capsys.readouterr().err
+    assert str(short) in said and str(bundle_of_plant / "plant.json") in said
+    assert "length_m 0.6" in said and "0.95" in said
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"link_length_m": 0.6}, "link_length_m 0.6 instead of 0.95; give .* parameters.link_l"),
+        ({"link_width_m": 0.1}, "link_width_m 0.1 instead of 0.15"),
+        ({"base_offset_m": 0.0}, "base_offset_m 0 instead of 0.06"),
+        ({"gravity_m_s2": (-9.81, 0.0, 0.0)}, r"\[-9.81, 0, 0\] instead of \[0, 0, -9.81\]"),
+    ],
+)
+def test_a_trial_of_another_link_than_the_fmus_is_refused(tmp_path, change, words):
+    trial = SimpleNamespace(path=tmp_path, meta=msgspec.structs.replace(META, **change))
+    with pytest.raises(InputError, match=words):
+        check_link_of_trial(parts(), trial, {})
+
+
+def test_a_trial_of_the_fmus_link_passes_also_with_its_size_set_before_the_start():
+    trial = SimpleNamespace(path="trial.csv", meta=META)
+    check_link_of_trial(parts(), trial, {})
+    check_link_of_trial(parts()._replace(plant=None), trial, {})
+    shorter = SimpleNamespace(path="", meta=msgspec.structs.replace(META, link_length_m=0.93))
+    check_link_of_trial(parts(), shorter, {"parameters.link_length_m": 0.93})
+    lying = SimpleNamespace(
+        path="", meta=msgspec.structs.replace(META, gravity_m_s2=(-9.81, 0.0, 0.0))
+    )
+    mounted = msgspec.structs.replace(STUDY_LINK, gravity=LinkGravity(mounting="horizontal"))
+    check_link_of_trial(parts(mounted), lying, {})
+
+
+@pytest.mark.parametrize(("given", "held_kg"), [([], 0.05), (["--payload-kg", "0.1"], 0.1)])
+def test_a_package_holds_a_payload_of_its_link(
+    bundle_1dof, tmp_path, capsys, monkeypatch, given, held_kg
+):
+    built = []
+
+    def build(twin, observer, output, *, payload_kg, platforms, report):
+        built.append(payload_kg)
+        output.touch()
+
+    monkeypatch.setattr("fmu.ssp.build_ssp", build)
+    plant, out = tmp_path / "plant.json", tmp_path / "link.ssp"
+    parts(SMALL).plant.write(plant)
+    words = ["ssp", bundle_1dof, "--plant", plant, "--out", out, "--json", *given]
+    assert main(["fmu", *map(str, words)]) == 0
+    assert built == [json.loads(capsys.readouterr().out)["payload_kg"]] == [held_kg]

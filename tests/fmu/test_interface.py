@@ -1,7 +1,15 @@
+"""Interface of an FMU: variables, dependencies, and the model description that FMPy reads."""
+
+import zipfile
 from dataclasses import replace
 
-from fmu.interface import interface_of
+import fmpy
+import pytest
+
+from firmware_py.core.units import VALUE_UNITS
+from fmu.interface import interface_of, model_description_xml
 from models.plant.step_model import names
+from tests.fmu.conftest import TORQUE_NM
 
 
 def test_value_references_number_time_inputs_parameters_outputs(toy):
@@ -55,6 +63,9 @@ def test_states_are_continuous_where_they_have_a_rate(toy):
     # outputs that follow from discrete states alone change at events only
     assert variables["steps"].variability == "discrete"
     assert variables["tip_x_m"].variability == "continuous"
+    assert (variables["in_range"].type, variables["in_range"].variability) == (
+        "Boolean", "discrete",
+    )  # fmt: skip
     assert variables["der(states.rate_rad_s)"].unit == "rad/s2"
 
 
@@ -65,9 +76,46 @@ def test_a_model_whose_inputs_are_measured_at_the_end_is_sampled(toy):
     assert {v.variability for v in interface.of("output")} == {"discrete"}
 
 
-def test_a_truth_is_discrete_and_has_its_own_type(toy):
-    variables = {v.name: v for v in interface_of(toy).variables}
-    assert (variables["in_range"].type, variables["in_range"].variability) == (
-        "Boolean", "discrete",
-    )  # fmt: skip
-    assert variables["tip_x_m"].type == "Float64"
+def test_variables_are_those_of_the_table(toy_fmu, toy):
+    """What FMPy reads back is what the interface table says, value by value."""
+    description = fmpy.read_model_description(str(toy_fmu))
+    read = {v.name: v for v in description.modelVariables}
+    table = interface_of(toy, example=(TORQUE_NM, 0.0)).variables
+    assert list(read) == [v.name for v in table]
+    for v in table:
+        found = read[v.name]
+        assert (found.valueReference, found.causality, found.variability) == (
+            v.reference, v.causality, v.variability,
+        )  # fmt: skip
+        assert found.type == (
+            v.type if description.fmiVersion[0] == "3" or v.type == "Boolean" else "Real"
+        )
+        if v.type == "Float64":
+            assert found.unit == v.unit
+            shown = VALUE_UNITS.get(v.unit)
+            assert found.displayUnit == (shown.name if shown else None)
+        if v.causality in ("input", "parameter"):
+            assert float(found.start) == v.start
+            assert (float(found.min), float(found.max)) == (v.minimum, v.maximum)
+
+
+def test_the_zip_holds_documents(toy_fmu):
+    with zipfile.ZipFile(toy_fmu) as archive:
+        assert "A pendulum &amp; &lt;a counter&gt;." in (
+            archive.read("documentation/index.html").decode()
+        )
+        assert b"Apache License" in archive.read("documentation/licenses/license.txt")
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_dependencies_are_counted_as_the_version_counts(toy, fmi):
+    """FMI 2.0 counts from 1 and leaves parameters out of the outputs' knowns."""
+    xml = model_description_xml(interface_of(toy), fmi, "{t}", "", "2026-01-01T00:00:00Z").decode()
+    tip = next(v.reference for v in interface_of(toy).variables if v.name == "tip_x_m")
+    angle = next(v.reference for v in interface_of(toy).variables if v.name == "states.angle_rad")
+    length = next(v.reference for v in interface_of(toy).variables if "length" in v.name)
+    expected = {
+        2: f'<Unknown index="{tip + 1}" dependencies="{angle + 1}" />',
+        3: f'<Output valueReference="{tip}" dependencies="{length} {angle}" />',
+    }
+    assert expected[fmi] in xml

@@ -139,9 +139,9 @@ def status_message(file):
 
 def foreign_fmu(file):
     """FMU as `fmu check` reads it before its library is loaded."""
+    from fmu.documents import read_reference_run
     from fmu.fmpy_instance import FmuArchive
     from fmu.fmu_models import embedded_parts
-    from fmu.packaging.reference_run import read_reference_run
 
     with FmuArchive(file) as archive:
         embedded_parts(archive.directory / "resources")

@@ -14,7 +14,7 @@ from firmware_py.inference import fmu_instance
 from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
-from fmu.parity import varying_steps_s
+from fmu.fmu_checker import varying_steps_s
 from tests.fmu.toy import pendulum
 
 INPUTS = ["torque_nm", "payload_kg"]

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from fmu.fmu_builder import HEADERS, WRAPPER, core_sources
-from fmu.generated_c import write_equations, write_variables
-from fmu.interface import interface_of
+from fmu.interface import interface_of, write_equations, write_variables
 from models.plant.step_model import StepModel
 
 SANITIZERS = (

@@ -204,7 +204,7 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
             name = directory / f"fmpy_{variant}_{kg}"
             options = ["--trial", str(trial), "--out", str(name), "--json"]
             with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
-                patch.setattr("fmu.run_files.draw_run", lambda *_: None)
+                patch.setattr("fmu.fmpy_run.draw_run", lambda *_: None)
                 said = command(["fmu", "simulate", str(fmu), *options])
             name.with_suffix(".json").write_text(said)
         for kg in ("0", "2"):

@@ -4,13 +4,8 @@ import fmpy
 import numpy as np
 import pytest
 
-from firmware_py.core.motion import STUDY_PERIOD_S, Motion
+from firmware_py.core.motion import STUDY_PERIOD_S
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.link.link_description import LinkDescription, LinkServo, link_toml
-from fmu.fmu_models import FmuParts
-from fmu.packaging.fmu_contents import fmu_contents
-from models.plant.plant import read_plant
-from models.plant.step_model import names
 from tests.fmu.conftest import TORQUE_NM
 
 STEPS = 40
@@ -89,26 +84,3 @@ def test_model_exchange_moves_too(archive):
     )  # fmt: skip
     end_m = float(found["tip_x_m"][-1])
     assert end_m == pytest.approx(led[-1, 0], abs=2e-4)  # the toy's integrator is of order 2
-
-
-def test_the_example_of_a_twin_is_the_studys_motion_and_holds_the_payload():
-    parts = FmuParts("twin", 1, read_plant(), None)
-    model = parts.required_plant().step_model(1, "twin")
-    example = dict(zip(names(model.inputs), fmu_contents(parts, model, 3).example, strict=True))
-    goal_rad = Motion().table_rad(PERIOD_S)
-    quarter = round(STUDY_PERIOD_S / PERIOD_S / 4)
-    assert example["payload_kg"] == 0.0
-    assert example["goal_1_rad"] == pytest.approx(goal_rad[quarter, 0], abs=1e-12)
-
-
-def test_the_reference_run_has_a_payload_that_the_link_carries(tmp_path):
-    """With 1 kg the arm would fall: the current of this servo is at its limit."""
-    servo = LinkServo(model="XM430-W350")
-    link = LinkDescription(length_m=0.6, width_m=0.1, payload_kg=0.1, joints=1, servo=servo)
-    (tmp_path / "link.toml").write_text(link_toml(link, 0.4, 0.1), encoding="utf-8")
-    parts = FmuParts("observer", 1, read_plant(tmp_path / "link.toml"), None)
-    files = fmu_contents(parts, parts.model(), 3).files
-    table = files["extra/org.fmi-standard.fmi-ls-ref/example_in.csv"].decode().splitlines()
-    _, angle_rad, current_a = np.loadtxt(table, delimiter=",", skiprows=1).T
-    assert np.abs(angle_rad).max() < 0.6
-    assert np.abs(current_a).max() < link.preset.current_limit_a

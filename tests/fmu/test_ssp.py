@@ -10,9 +10,8 @@ from fmpy.ssp.simulation import simulate_ssp
 
 from firmware_py.core.signals import PERIOD_S, tip_names
 from fmu.fmu_models import read_parts
-from fmu.ssp.ssp_builder import build_ssp
-from fmu.ssp.system_structure import PATHS, system_structure
-from fmu.ssp.tip_controller import tip_controller
+from fmu.packaging import HOST
+from fmu.ssp import PATHS, build_ssp, system_structure, tip_controller
 from models.plant.step_model import Variable
 
 PAYLOAD_KG = 1.5
@@ -23,7 +22,7 @@ STEPS = 300
 def package(bundle_1dof, tmp_path_factory):
     twin, observer = (read_parts(kind, 1, bundle_1dof) for kind in ("twin", "observer"))
     path = tmp_path_factory.mktemp("ssp") / "link_1dof.ssp"
-    return build_ssp(twin, observer, path, payload_kg=PAYLOAD_KG)
+    return build_ssp(twin, observer, path, payload_kg=PAYLOAD_KG, platforms=(HOST,))
 
 
 def with_signals(inputs, outputs):

@@ -1,1 +1,0 @@
-"""SSP package of a system of twin, observer and controller."""

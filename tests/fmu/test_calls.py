@@ -1,0 +1,353 @@
+"""Calls of a compiled FMU through FMPy: values, bounds, states, refusals, stop time."""
+
+import ctypes
+import math
+import platform
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2LastSuccessfulTime, fmi2Terminated
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dropstitch.__main__ import main
+from firmware_py.core.errors import InputError
+from firmware_py.core.signals import PERIOD_S
+from fmu.fmu_checker import exported_functions, varying_steps_s
+from hil.emulator.physics import FmuPhysics
+from models.plant.step_model import names
+
+
+def _inputs(count):
+    time_s = PERIOD_S * np.arange(count)
+    return np.column_stack([2.0 * np.sin(3.0 * time_s), 0.5 + 0.5 * np.cos(time_s)])
+
+
+def _refuses(instance, call, *words):
+    """The call is an error with one message, and that message has these words."""
+    logged = len(instance.messages)
+    with pytest.raises(FMICallException, match="status 3"):
+        call()
+    assert len(instance.messages) == logged + 1
+    for word in words:
+        assert word in instance.messages[-1]
+
+
+def test_every_function_of_the_headers_is_exported_and_nothing_else_of_ours(archive):
+    library = ctypes.CDLL(str(archive.binary()))
+    wanted = exported_functions(archive.fmi)
+    assert {2: 44, 3: 75}[archive.fmi] == len(wanted)  # FMI 2.0.1 and 3.0: 44 and 75 functions
+    assert [name for name in wanted if not hasattr(library, name)] == []
+    for hidden in ("fmu_step", "model_flow", "VARIABLES"):
+        assert not hasattr(library, hidden)
+
+
+def test_a_machine_without_a_library_gets_one_sentence(archive, monkeypatch):
+    monkeypatch.setattr(platform, "system", lambda: "Darwin")
+    monkeypatch.setattr(platform, "machine", lambda: "arm64")
+    with pytest.raises(InputError, match=r"no library for aarch64-darwin; build it with --platfo"):
+        archive.instance()
+
+
+# ---- Values -------------------------------------------------------------------------------------
+
+
+def test_fmpys_own_simulation_equals_the_interpreted_model(toy_fmu, toy):
+    """Through FMPy's simulate_fmu, not our stepper, with its input interpolation and recorder."""
+    count = 300
+    u = _inputs(count)
+    signals = np.zeros(count, dtype=[(n, "f8") for n in ("time", *names(toy.inputs))])
+    signals["time"] = PERIOD_S * np.arange(count)
+    for k, name in enumerate(names(toy.inputs)):
+        signals[name] = u[:, k]
+    result = fmpy.simulate_fmu(
+        str(toy_fmu), stop_time=(count - 1) * PERIOD_S, step_size=PERIOD_S,
+        output_interval=PERIOD_S, input=signals, output=names(toy.outputs), set_stop_time=True,
+    )  # fmt: skip
+    expected = toy.simulate(u[:-1], PERIOD_S)
+    for k, name in enumerate(names(toy.outputs)):
+        np.testing.assert_allclose(result[name].astype(float), expected[:, k], atol=1e-9, rtol=0)
+
+
+def test_varying_steps_and_parameters_equal_the_interpreted_model(instance, toy):
+    """Also a parameter that is tuned between two steps."""
+    changes = {"length_m": 1.1, "damping_nms_rad": 0.05, "rest_rad": -0.4}
+    u, steps_s = _inputs(200), varying_steps_s(200)
+    instance.set({f"parameters.{name}": value for name, value in changes.items()})
+    instance.initialize(dict(zip(names(toy.inputs), u[0], strict=True)))
+    p = toy.parameter_values(changes)
+    x = np.asarray(toy.initial(u[0], p)).ravel()
+    for k, step_s in enumerate(steps_s):
+        if k == 100:
+            p = toy.parameter_values(changes | {"damping_nms_rad": 2.0})
+            instance.set({"parameters.damping_nms_rad": 2.0})
+        instance.set(dict(zip(names(toy.inputs), u[k], strict=True)))
+        instance.step(float(step_s))
+        x = toy.advance(x, u[k], p, step_s)
+        expected = np.asarray(toy.output(x, u[k], p)).ravel()
+        found = instance.get(names(toy.outputs))
+        np.testing.assert_allclose(found, expected, atol=1e-9, rtol=0)
+
+
+def test_outputs_follow_inputs_between_steps_and_at_the_start(instance):
+    instance.initialize()
+    instance.set({"payload_kg": 1.5})
+    assert instance.get(["mass_kg"]) == 1.5
+    instance.fmu.reset()
+    instance.set({"parameters.rest_rad": 0.9, "payload_kg": 0.0})
+    instance.initialize()
+    assert instance.get(["tip_x_m"])[0] == pytest.approx(0.8 * math.sin(0.9), abs=1e-12)
+
+
+def test_two_instances_are_independent(archive):
+    with archive.instance() as first, archive.instance() as second:
+        first.initialize({"torque_nm": 3.0})
+        second.initialize({"torque_nm": -3.0})
+        for _ in range(20):
+            first.step(PERIOD_S)
+            second.step(PERIOD_S)
+        apart = first.get(["tip_x_m"]) - second.get(["tip_x_m"])
+        with archive.instance() as alone:
+            alone.initialize({"torque_nm": 3.0})
+            for _ in range(20):
+                alone.step(PERIOD_S)
+            assert alone.get(["tip_x_m"]) == first.get(["tip_x_m"])
+    assert apart > 0.1
+
+
+def test_reset_begins_anew(instance):
+    def run():
+        instance.initialize()
+        for _ in range(10):
+            instance.step(PERIOD_S)
+        return instance.get(["tip_x_m", "steps", "parameters.length_m"])
+
+    first = run()
+    instance.set({"parameters.length_m": 1.7, "torque_nm": 4.0})
+    instance.step(PERIOD_S)
+    instance.fmu.reset()
+    np.testing.assert_array_equal(run(), first)
+
+
+# ---- Refused values -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_refused_and_nothing_is_taken(instance, value):
+    instance.initialize({"torque_nm": 1.0})
+    wrong = {"payload_kg": 2.0, "torque_nm": value}
+    _refuses(instance, lambda: instance.set(wrong), "torque_nm", "finite")
+    assert instance.get(["torque_nm", "payload_kg"]).tolist() == [1.0, 0.25]
+
+
+def test_inputs_and_parameters_have_the_bounds_that_the_description_publishes(archive, instance):
+    bounded = {
+        v.name: (float(v.min), float(v.max))
+        for v in archive.description.modelVariables
+        if v.causality in ("input", "parameter") and v.min is not None
+    }
+    assert {"torque_nm", "payload_kg", "parameters.length_m"} < set(bounded)
+    for started in (False, True):
+        if started:
+            instance.initialize()
+        for name, (low, high) in bounded.items():
+            for value in (low, high):
+                instance.set({name: value})
+            for value in (np.nextafter(low, -np.inf), high + 0.1):
+                _refuses(instance, lambda: instance.set({name: value}), f"{name} = ", "outside")  # noqa: B023
+    assert instance.get(list(bounded)).tolist() == [high for _, high in bounded.values()]
+
+
+def test_of_several_inputs_none_is_taken_where_one_is_out_of_bounds(instance):
+    instance.initialize({"torque_nm": 1.0})
+    _refuses(instance, lambda: instance.set({"torque_nm": 2.0, "payload_kg": -0.3}), "payload_kg")
+    assert instance.get(["torque_nm", "payload_kg"]).tolist() == [1.0, 0.25]
+
+
+def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof, tmp_path, capsys):
+    twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
+    assert main(["fmu", "build", str(bundle_1dof), "--out", twin]) == 0
+    assert "compiling for x86_64-linux" in capsys.readouterr().err  # what takes so long
+    for payload in ("-0.3", "3.5"):
+        assert main(["fmu", "simulate", twin, "--out", out, "--payload-kg", payload]) == 2
+        error = capsys.readouterr().err
+        assert f"payload_kg = {payload} lies outside 0 to 3" in error
+        assert error.count("\n") == 1
+    with pytest.raises(InputError, match=r"payload_kg = 3\.5 lies outside 0 to 3"):
+        FmuPhysics(Path(twin), dof=1, payload_kg=3.5)
+
+
+def test_outputs_and_time_cannot_be_set(instance):
+    instance.initialize()
+    for name in ("tip_x_m", "time"):
+        _refuses(instance, lambda name=name: instance.set({name: 0.0}), name, "calculated")
+
+
+def test_unknown_references_and_wrong_types_are_refused(instance):
+    instance.initialize()
+    fetch = instance.fmu.getReal if instance.fmi == 2 else instance.fmu.getFloat64
+    truth = instance.variables["in_range"].valueReference
+    _refuses(instance, lambda: fetch([10_000]), "10000")
+    _refuses(instance, lambda: fetch([truth]), "in_range", "type")
+    _refuses(instance, lambda: instance.fmu.getBoolean([0]), "time", "type")
+
+
+def test_what_is_not_offered_says_so(instance):
+    instance.initialize()
+    if instance.fmi == 2:
+        _refuses(instance, lambda: instance.fmu.getRealOutputDerivatives([1], [1]), "not offered")
+        _refuses(instance, lambda: instance.fmu.getInteger([1]), "not offered")
+        assert list(instance.fmu.getInteger([])) == []
+    else:
+        _refuses(instance, instance.fmu.enterStepMode, "not offered")
+        _refuses(instance, lambda: instance.fmu.getInt32([1]), "not offered")
+        assert list(instance.fmu.getInt32([])) == []
+    instance.fmu.setDebugLogging(True, ["logStatusError"])
+    _refuses(instance, lambda: instance.fmu.setDebugLogging(True, ["logAll"]), "logStatusError")
+
+
+def test_the_token_of_another_fmu_is_refused(archive):
+    archive.description.guid, token = "{0}", archive.description.guid
+    try:
+        with pytest.raises(Exception, match=r"[Ii]nstantiate"):
+            archive.instance()
+    finally:
+        archive.description.guid = token
+
+
+# ---- Steps --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step_s", [0.0, -0.01, math.nan, math.inf, 1e9])
+def test_steps_that_are_none_are_refused(instance, step_s):
+    instance.initialize()
+    _refuses(instance, lambda: instance.fmu.doStep(0.0, step_s), "step")
+    instance.step(PERIOD_S)
+
+
+def test_a_step_from_elsewhere_is_refused(instance):
+    instance.initialize()
+    instance.step(PERIOD_S)
+    _refuses(instance, lambda: instance.fmu.doStep(0.5, PERIOD_S), "stands at")
+
+
+def test_a_step_that_is_not_finite_is_discarded_and_a_smaller_one_is_taken(instance):
+    """Damping over inertia is 2000/s: the toy is unstable at 2 ms, not at 0.1 ms."""
+    instance.set({"parameters.length_m": 0.1, "parameters.damping_nms_rad": 10.0})
+    instance.initialize({"torque_nm": 5.0, "payload_kg": 0.0})
+    logged, before = len(instance.messages), instance.get(["time", "tip_x_m", "steps"])
+    with pytest.raises(FMICallException, match="status 2"):
+        instance.step(2.0)
+    assert "smaller step" in instance.messages[logged]
+    if instance.fmi == 2:  # what a host asks after a discarded step
+        assert not instance.fmu.getBooleanStatus(fmi2Terminated)
+        assert instance.fmu.getRealStatus(fmi2LastSuccessfulTime) == 0.0
+    assert instance.get(["time", "tip_x_m", "steps"]).tolist() == before.tolist()
+    for _ in range(20):
+        instance.step(1e-4)
+    assert instance.get(["time", "steps"]).tolist() == pytest.approx([2e-3, 20.0])
+
+
+def _start(instance, start_s, stop_s):
+    """Initialization with a stop time, as each version of the standard passes it."""
+    if instance.fmi == 2:
+        instance.fmu.setupExperiment(startTime=start_s, stopTime=stop_s)
+        instance.fmu.enterInitializationMode()
+    else:
+        instance.fmu.enterInitializationMode(startTime=start_s, stopTime=stop_s)
+    instance.fmu.exitInitializationMode()
+    instance.time_s = start_s
+
+
+@pytest.mark.parametrize("start_s", [0.0, 1e4])
+def test_no_step_leads_beyond_the_stop_time(instance, start_s):
+    """FMI 2.0 and 3.0: computing past a stop time that is defined is an error."""
+    _start(instance, start_s, start_s + 0.05)
+    instance.step(PERIOD_S)
+    instance.step(PERIOD_S)
+    _refuses(instance, lambda: instance.step(PERIOD_S), "stop time")
+    assert instance.get(["time", "steps"]).tolist() == pytest.approx([start_s + 0.034, 2.0])
+    instance.step(0.016)  # the instance is unchanged: a step within the experiment is taken
+    _refuses(instance, lambda: instance.step(1e-4))
+    instance.fmu.reset()  # forgets the stop time
+    instance.initialize()
+    for _ in range(5):
+        instance.step(100.0)
+    assert instance.time_s == pytest.approx(500.0)
+
+
+@pytest.mark.parametrize(("step_s", "stop_s"), [(0.1, 0.3), (0.017, 850.0), (0.017 + 4e-6, 1e4)])
+def test_a_host_that_adds_its_steps_up_may_overshoot_by_rounding(instance, step_s, stop_s):
+    """Sums of steps, and a last step within the 1e-9 to which FMPy compares times."""
+    _start(instance, 0.0 if stop_s < 1e4 else stop_s - 0.017, stop_s)
+    for _ in range(round((stop_s - instance.time_s) / step_s)):
+        instance.step(step_s)
+    assert instance.time_s > stop_s
+
+
+@pytest.mark.parametrize("stop_s", [-1.0, math.nan])
+def test_a_stop_time_before_the_start_is_refused(instance, stop_s):
+    _refuses(instance, lambda: _start(instance, 0.0, stop_s), "stop time")
+    instance.initialize()
+
+
+# ---- State machine ------------------------------------------------------------------------------
+
+# The standards' state machines for Co-Simulation without event mode: call -> {state: next state}.
+LEGAL = {
+    "enter": {"instantiated": "initializing"},
+    "exit": {"initializing": "stepping"},
+    "step": {"stepping": "stepping"},
+    "terminate": {"stepping": "terminated"},
+    "set": {s: s for s in ("instantiated", "initializing", "stepping")},
+    "get": {s: s for s in ("initializing", "stepping", "terminated")},
+    "reset": {
+        s: "instantiated" for s in ("instantiated", "initializing", "stepping", "terminated")
+    },
+}
+CALLS = st.lists(st.sampled_from([*LEGAL, "save", "restore"]), min_size=1, max_size=25)
+
+
+@settings(max_examples=40, deadline=None)
+@given(calls=CALLS, torques_nm=st.lists(st.floats(-5, 5), min_size=25, max_size=25))
+def test_calls_are_taken_where_they_are_legal_and_only_there(archive, calls, torques_nm):
+    with archive.instance() as instance:
+        fmu, state, saved = instance.fmu, "instantiated", None
+        legal = {call: dict(table) for call, table in LEGAL.items()}
+        if archive.fmi == 3:
+            legal["get"]["instantiated"] = "instantiated"  # FMI 3.0 shows start values there
+        do = {
+            "enter": fmu.enterInitializationMode,
+            "exit": fmu.exitInitializationMode,
+            "step": lambda: instance.step(0.017),
+            "terminate": fmu.terminate,
+            "get": lambda: instance.get(["tip_x_m", "in_range"]),
+            "reset": fmu.reset,
+        }
+        for call, torque_nm in zip(calls, torques_nm, strict=False):
+            if call == "save":
+                values = instance.get(["steps", "torque_nm"]) if state == "stepping" else None
+                saved = (fmu.getFMUState(), state, instance.time_s, values)
+                continue
+            if call == "restore":
+                if saved:
+                    fmu.setFMUState(saved[0])
+                    state, instance.time_s = saved[1], saved[2]
+                    if saved[3] is not None:
+                        np.testing.assert_array_equal(
+                            instance.get(["steps", "torque_nm"]), saved[3]
+                        )
+                continue
+            logged = len(instance.messages)
+            try:
+                do.get(call, lambda t=torque_nm: instance.set({"torque_nm": t}))()
+                assert state in legal[call]
+                state = legal[call][state]
+                if call in ("enter", "reset"):
+                    instance.time_s = 0.0
+            except FMICallException:
+                assert state not in legal[call]
+                assert len(instance.messages) == logged + 1
