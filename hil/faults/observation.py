@@ -1,4 +1,7 @@
-"""Observation of a case, combined from the loop's record and the servos' log."""
+"""What happened in a case, combined from the loop's record and the servos' log.
+
+The observation holds what `hil.faults.faults_document` judges and writes.
+"""
 
 from __future__ import annotations
 
@@ -107,7 +110,7 @@ def observe_case(
 
 
 def _first(columns: Columns, began_ns: int | None) -> int | None:
-    """Index of the tick at a time, or of the next one."""
+    """Index of the tick in which the fault began."""
     if began_ns is None:
         return None
     ends_ns = columns["deadline_ns"] + columns["lateness_ns"] + columns["busy_ns"]

@@ -22,9 +22,9 @@ from firmware_py.system.kernel_counters import KernelCounters
 from hil.emulator.emulator import PRIORITY
 from hil.emulator.fmu_physics import FmuPhysics
 from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
-from hil.faults.cases.case_robot import case_servos
+from hil.faults.case_robot import case_servos
 from hil.faults.fault_row import FaultRow
-from hil.faults.injection import FaultSchedule
+from hil.faults.faulty_parts import FaultSchedule
 from hil.faults.servo_log import LoggedBus, LoggedServo, ServoLog
 
 _SPAWN: Final = multiprocessing.get_context("spawn")

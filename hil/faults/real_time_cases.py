@@ -1,0 +1,251 @@
+"""Cases in real time: the servos run in another process, which outlives the robot.
+
+On the line "socket" the loop runs in this process. On the line "process" `dropstitch run` and its
+recorder are real processes, which are killed, stopped or unplugged. Cases that unplug the port use
+a pseudo-terminal, which disappears like a USB adapter.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import msgspec
+import tomli_w
+
+from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.transport import Transport, open_transport
+from firmware_py.config import RobotConfig
+from firmware_py.core.console import BAD_INPUT
+from firmware_py.core.errors import InputError
+from firmware_py.goals.goal_source import GoalTable
+from firmware_py.inference.bundle_signature import TrustConfig
+from firmware_py.log.recording import read_recording
+from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
+from firmware_py.system.kernel_counters import KernelCounters
+from hil.faults.case_robot import CaseRobot, case_config, run_case_loop
+from hil.faults.fault_kinds import RobotProcess, recorders
+from hil.faults.fault_row import FaultRow
+from hil.faults.faulty_parts import FaultSchedule, HostFaults
+from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
+from hil.faults.servo_process import ServoProcess, ServoProcessTask
+from hil.sil.processors import assign_processors, pinned_to
+
+SOCKET_SLOTS: Final = 150
+"""Slots of the motion on a socket: 2.6 s. The fault begins before the 110th."""
+PROCESS_S: Final = 2.6
+REPLUG_S: Final = 4.5
+"""Duration of the motion of a process whose port comes back; of the others: `PROCESS_S`."""
+_SETTLE_S: Final = 0.3
+_START_TIMEOUT_S: Final = 30.0
+_END_TIMEOUT_S: Final = 30.0
+_STILL_S: Final = 0.3
+
+
+@contextlib.contextmanager
+def _servos(
+    robot: CaseRobot, row: FaultRow, number: int, seed: int, kind: str
+) -> Iterator[tuple[Path, ServoProcess, ServoProcessTask, int]]:
+    """Start the servos of a case; yield a scratch directory, them, and the loop's processor."""
+    loop_cpu, other_cpus = assign_processors()
+    with TemporaryDirectory(prefix="dropstitch-faults-") as scratch, pinned_to(other_cpus):
+        task = ServoProcessTask(
+            robot.fmu, robot.dof, row, number, seed, kind, Path(scratch) / "tty-a", max(other_cpus)
+        )
+        with contextlib.closing(ServoProcess(task)) as servos:
+            yield Path(scratch), servos, task, loop_cpu
+
+
+# --- the loop in this process
+
+
+def run_socket(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
+    """Run one case in real time; see `hil.faults.virtual_case.run_virtual`."""
+    clock = DeadlineClock()
+    with _servos(robot, row, number, seed, "socket") as (_, servos, task, loop_cpu):
+        config = case_config(robot, row, number, f"unix:{task.port}")
+        config = msgspec.structs.replace(config, real_time=RealTimeOptions(cpu=loop_cpu))
+        host = HostFaults(FaultSchedule(row.injections, seed), clock.now_ns, time.sleep)
+        goals = GoalTable(config.goals_rad(repeated=True))
+
+        def opener() -> Transport:
+            return open_transport(config.bus.port, config.bus.baud, clock)
+
+        with contextlib.closing(KernelCounters()) as counters, real_time(config.real_time):
+            before = _collections()
+            outcome, columns = run_case_loop(
+                robot, config, (goals, None), SOCKET_SLOTS, clock, host, opener, counters
+            )
+            collections = _collections() - before
+        servo_log = servos.stop()
+    if collections:
+        outcome = replace(outcome, ended="collected", reason=f"{collections} garbage collections")
+    began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
+    return observe_case(
+        outcome, columns, servo_log, min(began, default=None), SOCKET_SLOTS, config.period_s,
+        config.limits_in_force.rate_rad_s,
+    )  # fmt: skip
+
+
+def _collections() -> int:
+    return sum(int(generation["collections"]) for generation in gc.get_stats())
+
+
+# --- the robot as a process
+
+
+def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseObservation:
+    """Run one case with real processes; see `hil.faults.virtual_case.run_virtual`."""
+    setup = row.setup
+    kind = "pty" if any(i.kind == "unplug" for i in row.injections) else "socket"
+    with _servos(robot, row, number, seed, kind) as (scratch, servos, task, loop_cpu):
+        bundle = Path(shutil.copytree(robot.bundle.directory, scratch / "bundle"))
+        log = scratch / "ticks.mcap"
+        script = FaultSchedule(row.injections, seed)
+        began_ns, keys = None, ()
+        for injection in script.of("bundle"):
+            began_ns = began_ns or time.monotonic_ns()
+            keys = injection.does.act(bundle)
+        port = str(scratch / "tty-*") if setup.port_renamed else str(task.port)
+        config = msgspec.structs.replace(
+            case_config(robot, row, number, port if kind == "pty" else f"unix:{port}"),
+            bundle=str(bundle), real_time=RealTimeOptions(cpu=loop_cpu),
+            trust=TrustConfig(keys=keys),
+        )  # fmt: skip
+        seconds = REPLUG_S if setup.replug_s else PROCESS_S
+
+        def unplug(away_s: float) -> int:
+            gone_ns = servos.unplug()
+            if setup.replug_s:
+                time.sleep(away_s)
+                servos.plug(scratch / "tty-b" if setup.port_renamed else task.port)
+            return gone_ns
+
+        with _robot(config, scratch / "robot.toml", log, seconds) as process:
+            if actions := script.of("process"):
+                _await(servos, script.start, process)
+                began_ns = time.monotonic_ns()
+                target = RobotProcess(process.pid, bundle, log, unplug)
+                for injection in actions:
+                    began_ns = injection.does.act(target, injection.value) or began_ns
+            output, errors = _end(process, servos)
+            time.sleep(_SETTLE_S)
+            servo_log = servos.stop()
+            columns = _columns(log)
+            outcome = _outcome(process, output, errors, columns)
+    slots = round(seconds / config.period_s)
+    return observe_case(
+        outcome, columns, servo_log, began_ns, slots, config.period_s,
+        config.limits_in_force.rate_rad_s,
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _robot(
+    config: RobotConfig, path: Path, log: Path, seconds: float
+) -> Iterator[subprocess.Popen[str]]:
+    path.write_text(tomli_w.dumps(_without_none(msgspec.to_builtins(config))), encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dropstitch", "run", "--config", str(path), "--seconds",
+         str(seconds), "--log", str(log), "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=_hear_hangups,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        for pid in (*recorders(process.pid), process.pid):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        process.communicate()
+
+
+def _hear_hangups() -> None:
+    """Handle SIGHUP by default: under `nohup` the robot would inherit that it is ignored."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def _without_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_none(v) for k, v in value.items() if v is not None}
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value
+
+
+def _await(servos: ServoProcess, exchange: int, process: subprocess.Popen[str]) -> None:
+    """Wait until the running robot has reached an exchange."""
+    deadline_s = time.monotonic() + _START_TIMEOUT_S
+    while servos.exchange < exchange:
+        if process.poll() is not None or time.monotonic() > deadline_s:
+            words = process.stderr.read() if process.poll() is not None and process.stderr else ""
+            raise InputError("dropstitch run", f"did not get going ({words.strip()})", "run it")
+        time.sleep(1e-3)
+
+
+def _end(process: subprocess.Popen[str], servos: ServoProcess) -> tuple[str, str]:
+    """Wait for the robot to end; return its standard output and standard error.
+
+    A stopped recorder is killed once the bus is silent, because the robot waits for it.
+    """
+    exchange, since_s = servos.exchange, time.monotonic()
+    deadline_s = since_s + _END_TIMEOUT_S
+    while process.poll() is None and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+        if servos.exchange != exchange:
+            exchange, since_s = servos.exchange, time.monotonic()
+        elif time.monotonic() - since_s > _STILL_S:
+            for pid in recorders(process.pid):
+                if _stopped(pid):
+                    os.kill(pid, signal.SIGKILL)
+    return process.communicate(timeout=_END_TIMEOUT_S)
+
+
+def _stopped(pid: int) -> bool:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()[0] == b"T"
+    return False
+
+
+def _columns(log: Path) -> Columns:
+    """Ticks in the log, after a short wait for a recorder that is still writing."""
+    deadline_s = time.monotonic() + 1.0
+    while True:
+        try:
+            recording = read_recording(log)
+        except InputError:
+            return {}
+        if recording.complete or time.monotonic() > deadline_s:
+            return recording.columns
+        time.sleep(0.05)
+
+
+def _outcome(
+    process: subprocess.Popen[str], output: str, errors: str, columns: Columns
+) -> CaseOutcome:
+    if not output:
+        if process.returncode == BAD_INPUT:
+            return CaseOutcome("refused", errors.strip())
+        killed = process.returncode == -signal.SIGKILL
+        return CaseOutcome("killed" if killed else f"exit {process.returncode}", "no last words")
+    summary = json.loads(output)
+    timing = summary["timing"]
+    logged = len(columns.get("tick", ()))
+    stale = sum(n for name, n in summary["bus_faults"].items() if not BusStatus[name.upper()].fresh)
+    return CaseOutcome(
+        summary["ended"], summary["reason"], summary["replugs"],
+        telemetry_drops=summary["ticks"] - logged,
+        misses={cause: count for cause, count in timing["causes"].items() if count},
+        unlogged_stale=stale if logged < summary["ticks"] else 0,
+        held_up_ticks=summary["held_up_ticks"],
+    )  # fmt: skip
