@@ -93,11 +93,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -> None:
+    from firmware_py.core.documents import write_document
     from firmware_py.core.output_files import write_whole
-    from hil.faults.faults_document import faults_junit, write_faults
+    from hil.faults.faults_document import faults_junit
     from hil.report import write_fault_report
 
-    write_faults(out / "faults.json", document)
+    write_document(out / "faults.json", document)
     write_whole(out / "faults.xml", faults_junit(judged, document.not_run))
     write_fault_report(document, out / "report.html")
 

@@ -18,7 +18,7 @@ class SafetyRequirement(NamedTuple):
 
     identifier: str  # "SR-" and a number
     text: str
-    tests: tuple[str, ...]  # File under `tests/`, `::` and the name of the test
+    tests: tuple[str, ...]  # File, `::` and the name of the test
     no_fault: str  # Why no fault of the table can prove it; empty if one does
     faults: tuple[str, ...]  # Faults of the rows that prove it
 

@@ -46,7 +46,6 @@ from firmware_py.inference.manifest import MANIFEST, manifest_bytes, write_manif
 from firmware_py.inference.predictor import Prediction
 from hil.emulator import packets
 from hil.emulator.line_faults import UNHEARD
-from hil.faults.servo_log import LoggedServo
 from models.commands.sign import sign_bundle
 
 if sys.platform != "win32":  # the module is imported there, see `firmware_py.core.console`
@@ -128,10 +127,10 @@ def _foreign(frame: bytes, value: float, chance: random.Random) -> Arrivals:
     return [(0, renamed + packets.crc16(renamed).to_bytes(_CRC_BYTES, "little"))]
 
 
-# --- servo
+# --- servo: `hil.faults.servo_log.LoggedServo`
 
 
-def _at_begin(act: Callable[[LoggedServo, float], None]) -> FaultKind:
+def _at_begin(act: Callable[[Any, float], None]) -> FaultKind:
     return FaultKind("servo", lambda servo, value, begins: act(servo, value) if begins else None)
 
 

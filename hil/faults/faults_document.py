@@ -17,7 +17,7 @@ from typing import ClassVar, Final
 from firmware_py.bus.dynamixel import watchdog_steps
 from firmware_py.bus.registers import WATCHDOG_STEP_S
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.core.documents import Document, read_document, write_document
+from firmware_py.core.documents import Document, read_document
 from firmware_py.core.units import TICK_TIME
 from firmware_py.inference.manifest import Manifest
 from firmware_py.safety.estimate_trust import FADE_S
@@ -211,10 +211,6 @@ def _result(one: CaseVerdict) -> CaseResult:
 
 def read_faults(path: Path) -> FaultsDocument:
     return read_document(path, FaultsDocument)
-
-
-def write_faults(path: Path, document: FaultsDocument) -> None:
-    write_document(path, document)
 
 
 def faults_junit(judged: Sequence[CaseVerdict], not_run: int = 0) -> bytes:

@@ -29,11 +29,11 @@ from firmware_py.inference.estimator import DeformationEstimator, Estimate
 from firmware_py.inference.predictor import NO_SIGNALS, Prediction, Predictor
 from firmware_py.link.link_facts import STUDY_FACTS
 from firmware_py.system.clock import SimClock
+from hil.emulator.emulated_servo import EmulatedServo
 from hil.emulator.line_faults import FaultPlan
 from hil.emulator.packets import Instruction, Packet
 from hil.faults.fault_kinds import Arrivals, Host, Place
 from hil.faults.fault_row import Injection
-from hil.faults.servo_log import LoggedServo
 
 Array = NDArray[np.float64]
 FIRST_EXCHANGE: Final = (40, 110)
@@ -61,7 +61,7 @@ class FaultSchedule(FaultPlan):
         """Injections that act at a place."""
         return self._of.get(where, [])
 
-    def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
+    def begin_exchange(self, servos: Sequence[EmulatedServo], now_ns: int) -> None:
         """Count an exchange, and start and end the servo faults that are due in it."""
         self.exchange += 1
         self._now_ns = now_ns

@@ -10,14 +10,16 @@ from __future__ import annotations
 import contextlib
 import gc
 import json
+import multiprocessing
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -35,14 +37,18 @@ from firmware_py.inference.bundle_signature import TrustConfig
 from firmware_py.log.recording import read_recording
 from firmware_py.system.clock import DeadlineClock, RealTimeOptions, real_time
 from firmware_py.system.kernel_counters import KernelCounters
-from hil.faults.case_robot import CaseRobot, case_config, run_case_loop
+from hil.emulator.emulator import PRIORITY
+from hil.emulator.fmu_physics import FmuPhysics
+from hil.emulator.line import Line, pty_endpoint, serve_line, socket_endpoint
+from hil.faults.case_robot import CaseRobot, case_config, case_servos, run_case_loop
 from hil.faults.fault_kinds import RobotProcess, recorders
 from hil.faults.fault_row import FaultRow
 from hil.faults.faulty_parts import FaultSchedule, HostFaults
 from hil.faults.observation import CaseObservation, CaseOutcome, Columns, observe_case
-from hil.faults.servo_process import ServoProcess, ServoProcessTask
+from hil.faults.servo_log import LoggedBus, ServoLog
 from hil.sil.processors import assign_processors, pinned_to
 
+_SPAWN: Final = multiprocessing.get_context("spawn")
 SOCKET_SLOTS: Final = 150
 """Slots of the motion on a socket: 2.6 s. The fault begins before the 110th."""
 PROCESS_S: Final = 2.6
@@ -52,6 +58,111 @@ _SETTLE_S: Final = 0.3
 _START_TIMEOUT_S: Final = 30.0
 _END_TIMEOUT_S: Final = 30.0
 _STILL_S: Final = 0.3
+
+
+# --- the servos in another process
+
+
+@dataclass(frozen=True)
+class ServoProcessTask:
+    """Specification of the servos of a case."""
+
+    fmu: Path  # Twin FMU behind the servos
+    dof: int
+    row: FaultRow
+    number: int  # Model number of the servos
+    seed: int  # Seed of the fault's time and bits
+    kind: str  # "socket" or "pty"
+    port: Path  # Path of the socket, or of a link to the pseudo-terminal
+    cpu: int  # Processor to which the process is pinned
+
+
+@contextlib.contextmanager
+def _plugged(
+    task: ServoProcessTask, port: Path, stop_fd: int
+) -> Iterator[Callable[[], int | None]]:
+    """Open the port under a name; leaving the block unplugs it."""
+    if task.kind == "socket":
+        with socket_endpoint(port, stop_fd) as (_, connect):
+            yield connect
+        return
+    with pty_endpoint() as (name, connect):
+        port.symlink_to(name)
+        try:
+            yield connect
+        finally:
+            port.unlink()
+
+
+def _run_servos(pipe: Connection, exchange: Any, task: ServoProcessTask) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    script = FaultSchedule(task.row.injections, task.seed)
+    servos = case_servos(task.dof, task.row, task.number)
+    bus = LoggedBus(servos, FmuPhysics(task.fmu, task.dof), script)
+    line = Line(bus, task.row.setup.latency_s, script)
+    bus.resume(time.monotonic_ns())
+    port: Path | None = task.port
+    gc.freeze()
+    counters = KernelCounters()
+
+    def note(due_ns: int, written_ns: int) -> None:
+        bus.note_release(due_ns, written_ns, counters.run_delay_ns())
+        exchange.value = script.exchange
+
+    with real_time(RealTimeOptions(priority=PRIORITY, cpu=task.cpu)):
+        pipe.send("ready")
+        while port is not None:
+            with _plugged(task, port, pipe.fileno()) as connect:
+                while (fd := connect()) is not None:
+                    if not serve_line(line, fd, pipe.fileno(), note):
+                        break
+            command = pipe.recv()
+            while command == "unplug":
+                pipe.send(time.monotonic_ns())
+                while not pipe.poll(0.01):
+                    bus.advance(time.monotonic_ns())
+                command = pipe.recv()
+            port = command
+    pipe.send(bus.log(time.monotonic_ns()))
+
+
+class ServoProcess:
+    """Process that runs the servos of a case."""
+
+    def __init__(self, task: ServoProcessTask) -> None:
+        self._pipe, child_end = _SPAWN.Pipe()
+        self._counter: Any = _SPAWN.RawValue("q", 0)
+        self._process = _SPAWN.Process(
+            target=_run_servos, args=(child_end, self._counter, task), daemon=True
+        )
+        self._process.start()
+        child_end.close()
+        self._pipe.recv()
+
+    @property
+    def exchange(self) -> int:
+        """Number of exchanges of the running robot so far."""
+        return int(self._counter.value)
+
+    def unplug(self) -> int:
+        """Remove the port; return the time in ns."""
+        self._pipe.send("unplug")
+        return int(self._pipe.recv())
+
+    def plug(self, port: Path) -> None:
+        """Open the port again, under a name."""
+        self._pipe.send(port)
+
+    def stop(self) -> ServoLog:
+        """End the process and return the servos' record."""
+        self._pipe.send(None)
+        servo_log: ServoLog = self._pipe.recv()
+        return servo_log
+
+    def close(self) -> None:
+        """End the process if it is still running."""
+        self._pipe.close()
+        self._process.join()
 
 
 @contextlib.contextmanager
@@ -92,11 +203,8 @@ def run_socket(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> CaseO
         servo_log = servos.stop()
     if collections:
         outcome = replace(outcome, ended="collected", reason=f"{collections} garbage collections")
-    began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
-    return observe_case(
-        outcome, columns, servo_log, min(began, default=None), SOCKET_SLOTS, config.period_s,
-        config.limits_in_force.rate_rad_s,
-    )  # fmt: skip
+    began_ns = (host.began_ns, servo_log.began_ns)
+    return observe_case(outcome, columns, servo_log, began_ns, SOCKET_SLOTS, config)
 
 
 def _collections() -> int:
@@ -146,10 +254,7 @@ def run_process(robot: CaseRobot, row: FaultRow, number: int, seed: int) -> Case
             columns = _columns(log)
             outcome = _outcome(process, output, errors, columns)
     slots = round(seconds / config.period_s)
-    return observe_case(
-        outcome, columns, servo_log, began_ns, slots, config.period_s,
-        config.limits_in_force.rate_rad_s,
-    )  # fmt: skip
+    return observe_case(outcome, columns, servo_log, [began_ns], slots, config)
 
 
 @contextlib.contextmanager

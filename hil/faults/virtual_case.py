@@ -111,10 +111,8 @@ def _run(
         wanted_rad = MODELS[number].angle_rad(pulse)
         if not np.any(np.all(servo_log.goal_rad == wanted_rad, axis=1)):
             outcome = replace(outcome, ended="goal lost", reason="the goal never arrived")
-    began = [t for t in (host.began_ns, servo_log.began_ns) if t is not None]
     return observe_case(
-        outcome, columns, servo_log, min(began, default=None), slots, config.period_s,
-        config.limits_in_force.rate_rad_s,
+        outcome, columns, servo_log, (host.began_ns, servo_log.began_ns), slots, config,
         stepped_in_tick=script.start if row.injects("clock") else None,
     )  # fmt: skip
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from hil.faults.fault_docs import DOCUMENT, redraw, requirements
 from hil.faults.fault_table import ROWS
 
-TESTS = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_page_is_generated_from_the_code():
@@ -20,7 +20,7 @@ def test_every_requirement_has_tests_and_either_faults_or_a_reason_for_none():
         assert bool(requirement.faults) != bool(requirement.no_fault), requirement.identifier
         for test in requirement.tests:
             file, _, name = test.partition("::")
-            tree = ast.parse((TESTS / file).read_text(encoding="utf-8"))
+            tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
             assert name in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, test
 
 

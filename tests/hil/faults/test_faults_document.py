@@ -7,6 +7,7 @@ from xml.etree import ElementTree as ET
 import msgspec
 import pytest
 
+from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
 from hil.faults.fault_row import Expectation, FaultRow, Injection
 from hil.faults.faults_document import (
@@ -15,7 +16,6 @@ from hil.faults.faults_document import (
     faults_junit,
     judge_case,
     read_faults,
-    write_faults,
 )
 from hil.faults.observation import CaseObservation
 from tests.hil.faults.toy_robot import PERIOD_S, manifest
@@ -82,7 +82,7 @@ def test_verdicts_are_counted_and_written(tmp_path):
     assert document.counts == {"pass": 1, "fail": 1, "inconclusive": 0}
     assert (document.verdict, document.verdict.exit_code) == ("fail", 1)
     assert document.cases[1].complaints == ("tripped (why), not finished",)
-    write_faults(tmp_path / "faults.json", document)
+    write_document(tmp_path / "faults.json", document)
     assert read_faults(tmp_path / "faults.json") == document
     written = json.loads((tmp_path / "faults.json").read_text())
     assert written["cases"][0]["model"] == "H54-200-S500-R(A)"
