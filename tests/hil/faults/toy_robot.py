@@ -31,7 +31,7 @@ class StillPredictor:
 
 
 class ToyPhysics(LagPlant):
-    """Takes the place of `hil.emulator.fmu_physics.FmuPhysics`."""
+    """Stands in for `FmuPhysics`."""
 
     def __init__(self, fmu, dof):
         super().__init__(dof)
