@@ -409,8 +409,7 @@ faults: build/twin_2dof.fmu
 
 # What tests/hil/faults/test_recorded_runs.py asks of every change.
 recorded-runs: build/twin_2dof.fmu
-	$(BIN)/python -m hil.faults.recorded.run_recorder --bundle build/bundle_2dof --fmu $< \
-	  --out tests/hil/faults/recorded_runs.xz
+	$(BIN)/python -m tests.hil.faults.recorded_runs --anew --bundle build/bundle_2dof --fmu $<
 
 fuzz: build/bundle_1dof/observer.fmu
 	$(BIN)/python -m tests.fuzz --bundle $(<D) --keep

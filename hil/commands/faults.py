@@ -22,8 +22,7 @@ from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle
 
 if TYPE_CHECKING:
-    from hil.faults.fault_verdict import CaseVerdict
-    from hil.faults.faults_document import FaultsDocument
+    from hil.faults.faults_document import CaseVerdict, FaultsDocument
 
 EXAMPLE = "dropstitch faults --bundle build/bundle_2dof --out build/faults"
 LINES = ("virtual", "socket", "process")
@@ -51,7 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from hil.emulator.physics import build_twin
     from hil.faults.campaign import cases_of, run_campaign
-    from hil.faults.cases.case_robot import CaseRobot
+    from hil.faults.case_robot import CaseRobot
     from hil.faults.fault_table import ROWS
     from hil.faults.faults_document import faults_document
 
@@ -94,20 +93,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -> None:
+    from firmware_py.core.documents import write_document
     from firmware_py.core.output_files import write_whole
-    from hil.faults.fault_verdict import faults_junit
-    from hil.faults.faults_document import write_faults
+    from hil.faults.faults_document import faults_junit
     from hil.report import write_fault_report
 
-    write_faults(out / "faults.json", document)
+    write_document(out / "faults.json", document)
     write_whole(out / "faults.xml", faults_junit(judged, document.not_run))
     write_fault_report(document, out / "report.html")
 
 
 def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:
-    """Return the cases that did not pass, then the counts, as text."""
+    """The cases that did not pass, then the counts."""
     lines = [
-        f"{one.verdict}: {one.case.name}: {'; '.join(one.safety_violations + one.deviations)}"
+        f"{one.verdict}: {one.case.name}: {'; '.join(one.complaints)}"
         for one in judged
         if one.verdict != "pass"
     ]

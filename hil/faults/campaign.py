@@ -11,18 +11,17 @@ from typing import Final
 
 from firmware_py.core.console import Progress, Terminated, terminations_raised
 from firmware_py.system.stop_signals import STOP_SIGNALS
-from hil.faults.cases.case_robot import CaseRobot
-from hil.faults.cases.process_case import run_process
-from hil.faults.cases.real_time_case import run_real_time
-from hil.faults.cases.virtual_case import run_virtual
+from hil.faults.case_robot import CaseRobot
 from hil.faults.fault_row import FaultRow
 from hil.faults.fault_table import ROWS
-from hil.faults.fault_verdict import CaseVerdict, FaultCase, judge_case
+from hil.faults.faults_document import CaseVerdict, FaultCase, judge_case
 from hil.faults.observation import CaseObservation
+from hil.faults.real_time_cases import run_process, run_socket
+from hil.faults.virtual_case import run_virtual
 
 RUNNERS: Final[dict[str, Callable[[CaseRobot, FaultRow, int, int], CaseObservation]]] = {
     "virtual": run_virtual,
-    "socket": run_real_time,
+    "socket": run_socket,
     "process": run_process,
 }
 """Function that runs a case on each kind of line."""

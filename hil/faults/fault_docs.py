@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from firmware_py.safety.states import TRANSITIONS, SafetyState
-from hil.faults.fault_table import PARTS
-from hil.faults.safety_requirements import REQUIREMENTS
+from hil.faults.fault_table import PARTS, ROWS
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
+_REQUIREMENTS: Final = Path(__file__).with_name("safety_requirements.toml")
+
+
+class SafetyRequirement(NamedTuple):
+    """Safety requirement of safety_requirements.toml and its verification."""
+
+    identifier: str  # "SR-" and a number
+    text: str
+    tests: tuple[str, ...]  # File, `::` and the name of the test
+    no_fault: str  # Why no fault of the table can prove it; empty if one does
+    faults: tuple[str, ...]  # Faults of the rows that prove it
+
+
+def requirements() -> list[SafetyRequirement]:
+    tables = tomllib.loads(_REQUIREMENTS.read_text(encoding="utf-8"))
+    return [
+        SafetyRequirement(
+            name, table["text"], tuple(table["tests"]), table.get("no_fault", ""),
+            tuple(dict.fromkeys(row.fault for row in ROWS if name in row.proves)),
+        )
+        for name, table in tables.items()
+    ]  # fmt: skip
 
 
 def state_machine() -> str:
@@ -32,13 +54,12 @@ def fault_matrix() -> str:
     """Return the fault table in Markdown."""
     lines = []
     for title, rows in PARTS.items():
-        lines += [f"**{title}**", "", "| fault | how | line | must |", "|---|---|---|---|"]
-        lines += [
-            f"| {row.fault} | {row.how} | {', '.join(row.lines)} | "
-            + str(row.must).replace("|", " or ")
-            + " |"
-            for row in rows
-        ]
+        lines += [f"**{title}**", "", "| fault | how | line | must | proves |"]
+        lines.append("|---|---|---|---|---|")
+        for row in rows:
+            must = str(row.must).replace("|", " or ")
+            cells = [row.fault, row.how, ", ".join(row.lines), must, ", ".join(row.proves)]
+            lines.append(f"| {' | '.join(cells)} |")
         lines.append("")
     return "\n".join(lines).rstrip()
 
@@ -46,11 +67,10 @@ def fault_matrix() -> str:
 def requirement_table() -> str:
     """Return the safety requirements and their verification in Markdown."""
     lines = ["| | requirement | tests | faults |", "|---|---|---|---|"]
-    for r in REQUIREMENTS:
+    for r in requirements():
         tests = "<br>".join(f"`{test.rpartition('/')[2]}`" for test in r.tests)
-        faults = ", ".join(pattern.replace("*", "…") for pattern in r.faults)
-        faults = faults or f"none: {r.no_fault}"
-        lines.append(f"| {r.identifier} | {r.sentence} | {tests} | {faults} |")
+        faults = ", ".join(r.faults) or f"none: {r.no_fault}"
+        lines.append(f"| {r.identifier} | {r.text} | {tests} | {faults} |")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""Row of the fault table: a fault, how it is injected, and the expected outcome."""
+"""Row of the fault table: a fault, how it is injected, the expected outcome, what it proves."""
 
 from __future__ import annotations
 
@@ -6,14 +6,38 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from firmware_py.bus.registers import Register
-from hil.faults.injection import Injection
+from hil.faults.fault_kinds import FAULT_KINDS, FaultKind
 
-TRUST_WORDS: Final = {
+_TRUST_WORDS: Final = {
     "TRUSTED": "corrections go on",
     "FADING": "corrections begin to fade",
     "LOST": "corrections are gone within 0.2 s",
 }
-"""Description of the lowest trust in the estimated tip that a run reaches."""
+
+
+@dataclass(frozen=True)
+class Injection:
+    """One fault of a kind of `FAULT_KINDS`, whose start the seed sets."""
+
+    kind: str
+    # Number of exchanges in a row; ticks for a fault of the host, writes to each servo if unheard
+    times: int = 1
+    # Delay in s, error in rad or A, hardware error bits, signal number, depending on the kind
+    value: float = 0.0
+    joint: int | None = None  # Joint with the fault, from 0; None for all
+    after: int = 0  # Exchanges from the start of the schedule to the start of this fault
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULT_KINDS:
+            raise ValueError(f"no fault {self.kind!r}: choose from {', '.join(FAULT_KINDS)}")
+
+    @property
+    def does(self) -> FaultKind:
+        return FAULT_KINDS[self.kind]
+
+    def active(self, count: int, start: int) -> bool:
+        """Whether the fault acts in an exchange or tick, in a schedule that starts at `start`."""
+        return start + self.after <= count < start + self.after + self.times
 
 
 @dataclass(frozen=True)
@@ -47,7 +71,7 @@ class Expectation:
         if self.on_time:
             parts.append("no slot missed")
         if self.trust:
-            parts.append(TRUST_WORDS[self.trust])
+            parts.append(_TRUST_WORDS[self.trust])
         if self.replugs:
             parts.append("goes on from the measured position")
         if self.reason:
@@ -60,7 +84,6 @@ class Setup:
     """Differences between a case and the usual robot, which the defaults describe."""
 
     latency_s: float = 1e-3  # Latency timer of the USB adapter
-    return_delay_s: float = 500e-6
     wrong_baud: bool = False  # Whether the host sends at another baud rate than the servos
     # Goal in pulses that the motion reaches and leaves again, instead of the study's motion
     through_pulse: int | None = None
@@ -74,28 +97,18 @@ class Setup:
     # Whether servo 2 is of another model, and whether the configuration declares it
     second_model: Literal["as the first", "declared", "undeclared"] = "as the first"
     replug_s: float = 0.0  # `bus.replug_s` of the configuration; 0: the robot stays stopped
-    signal: int | None = None  # Signal sent to the robot's process
-    freeze_s: float = 0.0  # How long the robot's process is stopped (SIGSTOP)
-    recorder_signal: int | None = None  # Signal sent to the recorder's process
-    disk_full: bool = False  # Whether the recorder's disk is full
-    bundle_swapped: bool = False  # Whether every file of the bundle is overwritten on disk
-    # Damage of the bundle before the start, a key of
-    # `hil.faults.cases.damaged_bundle.BUNDLE_DAMAGES`; empty for none
-    bundle_damage: str = ""
-    unplug_s: float | None = None  # How long the port is missing
     port_renamed: bool = False  # Whether the port comes back under another name
     # Reaction to a lost trust in the estimate, for a plan with feedback of the tip; "none" runs the
     # motion without feedback
     feedback: Literal["none", "continue", "stop"] = "none"
-    outside: bool = False  # Whether another program sends the goals
 
 
-USUAL = Setup()
+USUAL: Final = Setup()
 
 
 @dataclass(frozen=True)
 class FaultRow:
-    """One fault, how it is injected, and the outcome that it must have."""
+    """One fault, how it is injected, the outcome that it must have, and what this proves."""
 
     fault: str
     how: str  # How often or how long
@@ -106,3 +119,14 @@ class FaultRow:
     setup: Setup = USUAL  # Differences from the usual robot
     models: tuple[int, ...] = (54025, 54024)  # Model numbers of the servos to test
     joints: int = 1  # Least number of joints
+    proves: tuple[str, ...] = ()  # Requirements of safety_requirements.toml
+
+    def __post_init__(self) -> None:
+        for injection in self.injections:
+            of_process = injection.does.where in ("process", "bundle")
+            if of_process != (self.lines == ("process",)):
+                lines = "the line 'process' alone" if of_process else "another line than 'process'"
+                raise ValueError(f"{self.fault}: a fault {injection.kind!r} needs {lines}")
+
+    def injects(self, where: str) -> bool:
+        return any(injection.does.where == where for injection in self.injections)

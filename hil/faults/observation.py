@@ -1,9 +1,12 @@
-"""Observation of a case, combined from the loop's record and the servos' log."""
+"""What happened in a case, combined from the loop's record and the servos' log.
+
+The observation holds what `hil.faults.faults_document` judges and writes.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -12,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.config import RobotConfig
 from firmware_py.safety.estimate_trust import TrustState
 from firmware_py.safety.states import SafetyState
 from hil.faults.servo_log import ServoLog
@@ -74,40 +78,40 @@ def observe_case(
     outcome: CaseOutcome,
     columns: Columns,
     servo_log: ServoLog,
-    began_ns: int | None,
+    began_ns: Iterable[int | None],
     slots: int,
-    period_s: float,
-    rate_rad_s: float,
-    *,
+    config: RobotConfig,
     stepped_in_tick: int | None = None,
 ) -> CaseObservation:
     """Combine the loop's record and the servos' log.
 
-    `slots` is the length of the motion, without the stop at its end. `stepped_in_tick` is the tick,
-    from 1, in which a clock fault separated the record's clock from the servos' clock.
+    The first of `began_ns` is the start of the fault; None for what never began. `slots` is the
+    length of the motion, without the stop at its end. `stepped_in_tick` is the tick, from 1, in
+    which a clock fault separated the record's clock from the servos' clock.
     """
+    first_ns = min((time_ns for time_ns in began_ns if time_ns is not None), default=None)
     facts: dict[str, Any] = {"unlogged_ticks": outcome.telemetry_drops}
     if len(columns.get("tick", ())):
-        first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, began_ns)
+        first = stepped_in_tick - 1 if stepped_in_tick else _first(columns, first_ns)
         facts |= _course(columns, first, slots)
         if not stepped_in_tick:
             facts["stale_as_fresh"] = _stale_as_fresh(columns, servo_log)
     if outcome.unlogged_stale or (outcome.telemetry_drops and outcome.misses):
         facts["lost_ticks"] = outcome.unlogged_stale + sum(outcome.misses.values())
     return CaseObservation(
-        injected=began_ns is not None,
+        injected=first_ns is not None,
         ended=outcome.ended, reason=outcome.reason, replugs=outcome.replugs,
         misses=outcome.misses, told=_told(outcome, servo_log),
         unheard_ns=servo_log.unheard_ns, watched=servo_log.watched, live=servo_log.live,
         drift_rad=servo_log.drift_rad, late_replies=servo_log.late_replies,
         held_up_replies=servo_log.held_up_replies, held_up_ticks=outcome.held_up_ticks,
-        goal_jump_rad=_goal_jump_rad(servo_log, period_s, rate_rad_s),
+        goal_jump_rad=_goal_jump_rad(servo_log, config),
         **facts,
     )  # fmt: skip
 
 
 def _first(columns: Columns, began_ns: int | None) -> int | None:
-    """Index of the tick at a time, or of the next one."""
+    """Index of the tick in which the fault began."""
     if began_ns is None:
         return None
     ends_ns = columns["deadline_ns"] + columns["lateness_ns"] + columns["busy_ns"]
@@ -164,12 +168,12 @@ def _stale_as_fresh(columns: Columns, servo_log: ServoLog) -> int:
     return int((fresh & ~true.all(axis=1)).sum())
 
 
-def _goal_jump_rad(servo_log: ServoLog, period_s: float, rate_rad_s: float) -> float:
+def _goal_jump_rad(servo_log: ServoLog, config: RobotConfig) -> float:
     """Largest excess of a goal's step over the rate limit.
 
     The first step after torque on is measured from the angle at that time.
     """
-    excess = 0.0
+    excess, period_s, rate_rad_s = 0.0, config.period_s, config.limits_in_force.rate_rad_s
     for goals_rad, stands_rad in zip(servo_log.goal_rad.T, servo_log.stand_rad.T, strict=True):
         before, before_ns = math.inf, 0
         for now_ns, goal, stand in zip(

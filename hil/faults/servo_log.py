@@ -11,7 +11,7 @@ import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from firmware_py.bus.registers import Register
 from hil.emulator.emulated_bus import EmulatedBus, Reply
 from hil.emulator.emulated_servo import EmulatedServo
 from hil.emulator.physics import Physics
+from hil.faults.faulty_parts import FaultSchedule
 
 Array = NDArray[np.float64]
 _HUSHED_ID: Final = 255
@@ -105,16 +106,6 @@ class LoggedServo(EmulatedServo):
         super().trip_watchdog()
 
 
-class ServoFaults(Protocol):
-    """Schedule of servo faults (see `hil.faults.injection.FaultSchedule`)."""
-
-    began_ns: int | None
-
-    def begin_exchange(self, servos: Sequence[LoggedServo], now_ns: int) -> None:
-        """Start and end the faults that are due in the next exchange."""
-        ...
-
-
 @dataclass(frozen=True)
 class ServoLog:
     """Log of the servos in one run, with n samples and m goals."""
@@ -143,10 +134,10 @@ class LoggedBus(EmulatedBus):
     """Emulated bus that records its traffic and applies scheduled faults."""
 
     def __init__(
-        self, servos: Sequence[LoggedServo], physics: Physics, faults: ServoFaults
+        self, servos: Sequence[LoggedServo], physics: Physics, script: FaultSchedule
     ) -> None:
         super().__init__(servos, physics)
-        self._watched, self._faults = tuple(servos), faults
+        self._watched, self._script = tuple(servos), script
         self._sample_ns, self._sample_rad = array("q"), array("d")
         self._goal_ns, self._goal_rad, self._stand_rad = array("q"), array("d"), array("d")
         self._last_heard_rad = self.physics.angle_rad.copy()
@@ -156,7 +147,7 @@ class LoggedBus(EmulatedBus):
     def execute(self, packet: Packet, now_ns: int) -> list[Reply]:
         running = self.driven
         if running and packet.instruction in _READS:
-            self._faults.begin_exchange(self._watched, now_ns)
+            self._script.begin_exchange(self._watched, now_ns)
         replies = super().execute(packet, now_ns)
         self._last_heard_rad[:] = self.physics.angle_rad
         if packet.instruction in _READS:
@@ -197,7 +188,7 @@ class LoggedBus(EmulatedBus):
             servo.note_silence(now_ns)
         dof = len(self._watched)
         return ServoLog(
-            began_ns=self._faults.began_ns,
+            began_ns=self._script.began_ns,
             sample_ns=np.array(self._sample_ns, np.int64),
             sample_rad=np.array(self._sample_rad).reshape(-1, dof),
             goal_ns=np.array(self._goal_ns, np.int64),

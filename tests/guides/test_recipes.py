@@ -15,11 +15,14 @@ from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import check_servo, read_models
 from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.predictor import OnnxPredictor
+from hil.faults import virtual_case
+from hil.faults.faults_document import FaultCase, judge_case
 from models.plant import components
 from models.plant.plant import read_plant
 from models.plant.simulation.runner import CompiledModel, simulate_plant
 from models.trials import recordings
 from models.trials.files import read_trial
+from tests.hil.faults.toy_robot import PERIOD_S, ToyPhysics, toy_robot
 
 ROOT = Path(__file__).resolve().parents[2]
 RECIPES = (ROOT / "docs" / "guides" / "extend.md").read_text(encoding="utf-8")
@@ -42,6 +45,14 @@ def test_the_servo_turns_angles_into_pulses_and_back():
     assert model.position_raw(0.0) == 2048 and model.position_raw(np.pi / 2) == 3072
     assert model.angle_rad(3072) == pytest.approx(np.pi / 2)
     assert Register.BUS_WATCHDOG in model.table
+
+
+def test_the_fault_ends_as_its_row_says(monkeypatch, tmp_path):
+    monkeypatch.setattr(virtual_case, "FmuPhysics", ToyPhysics)
+    row = code("Add a fault")["ROW"]
+    for number in row.models:
+        run = virtual_case.run_virtual(toy_robot(tmp_path), row, number, seed=1)
+        assert judge_case(FaultCase(row, "virtual", number, 1), run, PERIOD_S).verdict == "pass"
 
 
 def test_the_drive_follows_its_rate_and_has_exact_derivatives(monkeypatch, tmp_path):

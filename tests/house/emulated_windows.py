@@ -19,10 +19,7 @@ import socket
 import sys
 
 ROOMS = ("firmware_py", "models", "fmu", "hil", "dropstitch")
-FAULTS = {
-    "hil.faults.fault_table", "hil.faults.fault_docs", "hil.faults.safety_requirements",
-    "hil.faults.campaign", "hil.faults.recorded.run_recorder",
-}  # fmt: skip
+FAULTS = {"hil.faults.fault_table", "hil.faults.fault_docs", "hil.faults.campaign"}
 """The table of faults names signals of POSIX; `faults` and what writes its page read it."""
 
 ABSENT_MODULES = ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty")

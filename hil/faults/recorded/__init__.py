@@ -1,1 +1,0 @@
-"""Recorded runs of the loop, replayed to check that today's code gives the same goals."""

@@ -1,0 +1,30 @@
+"""docs/safety.md agrees with the code: states, faults, requirements and what verifies them."""
+
+import ast
+from pathlib import Path
+
+from hil.faults.fault_docs import DOCUMENT, redraw, requirements
+from hil.faults.fault_table import ROWS
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_the_page_is_generated_from_the_code():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert redraw(text) == text, "run python -m hil.faults.fault_docs"
+
+
+def test_every_requirement_has_tests_and_either_faults_or_a_reason_for_none():
+    for requirement in requirements():
+        assert requirement.tests, requirement.identifier
+        assert bool(requirement.faults) != bool(requirement.no_fault), requirement.identifier
+        for test in requirement.tests:
+            file, _, name = test.partition("::")
+            tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+            assert name in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, test
+
+
+def test_every_row_proves_a_requirement():
+    known = {requirement.identifier for requirement in requirements()}
+    for row in ROWS:
+        assert row.proves and set(row.proves) <= known, f"{row.fault}, {row.how}: {row.proves}"
