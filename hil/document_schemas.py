@@ -25,9 +25,8 @@ from firmware_py.goals.goal_map import GoalMap
 from firmware_py.goals.tip_plan import TipPlan
 from firmware_py.inference.bundle_signature import BundleSignature, NewestBundle
 from firmware_py.summary import RunDocument
-from hil.campaign.campaign_document import CampaignDocument
-from hil.campaign.cost_plan import CostPlan
-from hil.campaign.result_store import CaseRecord, FailureRecord
+from hil.campaign.store import CaseRecord, FailureRecord
+from hil.campaign.summary import CampaignDocument
 from hil.faults.faults_document import FaultsDocument
 from hil.sil.timing_document import TimingDocument
 from models.gap.report.gap_json import GapDocument
@@ -44,7 +43,6 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
     "campaign/campaign": CampaignDocument,
     "campaign/case": CaseRecord,
     "campaign/failure": FailureRecord,
-    "campaign/plan": CostPlan,
     "faults": FaultsDocument,
     "gap": GapDocument,
     "goalmap": GoalMap,

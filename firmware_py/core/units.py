@@ -69,8 +69,6 @@ FILE_SIZE: Final = DisplayUnit("kB", 1e-3, 0)
 """For sizes in bytes."""
 DATA_SIZE: Final = DisplayUnit("MB", 1e-6, 0)
 """For limits of readers in bytes."""
-LARGE_DATA_SIZE: Final = DisplayUnit("GB", 1e-9, 1)
-"""For storage on a cluster in bytes."""
 BAUD_RATE: Final = DisplayUnit("Mbaud", 1e-6, 0)
 """For baud rates in bits per second."""
 

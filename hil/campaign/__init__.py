@@ -1,5 +1,6 @@
-"""Campaigns: many cases of one kind, over a grid or a random draw, on one machine or a cluster.
+"""Campaigns: many cases of one kind, over a grid or a random draw, on this machine or a cluster.
 
-`campaign_spec` reads the specification, `campaign_cases` makes the cases and their keys, an engine
-of `engines/` runs them in workers (`case_worker`), `result_store` stores the results.
+`specification` reads the file; `cases` makes its cases, each with a key; `executors` runs those
+without a result in workers, which call `worker.run_case`; `store` has one file for each result;
+`summary` and `page` show all of them. `kinds/case_kind` is the interface of the kinds.
 """

@@ -13,7 +13,6 @@ import hashlib
 import importlib.metadata
 import os
 import platform
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -21,11 +20,8 @@ from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-NOT_COMPUTING: Final = frozenset({"commands", "report", "scores", "__pycache__"})
+NOT_COMPUTING: Final = frozenset({"commands", "report", "__pycache__"})
 """Folders of a room whose code computes no result."""
-CAMPAIGN: Final = "hil/campaign/"
-KINDS_OF_CASES: Final = "hil/campaign/kinds/"
-"""The only folder of `CAMPAIGN` that computes; the rest transports, stores and shows results."""
 LIBRARIES: Final = (
     "numpy", "scipy", "scikit-learn", "onnxruntime", "casadi", "mujoco", "pyelastica", "fmpy",
     "msgspec", "ziglang",
@@ -36,26 +32,21 @@ MOST_FILES: Final = 10_000
 
 
 @functools.cache
-def code_version(rooms: tuple[str, ...]) -> str:
-    """Return the version of the code of some rooms on this machine, 16 hexadecimal digits."""
+def code_version(folders: tuple[str, ...]) -> str:
+    """Return the version of the code of some folders on this machine, 16 hexadecimal digits."""
     digest = hashlib.sha256()
-    for room in rooms:
-        for path in _sources(ROOT / room):
-            digest.update(path.relative_to(ROOT).as_posix().encode() + b"\0")
+    for path in (p for folder in folders for p in sorted((ROOT / folder).rglob("*"))):
+        name = path.relative_to(ROOT).as_posix()
+        # Of the campaign, only the kinds compute; the rest transports, stores and shows results.
+        shows = name.startswith("hil/campaign/") and not name.startswith("hil/campaign/kinds/")
+        computes = not shows and not NOT_COMPUTING & set(name.split("/"))
+        if computes and path.suffix != ".md" and path.is_file():
+            digest.update(name.encode() + b"\0")
             digest.update(hashlib.sha256(path.read_bytes()).digest())
     versions = [f"{name} {_version(name)}" for name in LIBRARIES]
     minor = ".".join(platform.python_version_tuple()[:2])
     digest.update("\n".join([*versions, f"python {minor}"]).encode())
     return digest.hexdigest()[:16]
-
-
-def _sources(room: Path) -> Iterable[Path]:
-    for path in sorted(room.rglob("*")):
-        place = path.relative_to(ROOT)
-        if path.is_file() and not NOT_COMPUTING & set(place.parts) and path.suffix != ".md":
-            name = place.as_posix()
-            if not name.startswith(CAMPAIGN) or name.startswith(KINDS_OF_CASES):
-                yield path
 
 
 def _version(library: str) -> str:
@@ -67,25 +58,23 @@ def _version(library: str) -> str:
 
 @functools.lru_cache(maxsize=4096)
 def content_sha256(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of all files in a directory."""
+    """Return the SHA-256 of a file, or of the names and contents of all files in a directory.
+
+    Links to directories are not followed.
+    """
     remedy = "name a file or a directory that can be read"
     if not os.path.isdir(path):  # also False for a name that is too long
         return hashlib.sha256(read_bytes(path, remedy)).hexdigest()
+    files: list[Path] = []
+    for folder, _, names in os.walk(path):
+        try:
+            files += [file for name in names if (file := Path(folder, name)).is_file()]
+        except OSError as error:
+            raise InputError(path, f"cannot be read ({error.strerror})", remedy) from None
+        if len(files) > MOST_FILES:
+            raise InputError(path, f"holds more than {MOST_FILES} files", remedy)
     digest = hashlib.sha256()
-    for file in _files_of(path, remedy):
+    for file in sorted(files):
         digest.update(str(file.relative_to(path)).encode(errors="surrogateescape") + b"\0")
         digest.update(hashlib.sha256(read_bytes(file, remedy)).digest())
     return digest.hexdigest()
-
-
-def _files_of(directory: Path, remedy: str) -> list[Path]:
-    """Regular files of a directory, sorted; links to directories are not followed."""
-    found: list[Path] = []
-    for folder, _, names in os.walk(directory):
-        try:
-            found += [file for name in names if (file := Path(folder, name)).is_file()]
-        except OSError as error:
-            raise InputError(directory, f"cannot be read ({error.strerror})", remedy) from None
-        if len(found) > MOST_FILES:
-            raise InputError(directory, f"holds more than {MOST_FILES} files", remedy)
-    return sorted(found)

@@ -26,39 +26,39 @@ payload_kg = {uniform = [0.0, 2.0]}
 [draw.faults]
 lost = {log_uniform = [0.001, 0.05]}
 """ % Path(__file__).as_posix().encode()
-COSTS = """key,code,state,wall_s,cpu_s,memory_bytes,result_bytes,worker,parts_s
-a,c,done,0.5,0.4,100000000,900,host-1,"{""run"": 0.3}"
-b,c,done,0.3,0.2,100000000,900,host-1,"{""run"": 0.2}"
-d,c,failed,0.3,0.2,100000000,0,host-2,{}
+COSTS = """key,code,state,wall_s,cpu_s,memory_bytes,worker
+a,c,done,0.5,0.4,100000000,host-1
+b,c,done,0.3,0.2,100000000,host-1
+d,c,failed,0.3,0.2,100000000,host-2
 """
 
 
 def campaign(file):
     """Campaign's file and the first of its cases."""
-    from hil.campaign.campaign_cases import CaseMaker
-    from hil.campaign.campaign_spec import configurations, read_spec
+    from hil.campaign.cases import CaseMaker
     from hil.campaign.kinds.case_kind import KINDS, load_kind
+    from hil.campaign.specification import configurations, read_spec
 
     spec = read_spec(file)
     if spec.kind not in KINDS:  # a module that the file names is run, whatever it is
         raise InputError(file, "names a module", "name a kind")
-    maker = CaseMaker(load_kind(spec.kind), spec.kind, file.parent / "shared")
+    maker = CaseMaker(*load_kind(spec.kind), file.parent / "shared")
     maker.cases(itertools.islice(configurations(spec), 20), str(file))
 
 
 def campaign_results(folder):
     """What an interrupted campaign has left: a result, a failure, the table of costs."""
-    from hil.campaign.cost_plan import cost_plan, rows_of_code
-    from hil.campaign.result_store import ResultStore
+    from hil.campaign.page import costs_part
+    from hil.campaign.store import ResultStore
 
     store = ResultStore(folder)
     store.read("ab")
     store.last_failure("ab")
-    cost_plan("sil", rows_of_code(store.read_costs(), "c"), 10, 1, 1.0, "")
+    costs_part(store.read_costs("c"), "c")
 
 
 def results_of_campaign():
-    from hil.campaign.result_store import CaseRecord, FailureRecord
+    from hil.campaign.store import CaseRecord, FailureRecord
 
     record = valid_files.example_of(CaseRecord)
     failure = json.loads(valid_files.example_of(FailureRecord)) | {"key": "ab"}

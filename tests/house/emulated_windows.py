@@ -34,7 +34,7 @@ LINUX_ONLY = (
     "run --config robot.toml", "release --config robot.toml", "doctor", "bench",
     "install-service --config robot.toml", "emulate --plant plant.json",
     "sil --bundle bundle --out out", "faults --bundle bundle --out out",
-    "campaign spec.toml --out out --dry-run",
+    "campaign spec.toml --out out",
 )  # fmt: skip
 
 

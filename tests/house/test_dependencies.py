@@ -18,7 +18,7 @@ EXTRAS = {
     "dropstitch": ("library",),
     "models": ("workshop", "library"),
     "fmu": ("workshop",),
-    "hil": ("workshop", "dask", "submitit"),
+    "hil": ("workshop", "dask"),
 }
 """Extras of the rooms, beside the dependencies of the robot."""
 DISTRIBUTIONS = packages_distributions()

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import functools
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+import numpy as np
+from msgspec import Meta
 
 from firmware_py.core.errors import InputError
-from firmware_py.core.motion import KINDS as MOTIONS
-from firmware_py.core.motion import STUDY_AMPLITUDE_RAD, STUDY_PERIOD_S
-from hil.campaign.kinds.case_kind import CaseConfig, CaseContext, CaseKind
-from hil.campaign.kinds.config_checks import check_effects_known, check_ranges
+from hil.campaign.kinds.case_kind import CaseKind, MotionOptions, Seed, check_effects
 
 
-class RigConfig(CaseConfig, frozen=True, kw_only=True):
-    """Configuration of a trial."""
+class RigOptions(MotionOptions, frozen=True, kw_only=True):
+    """Options of a trial."""
 
     rig: str = "default"  # Structure, `drawn_K`, file that changes a structure, or link
     # Strength of each effect added to the rig
@@ -25,101 +25,93 @@ class RigConfig(CaseConfig, frozen=True, kw_only=True):
     # Factors on parameters of the rig
     factors: dict[str, float] = msgspec.field(default_factory=dict)
     dof: Literal[1, 2] = 1
-    payload_kg: float = 0.0
+    payload_kg: Annotated[float, Meta(ge=0, le=10)] = 0.0
     pressure_pa: float | None = None  # By default that of the link, or of the study
-    motion: str = "sinusoid"  # Kind of motion, or a motion file
-    amplitude_rad: float = STUDY_AMPLITUDE_RAD
-    period_s: float = STUDY_PERIOD_S
-    phase_2_rad: float = 0.0
-    trial: int = 1  # Number of the repetition
-    seed: int = 0  # Seed of variation and noise
+    trial: Annotated[int, Meta(ge=0, le=1000)] = 1  # Number of the repetition
+    seed: Seed = 0  # Of variation and noise
     plant: str | None = None  # Plant whose errors on the trial are computed
 
+    def __post_init__(self) -> None:
+        check_effects(self.effects)
 
-class RigKind(CaseKind[RigConfig]):
-    """Trials of the rig."""
+    def files(self) -> dict[str, str]:
+        plant = {} if self.plant is None else {"plant": self.plant}
+        return super().files() | rig_file(self.rig) | plant
 
-    name: ClassVar[str] = "rig"
-    config: ClassVar[type[RigConfig]] = RigConfig
-    rooms: ClassVar[tuple[str, ...]] = ("firmware_py", "models", "hil/campaign/kinds")
-    figures: ClassVar = {
+
+def run_trial(options: RigOptions, scratch: Path) -> dict[str, Any]:
+    from firmware_py.link.link_description import STUDY_LINK
+    from models.plant.identification.evaluation import compare_with_trials
+    from models.rig.protocol import TrialCase, run_case  # slow to import
+    from models.shared.kinematics import rigid_tip_m
+    from models.trials.deformation import deformation_index
+
+    rig = changed_rig(options.rig, options.factors, options.effects)
+    link = rig.link or STUDY_LINK
+    trial = run_case(
+        rig,
+        TrialCase(
+            options.motion_config().motion(options.dof), options.payload_kg, options.trial,
+            options.seed, link.pressure_pa if options.pressure_pa is None else options.pressure_pa,
+            link.gravity.unit,
+        ),
+    )  # fmt: skip
+    columns = {n: c for n, c in trial.columns.items() if not n.startswith("m")}
+    columns["di"] = deformation_index(trial)
+    rigid_m = rigid_tip_m(trial.angle_rad, trial.meta.base_offset_m, trial.meta.link_length_m)
+    result = {
+        "name": trial.name,
+        "rows": len(trial),
+        "rms": {n: rms(c) for n, c in columns.items() if n != "time_s"},
+        "largest": {n: float(np.nanmax(np.abs(c))) for n, c in columns.items()},
+        "rigid_tip_rms_m": rms(np.linalg.norm(rigid_m - trial.tip_m, axis=1)),
+        "trial_sha256": columns_sha256(trial.columns),
+    }
+    if options.plant is not None:
+        comparison = compare_with_trials(_plant(options.plant), [trial])[0]
+        result["plant_rms"] = {n: rms(comparison.error(n)) for n in comparison.simulated}
+    return result
+
+
+KIND = CaseKind(
+    name="rig",
+    options=RigOptions,
+    run=run_trial,
+    sources=("firmware_py", "models", "hil/campaign/kinds"),
+    figures={
         "rigid_tip_rms_m": "tip off a rigid link's, RMS",
         "largest.di": "largest DI",
         "rms.current_1_a": "current of servo 1, RMS",
         "plant_rms.tip_x_m": "error of the plant, tip x, RMS",
-    }
-
-    def files(self, config: RigConfig) -> dict[str, str]:
-        found = {} if config.plant is None else {"plant": config.plant}
-        if Path(config.rig).is_file():
-            found["rig"] = config.rig
-        if config.motion not in MOTIONS:
-            found["motion"] = config.motion
-        return found
-
-    def check(self, config: RigConfig) -> None:
-        check_effects_known(config.effects)
-        check_ranges(
-            config, payload_kg=(0.0, 10.0), period_s=(0.1, 1e4), seed=(0, 2**32 - 1),
-            trial=(0, 1000),
-        )  # fmt: skip
-
-    def run(self, config: RigConfig, context: CaseContext) -> dict[str, Any]:
-        import numpy as np
-
-        from firmware_py.core.motion import MotionConfig
-        from firmware_py.link.link_description import STUDY_LINK
-        from models.plant.identification.evaluation import compare_with_trials
-        from models.rig.protocol import TrialCase, run_case  # slow to import
-        from models.shared.kinematics import rigid_tip_m
-        from models.trials.deformation import deformation_index
-
-        rig = changed_rig(config.rig, config.factors).hide(config.effects)
-        link = rig.link or STUDY_LINK
-        motion = MotionConfig(
-            amplitude_rad=config.amplitude_rad, period_s=config.period_s,
-            phase_2_rad=config.phase_2_rad,
-        ).with_motion(config.motion)  # fmt: skip
-        trial = run_case(
-            rig,
-            TrialCase(
-                motion.motion(config.dof), config.payload_kg, config.trial, config.seed,
-                link.pressure_pa if config.pressure_pa is None else config.pressure_pa,
-                link.gravity.unit,
-            ),
-        )  # fmt: skip
-        columns = {n: c for n, c in trial.columns.items() if not n.startswith("m")}
-        columns["di"] = deformation_index(trial)
-        meta = trial.meta
-        rigid = rigid_tip_m(trial.angle_rad, meta.base_offset_m, meta.link_length_m)
-        digest = hashlib.sha256()
-        for name, column in sorted(trial.columns.items()):
-            digest.update(name.encode() + np.ascontiguousarray(column).tobytes())
-        found = {
-            "name": trial.name,
-            "rows": len(trial),
-            "rms": {n: _rms(c) for n, c in columns.items() if n != "time_s"},
-            "largest": {n: float(np.nanmax(np.abs(c))) for n, c in columns.items()},
-            "rigid_tip_rms_m": _rms(np.linalg.norm(rigid - trial.tip_m, axis=1)),
-            "trial_sha256": digest.hexdigest(),
-        }
-        if config.plant is not None:
-            comparison = compare_with_trials(_plant(config.plant), [trial])[0]
-            found["plant_rms"] = {n: _rms(comparison.error(n)) for n in comparison.simulated}
-        return found
+    },
+)
 
 
-KIND = RigKind()
+def rig_file(name: str) -> dict[str, str]:
+    """Field `rig` if it names a file instead of a structure."""
+    return {"rig": name} if Path(name).is_file() else {}
 
 
-def changed_rig(name: str, factors: dict[str, float]) -> Any:
-    """Return a rig with factors applied to its parameters."""
+def changed_rig(name: str, factors: dict[str, float], effects: dict[str, float]) -> Any:
+    """Rig with factors on its parameters, and with effects added."""
     from models.rig.drawn import rig_named
 
     rig = rig_named(name)
     if unknown := sorted(factors.keys() - set(rig)):
         raise InputError(f"factors.{unknown[0]}", "is no parameter of the rig", "see rig.toml")
-    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()})
+    return rig.changed(**{n: factor * rig[n] for n, factor in factors.items()}).hide(effects)
+
+
+def rms(values: Any) -> float:
+    """Root mean square of the values that are not NaN."""
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def columns_sha256(columns: Mapping[str, Any]) -> str:
+    digest = hashlib.sha256()
+    for name, column in sorted(columns.items()):
+        digest.update(name.encode() + np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()
 
 
 @functools.lru_cache(maxsize=8)
@@ -127,9 +119,3 @@ def _plant(path: str) -> Any:
     from models.plant.plant import read_plant  # loads CasADi
 
     return read_plant(path)
-
-
-def _rms(values: Any) -> float:
-    import numpy as np
-
-    return float(np.sqrt(np.nanmean(np.square(values))))

@@ -13,17 +13,17 @@ import pytest
 
 from firmware_py.core.errors import InputError
 from firmware_py.log.telemetry import Telemetry
-from hil.campaign.case_task import canonical_json
+from hil.campaign.cases import canonical_json
 from hil.campaign.code_version import ROOT
-from hil.campaign.kinds.case_kind import KINDS, CaseContext, load_kind
+from hil.campaign.kinds.case_kind import KINDS, load_kind
 
 
 def result_of(kind, tmp_path, **values):
-    return kind.run(msgspec.convert(values, kind.config), CaseContext(tmp_path))
+    return kind.run(msgspec.convert(values, kind.options), tmp_path)
 
 
 def test_a_trial_of_the_rig_leaves_figures_of_its_size(tmp_path):
-    kind = load_kind("rig")
+    kind, _ = load_kind("rig")
     short = {"period_s": 1.0, "amplitude_rad": 0.1, "effects": {"backlash": 0.004}, "seed": 1}
     figures = json.loads(canonical_json(result_of(kind, tmp_path, **short)))
     assert 0 < figures["rigid_tip_rms_m"] < 0.1
@@ -32,9 +32,9 @@ def test_a_trial_of_the_rig_leaves_figures_of_its_size(tmp_path):
 
 
 def test_a_run_in_software_does_not_depend_on_the_runs_before_it(tmp_path, toy_bundle):
-    kind = load_kind("sil")
+    kind, _ = load_kind("sil")
     values = {"bundle": str(toy_bundle), "seconds": 1.0, "payload_kg": 1.0, "seed": 3}
-    shared = kind.prepare(msgspec.convert(values, kind.config), tmp_path)
+    shared = {"fmu": kind.prepare(msgspec.convert(values, kind.options), tmp_path).fmu}
     known = values | shared | {"payload_known": True, "faults": {"lost": 0.2}}
     first, between = (
         canonical_json(result_of(kind, tmp_path, **v)) for v in (values | shared, known)
@@ -60,14 +60,14 @@ class StopRequest(Telemetry):
 
 def test_a_part_of_a_run_in_software_is_no_result(tmp_path, toy_bundle, monkeypatch):
     monkeypatch.setattr("hil.sil.sil_run.Telemetry", StopRequest)
-    kind = load_kind("sil")
+    kind, _ = load_kind("sil")
     with pytest.raises(InputError, match=r"SIGTERM ended the run after \d of 59 slots"):
         result_of(kind, tmp_path, bundle=str(toy_bundle), seconds=1.0)
 
 
 def test_kinds_and_worker_are_light_to_import():
     heavy = "{'casadi', 'mujoco', 'matplotlib', 'fmpy', 'scipy', 'distributed', 'onnxruntime'}"
-    modules = ", ".join([*KINDS.values(), "hil.campaign.case_worker"])
+    modules = ", ".join([*KINDS.values(), "hil.campaign.worker"])
     code = f"import sys, {modules}; assert not {heavy} & set(sys.modules), sys.modules.keys()"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
@@ -76,13 +76,3 @@ def test_kinds_and_worker_are_light_to_import():
 def test_what_is_no_kind_is_refused(module):
     with pytest.raises(InputError, match=r"is not known|cannot be imported"):
         load_kind(module)
-
-
-def test_patterns_of_a_calibration_are_a_file_of_the_diagnosis(tmp_path):
-    kind, plant = load_kind("gap"), str(ROOT / "models/plant/nominal.toml")
-    damaged = tmp_path / "patterns.npz"
-    damaged.write_bytes(b"no patterns")
-    values = {"plant": plant, "patterns": str(damaged)}
-    assert kind.files(msgspec.convert(values, kind.config)) == values
-    with pytest.raises(InputError, match=r"patterns\.npz: holds no patterns"):
-        result_of(kind, tmp_path, **values)

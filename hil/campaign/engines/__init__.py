@@ -1,1 +1,0 @@
-"""Engines that run cases in workers: processes of this machine, dask, submitit."""
