@@ -97,11 +97,12 @@ def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -
     from firmware_py.core.output_files import write_whole
     from hil.faults.fault_verdict import faults_junit
     from hil.faults.faults_document import write_faults
-    from hil.report import write_fault_report
+    from hil.report.build_page import fault_page
+    from models.shared.pages import write_page
 
     write_faults(out / "faults.json", document)
     write_whole(out / "faults.xml", faults_junit(judged, document.not_run))
-    write_fault_report(document, out / "report.html")
+    write_page(out / "report.html", fault_page(document))
 
 
 def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:

@@ -7,16 +7,20 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 
 import msgspec
+import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.goals.feedback_design import FeedbackDesign, LoopMargins, RateFilter
+from firmware_py.goals.tip_plan import PayloadPlan, TipPlan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.link.link_facts import STUDY_FACTS
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
 from hil.emulator.twin_fmu import build_twin
-from hil.report import write_report
+from hil.report.plans_page import PlannedRun, plans_page
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
 from models.gap.report.gap_json import GapDocument, SignalFloor
@@ -27,6 +31,7 @@ from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.predictor.fallback import fit_fallback
+from models.shared.pages import write_page
 from models.study.document import write_study
 from models.study.study import run_study
 from models.trials.files import write_trial
@@ -40,7 +45,7 @@ COMMANDS = [
 
 
 def with_phase(trials, phase_2_rad):
-    """The same trials, said to be of another phase of joint 2."""
+    """The same trials, labelled with another phase of joint 2."""
     return TrialSet(
         tuple(
             replace(t, name=f"{t.name}_ahead",
@@ -94,9 +99,8 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
 @pytest.fixture(scope="session")
 def page(build):
     """Path of the report of that directory."""
-    out = build / "report.html"
-    write_report(build, out)
-    return out
+    command(["report", "build", str(build)])
+    return build / "report.html"
 
 
 def as_if_by(plant, trials):
@@ -205,20 +209,20 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
             options = ["--trial", str(trial), "--out", str(name), "--json"]
             with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
                 patch.setattr("fmu.run_files.draw_run", lambda *_: None)
-                said = command(["fmu", "simulate", str(fmu), *options])
-            name.with_suffix(".json").write_text(said)
+                output = command(["fmu", "simulate", str(fmu), *options])
+            name.with_suffix(".json").write_text(output)
         for kg in ("0", "2"):
             shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
-    said = command(["fmu", "check", str(fmu), "--json"])
-    (directory / "check_twin_1dof.json").write_text(said)
+    output = command(["fmu", "check", str(fmu), "--json"])
+    (directory / "check_twin_1dof.json").write_text(output)
     return directory
 
 
 def command(arguments):
     """Output of a command."""
-    with redirect_stdout(io.StringIO()) as said:
+    with redirect_stdout(io.StringIO()) as output:
         assert main(arguments) == 0
-    return said.getvalue()
+    return output.getvalue()
 
 
 @pytest.fixture(scope="session")
@@ -234,3 +238,62 @@ def gap_command(gap_build, plant_before):
 def gap_page(gap_command):
     """Path of that page."""
     return gap_command[0]
+
+
+ROWS = 60
+PATH = tuple(np.sin(np.linspace(0.0, 2.0 * np.pi, ROWS)).tolist())
+
+
+def plan_of(dof, feedback=None):
+    columns = (PATH,) * dof
+    payload = PayloadPlan(
+        payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=columns, residual_rms_m=0.0,
+        rigid_rms_m=0.05, expected_rms_m=0.0,
+    )  # fmt: skip
+    return TipPlan(
+        schema=1, path="circle", method="inverse", dof=dof, period_s=0.017, rest_s=0.017,
+        start_row=5, end_row=50, drawn=((5, 50),), desired_m=columns, payloads=(payload,),
+        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS, feedback=feedback,
+    )  # fmt: skip
+
+
+def run_of(dof, knowledge, payload_kg, error_m, plan=None, trust=0):
+    """Run of a plan whose tip is everywhere `error_m` off its path."""
+    plan = plan or plan_of(dof)
+    tip_m = plan.desired_tip_m() + error_m / np.sqrt(dof)
+    goals_rad, trust = plan.goals_rad()[0], np.zeros(ROWS, int) + trust
+    return PlannedRun(
+        dof, knowledge, payload_kg, plan, tip_m, error_m, error_m, goals_rad, trust, 1.3
+    )
+
+
+@pytest.fixture(scope="session")
+def runs():
+    """Runs of plans with one and two joints, two payloads, and every knowledge of them."""
+    return [
+        run_of(dof, knowledge, payload_kg, error_m * (1 + payload_kg))
+        for dof in (1, 2)
+        for payload_kg in (0.0, 1.0)
+        for knowledge, error_m in (("rigid", 0.05), ("known", 0.001), ("unknown", 0.004))
+    ]
+
+
+@pytest.fixture(scope="session")
+def guided():
+    """Runs with feedback, whose trust is lost for half of the time."""
+    rate = RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((1.0,),))
+    margins = ((LoopMargins(payload_kg=1.0, gain_db=6.4, phase_rad=0.7, crossover_rad_s=2.0),),)
+    design = FeedbackDesign(
+        filters=((rate,),), margins=margins, size_rad=0.03, rate_rad_s=0.16, innovation_a=0.25
+    )
+    plan, trust = plan_of(1, design), np.repeat([1, 2, 3, 1], ROWS // 4)
+    return [run_of(1, kind, 1.0, 0.01, plan, trust) for kind in ("known", "misled")]
+
+
+@pytest.fixture(scope="session")
+def plans_html(runs, guided, tmp_path_factory):
+    """Path of the page of plans, with feedback."""
+    path = tmp_path_factory.mktemp("plans") / "plans.html"
+    write_page(path, plans_page([*runs[6:], *guided], read_plant()))
+    return path
