@@ -23,7 +23,7 @@ from firmware_py.system.targets import DI_GAIN_DEGREE
 from hil.report.build_inputs import motion_words
 from models.predictor.document import PredictorsDocument, latency_text, scores_of
 from models.predictor.validation import COVERS, coverage_text
-from models.shared.drawing import Chart, Drawing, Line, line_panels, log_axis, plot_lines
+from models.shared.drawing import Chart, Line, line_panels
 from models.shared.pages import NO_VALUE, Figure, LegendEntry, Panel, Table
 from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED, SERIES, ordered_colours
 from models.study.document import StudyDocument
@@ -207,32 +207,27 @@ def _error_over_time(studies: Studies) -> Figure:
 
 
 def _error_over_degree(studies: Studies) -> Figure:
-    every = [_pooled(study, "with_di") for study in studies.values()]
-    every += [_folds(study, kind) for study in studies.values() for kind in FOLDS]
-    panels: list[Panel] = []
+    charts = []
     for name, study in studies.items():
-        centre = _pooled(study, "with_di")
         table = study.std_euclidean_distance_m[TEST]["pooled"]["with_di"]
-        degrees, band = [int(d) for d in table], LENGTH.shown([*table.values()])
-        lines = [Line(degrees, centre, BLUE, marker="o")]
-        lines += [
-            Line(degrees, held_out, INK, dash)
-            for kind, (_, dash) in FOLDS.items()
-            if len(held_out := _folds(study, kind))
+        mean, deviation = _pooled(study, "with_di"), LENGTH.shown([*table.values()])
+        degrees = range(1, len(mean) + 1)
+        lines = [
+            Line(degrees, mean, BLUE, marker="o"),
+            Line(degrees, mean + deviation, BLUE, width=0.6),
         ]
-        with Drawing() as (drawing, ax):
-            ax.fill_between(degrees, np.maximum(centre - band, 1e-3), centre + band,
-                            color=BLUE, alpha=0.15, linewidth=0)  # fmt: skip
-            plot_lines(ax, lines)
-            ax.set(xlabel="degree", ylabel=LENGTH.label("mean distance"), xticks=degrees)
-            log_axis(ax, np.concatenate(every))
-        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(centre, 1))
-        panels.append(drawing.panel(name, f"Mean Euclidean distance on trial 2, {name}: {listed}."))
+        for kind, (_, dash) in FOLDS.items():
+            folds = study.cross_validation["with_di"].values()
+            if held_out := [v for f in folds if (v := getattr(f, kind)) is not None]:
+                lines.append(Line(degrees, LENGTH.shown(held_out), INK, dash))
+        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(mean, 1))
+        alt = f"Mean Euclidean distance on trial 2, {name}: {listed}."
+        charts.append(Chart(name, alt, lines))
     return Figure(
         "Error over the degree",
-        "With true DI, pooled over payloads; the band is one standard deviation of the samples. "
+        "With true DI, pooled over payloads; thin: one standard deviation of the samples above. "
         "The degree is chosen by payloads left out of trial 1, never by trial 2.",
-        panels, "14",
+        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True), "14",
         [LegendEntry(BLUE, "trial 2"),
          *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
     )  # fmt: skip
@@ -264,12 +259,6 @@ def _gain_by_di(studies: Studies) -> Figure:
 def _pooled(study: StudyDocument, variant: str) -> Array:
     """Mean distance over all payloads by degree, in the display unit."""
     return LENGTH.shown([*study.mean_euclidean_distance_m[TEST]["pooled"][variant].values()])
-
-
-def _folds(study: StudyDocument, kind: str) -> Array:
-    """Distance on held-out data by degree, in the display unit; empty without cross-validation."""
-    values = [getattr(fold, kind) for fold in study.cross_validation["with_di"].values()]
-    return LENGTH.shown([v for v in values if v is not None])
 
 
 # --- predictors and estimators without motion capture -------------------------------------------

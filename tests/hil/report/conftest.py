@@ -23,8 +23,21 @@ from hil.emulator.twin_fmu import build_twin
 from hil.report.plans_page import PlannedRun, plans_page
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
-from models.gap.report.gap_json import GapDocument, SignalFloor
-from models.gap.report.gap_results import errors_in_floors
+from models.gap.decision.certainty import Answers
+from models.gap.report.gap_json import (
+    FittedValue,
+    GapDocument,
+    HeldOutSummary,
+    MappedRegion,
+    NamedEffect,
+    NamingEvidence,
+    NoiseFloorSummary,
+    RejectedEffect,
+    RemainingGap,
+    SignalFloor,
+    SignalGap,
+    WrittenPlant,
+)
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
@@ -115,65 +128,43 @@ def as_if_by(plant, trials):
     return TrialSet(tuple(result))
 
 
-def diagnosis(before, after, trials):
-    """A gap.json that names softening."""
-    signals = ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m")
-    floor = {s: SignalFloor(1e-3, 0.0, 1e-3) for s in signals}
-    fit, held_out = trials.split()
+def diagnosis():
+    """A gap document that names softening."""
+    signals = {"angle_1_rad": "rad", "current_1_a": "A", "tip_x_m": "m", "tip_z_m": "m"}
     levels = {
         "phase": ("1/8", "2/8"),
         "payload": ("0 kg", "2 kg"),
         "stroke": ("way out to negative angles", "return from positive angles"),
         "band": ("0 to 0.3 Hz", "0.3 to 0.8 Hz"),
     }
-    cells = [
-        {
-            "signal": s,
-            "factor": factor,
-            "level": level,
-            "size": size,
-            "mean": 0.0,
-            "p": 0.0,
-            "significant": size > 1,
-        }
+    regions = tuple(
+        MappedRegion(signal, factor, level, size, 0.0, 0.0, size > 1)
         for factor, pair in levels.items()
-        for s in floor
+        for signal in signals
         for level, size in zip(pair, (0.8, 12.3), strict=True)
-    ]
-    rival = {
-        "effect": "load_dependent_friction",
-        "separation": 7.0,
-        "reason": "noise",
-    }
-    value = {"value": 0.19, "unit": "1", "error": 0.01, "before": 0.0}
-    evidence = {
-        "separation": 40.0, "separation_of_nothing": 25.0, "difference": 0.05, "left": 0.1,
-    }  # fmt: skip
+    )
+    parameters = {"softening_share": FittedValue(0.19, "1", 0.01, 0.0)}
+    effect = NamedEffect(
+        effect="stiffness_softening", joint=None, parameters=parameters,
+        evidence=NamingEvidence(40.0, 25.0, 0.05, 0.1), look_alikes=(),
+    )  # fmt: skip
     errors = {
-        when: {
-            part: errors_in_floors(plant, own, floor, {})
-            for part, own in (("fitted", fit), ("held_out", held_out))
-        }
-        for when, plant in (("before", before), ("after", after))
-    }
-    return msgspec.to_builtins({
-        "schema": GapDocument.VERSION, "verdict": "closed", "gap_left_fraction": 0.1,
-        "separation_of_nothing": 25.0,
-        "headline": "Missing: stiffness softening 19 ± 1 %.",
-        "probabilities": {"nothing": 0.0, "catalogue": 0.98, "outside": 0.02},
-        "noise_floor": {"learned": True, "signals": floor},
-        "sentence": "The tip (x) differs most.", "located": [], "map": cells,
-        "named": [{
-            "effect": "stiffness_softening", "joint": None, "look_alikes": [],
-            "parameters": {"softening_share": value}, "evidence": evidence,
-        }],
-        "remaining": {"sentence": "", "located": []}, "rejected": [rival],
-        "written": {
-            "effects": ["stiffness_softening"], "parameters": {"softening_share": value},
-        },
-        "held_out": {"left_out": ["repetitions"], "fraction": 0.2},
-        "settings": DEFAULT_SETTINGS, **errors,
-    })  # fmt: skip
+        rms: {part: {s: SignalGap(rms, unit, rms / 1e-3) for s, unit in signals.items()}
+              for part in ("fitted", "held_out")}
+        for rms in (1e-2, 1e-3)
+    }  # fmt: skip
+    return GapDocument(
+        schema=GapDocument.VERSION, verdict="closed", gap_left_fraction=0.1,
+        separation_of_nothing=25.0, headline="Missing: stiffness softening 19 ± 1 %.",
+        probabilities=Answers(0.0, 0.98, 0.02),
+        noise_floor=NoiseFloorSummary(True, dict.fromkeys(signals, SignalFloor(1e-3, 0.0, 1e-3))),
+        sentence="The tip (x) differs most.", located=(), map=regions, named=(effect,),
+        remaining=RemainingGap("", ()),
+        rejected=(RejectedEffect("load_dependent_friction", 7.0, "noise"),),
+        written=WrittenPlant(("stiffness_softening",), parameters),
+        held_out=HeldOutSummary(("repetitions",), 0.2), settings=DEFAULT_SETTINGS,
+        before=errors[1e-2], after=errors[1e-3],
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -196,8 +187,7 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
     )
     paths = {name: [write_trial(t, directory / name) for t in of]
              for name, of in (("trials", trials), ("sealed", sealed))}  # fmt: skip
-    found = diagnosis(before, after, trials)
-    (directory / "found" / "gap.json").write_text(json.dumps(found))
+    (directory / "found" / "gap.json").write_bytes(msgspec.json.encode(diagnosis()))
     for variant, plant in {
         "before": plant_before,
         "after": directory / "found" / "plant.json",
