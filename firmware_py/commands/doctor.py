@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
+from firmware_py.commands.doctor_checks import Severity, examine
 from firmware_py.config import RobotConfig, read_config
 from firmware_py.core.console import DONE, NEGATIVE, emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import ANGLE, DELAY, DURATION
 from firmware_py.robot import open_bus
 from firmware_py.system.clock import Clock, DeadlineClock
-from firmware_py.system.doctor_checks import Severity, examine
 
 Array = NDArray[np.float64]
 

@@ -96,15 +96,16 @@ def _write(out: Path, document: FaultsDocument, judged: Sequence[CaseVerdict]) -
     from firmware_py.core.documents import write_document
     from firmware_py.core.output_files import write_whole
     from hil.faults.faults_document import faults_junit
-    from hil.report import write_fault_report
+    from hil.report.build_page import fault_page
+    from models.shared.pages import write_page
 
     write_document(out / "faults.json", document)
     write_whole(out / "faults.xml", faults_junit(judged, document.not_run))
-    write_fault_report(document, out / "report.html")
+    write_page(out / "report.html", fault_page(document))
 
 
 def describe_campaign(judged: Sequence[CaseVerdict], document: FaultsDocument, out: Path) -> str:
-    """The cases that did not pass, then the counts."""
+    """Return the cases that did not pass, then the counts, as text."""
     lines = [
         f"{one.verdict}: {one.case.name}: {'; '.join(one.complaints)}"
         for one in judged

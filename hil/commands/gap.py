@@ -9,7 +9,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.core.console import DONE, emit
+import msgspec
+
+from firmware_py.core.console import DONE, Progress, emit
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
@@ -31,8 +33,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     hidden = parse_strengths(args.hide)
-    from hil.report import write_gap_report  # loads CasADi
+    from hil.report.gap_page import before_after_page  # loads CasADi
+    from hil.report.gap_results import before_after, describe_before_after, read_gap
+    from models.shared.pages import write_page
 
+    inputs = read_gap(args.directory, args.plant)
+    progress = Progress("report gap", 2)
+    progress.begin("comparing FMUs with plants")
+    data = before_after(inputs, hidden)
+    progress.step("drawing")
     out = args.out or args.directory / "report.html"
-    emit(args, *write_gap_report(args.directory, args.plant, hidden, out))
+    write_page(out, before_after_page(inputs, data))
+    progress.step(str(out))
+    figures = {**msgspec.to_builtins(data), "report": str(out)}
+    emit(args, figures, f"{describe_before_after(data)}\n{out}")
     return DONE

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.core.console import DONE, emit
+from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.units import LENGTH
 
 EXAMPLE = "dropstitch report plans build/plans --plant build/plant.json"
@@ -20,23 +20,23 @@ EXAMPLE = "dropstitch report plans build/plans --plant build/plant.json"
 def configure(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("directory", type=Path, metavar="DIR", help="directory that `make tip-demo` filled")
-    add(
-        "--plant",
-        type=Path,
-        metavar="PLANT",
-        help="plant that was inverted, for diagrams of the feedback",
-    )
+    add("--plant", type=Path, metavar="PLANT",
+        help="plant that was inverted, for diagrams of the feedback")  # fmt: skip
     add("--out", type=Path, metavar="FILE", help="page to write (default: DIR/plans.html)")
 
 
 def run(args: argparse.Namespace) -> int:
-    from hil.report.plans.planned_runs import plan_figures, read_planned_runs
-    from hil.report.plans.plans_page import write_plans_page  # loads matplotlib
+    from hil.report.plans_page import plan_figures, plans_page, read_planned_runs
     from models.plant.plant import read_plant  # loads CasADi
+    from models.shared.pages import write_page
 
     runs = read_planned_runs(args.directory)
+    plant = read_plant(args.plant) if args.plant else None
+    progress = Progress("report plans", 1)
+    progress.begin("drawing")
     out = args.out or args.directory / "plans.html"
-    write_plans_page(runs, out, read_plant(args.plant) if args.plant else None)
+    write_page(out, plans_page(runs, plant))
+    progress.step(str(out))
     figures = plan_figures(runs)
     lines = ["tip off its path, RMS in mm   rigid    known  unknown"]
     for case in figures["cases"]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from firmware_py.core.console import DONE, emit
+from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.units import FILE_SIZE
 
 EXAMPLE = "dropstitch report build build --out build/report.html"
@@ -22,13 +22,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from hil.report import write_report  # loads matplotlib
+    from hil.report.build_inputs import read_build
+    from hil.report.build_page import report_page  # loads matplotlib
+    from models.shared.pages import write_page
 
+    inputs = read_build(args.build)
+    progress = Progress("report", 10, is_estimate=True)
+    progress.begin("drawing")
     out = args.out or args.build / "report.html"
-    size = write_report(args.build, out)
-    emit(
-        args,
-        {"report": str(out), "bytes": size},
-        f"{out}: {FILE_SIZE.number(size)} {FILE_SIZE.name}",
-    )
+    size = write_page(out, report_page(inputs, progress.step))
+    text = f"{out}: {FILE_SIZE.number(size)} {FILE_SIZE.name}"
+    emit(args, {"report": str(out), "bytes": size}, text)
     return DONE

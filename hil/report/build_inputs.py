@@ -3,24 +3,25 @@
 ::
 
     bundle_1dof/predictors.json, manifest.json  dropstitch train
-    bundle_1dof/study.json                    dropstitch train --study
-    study_2dof_phase90/study.json             dropstitch train --study-only --phase-deg 90
-    plant.json                                dropstitch identify
-    evaluate*.json                            dropstitch evaluate … --json
-    check_twin_1dof.json                      dropstitch fmu check … --json
-    sil_1dof/timing.json, ticks.mcap, trial/  dropstitch sil
-    faults/faults.json                        make faults
-    commands.log                              make demo
+    bundle_1dof/study.json                      dropstitch train --study
+    study_2dof_phase90/study.json               dropstitch train --study-only --phase-deg 90
+    plant.json                                  dropstitch identify
+    evaluate*.json                              dropstitch evaluate … --json
+    check_twin_1dof.json                        dropstitch fmu check … --json
+    sil_1dof/timing.json, ticks.mcap, trial/    dropstitch sil
+    faults/faults.json                          make faults
+    commands.log                                make demo
 
-Other names work as well, because `hil.report.build_files` recognises files by their contents.
+Other names work as well: a file is recognised by its contents. If several files compete for one
+place in the report, the one with the name above is shown and the others are listed.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 import numpy as np
@@ -32,22 +33,21 @@ from firmware_py.inference.bundle import read_manifest
 from firmware_py.inference.manifest import Manifest
 from firmware_py.log.recording import read_recording
 from hil.faults.faults_document import FaultsDocument, read_faults
-from hil.report.build_files import (
-    BuildFiles,
-    StudyFiles,
-    directories_with,
-    find_files,
-    find_studies,
-    is_bundle,
-)
 from hil.sil.timing_document import TimingDocument, read_timing
 from models.plant.document import Evaluation
 from models.plant.plant import Plant, read_plant
 from models.predictor.document import PredictorsDocument, read_predictors
-from models.study.document import StudyDocument
+from models.study.document import StudyDocument, read_study
 from models.trials.files import read_trial
 
 T = TypeVar("T")
+
+JSON_FILES: Final[dict[str, tuple[str, set[str]]]] = {
+    "plant": ("plant.json", {"drive", "load", "parameters"}),
+    "evaluation": ("evaluate*.json", {"signals", "trials", "dof"}),
+    "check": ("check_*.json", {"fmi", "checks", "parity"}),
+}
+"""Name that `make demo` uses, and the keys by which any other file is recognised."""
 
 
 class CheckRow(msgspec.Struct, frozen=True):
@@ -90,14 +90,9 @@ class LoopRun:
         return int(named[1]) if named else None
 
     @property
-    def line(self) -> str:
-        """Kind of the line: "socket", "pty" or "virtual"."""
-        return self.timing.environment.line
-
-    @property
     def in_real_time(self) -> bool:
         """Whether durations were measured; on the virtual line computing takes no time."""
-        return self.line != "virtual"
+        return self.timing.environment.line != "virtual"
 
 
 @dataclass(frozen=True)
@@ -108,95 +103,153 @@ class BuildInputs:
     # Studies by kind of motion: "1DOF", "2DOF, phase 0°", …; "2DOF" if there is none for each phase
     motions: dict[str, StudyDocument]
     manifests: dict[int, Manifest]  # Manifests of the bundles, by dof
+    # Comparison of the candidates for the robot's predictor, by dof
+    predictors: dict[int, PredictorsDocument]
     plant: Plant | None
     evaluations: dict[str, Evaluation]  # Evaluations of the plant, by name of the trials
     checks: dict[str, FmuCheckOutput]  # Checks by name of the FMU
     loops: list[LoopRun]  # Runs in real time first
+    faults: FaultsDocument | None
     commands: list[str]  # Commands that wrote the directory
-    faults: FaultsDocument | None = None
-    # Comparison of the candidates for the robot's predictor, by dof
-    predictors: dict[int, PredictorsDocument] = field(default_factory=dict)
-    # Files that the report omits, with the reason
-    left_out: list[str] = field(default_factory=list)
+    left_out: list[str]  # Files that the report omits, with the reason
 
     @property
     def every_study(self) -> dict[str, StudyDocument]:
         """Studies of one kind of motion, then those of several phases."""
-        mixed = {f"{dof}DOF, all phases": s for dof, s in self.studies.items() if _phases(s) > 1}
-        return self.motions | {k: s for k, s in mixed.items() if s not in self.motions.values()}
+        mixed = {
+            f"{dof}DOF, all phases": study
+            for dof, study in self.studies.items()
+            if len(study.training.phase_2_rad) > 1 and study not in self.motions.values()
+        }
+        return self.motions | mixed
 
 
 def read_build(directory: Path) -> BuildInputs:
     if not directory.is_dir():
         raise InputError(directory, "is not a directory", "run 'make demo' first")
-    files, studies = find_files(directory), find_studies(directory)
+    left_out: list[str] = []
+    studies, of_phase = _studies(directory, left_out)
     bundles = _bundles(directory)
-    plant = read_plant(files.plant) if files.plant else None
-    campaigns = directories_with(directory, "faults.json", ("faults",))
+    files = _json_files(directory)
+    plants = sorted(files["plant"], key=lambda path: path.name != "plant.json")
+    left_out += [f"{path.name}: {plants[0].name} is the plant shown" for path in plants[1:]]
+    plant = read_plant(plants[0]) if plants else None
+    loops = [read_loop(path) for path in _directories_with(directory, "timing.json", "sil")]
+    campaigns = _directories_with(directory, "faults.json", "faults")
     return BuildInputs(
-        studies=studies.of_robot,
-        motions=_motions(studies),
+        studies=studies,
+        motions=_motions(studies, of_phase),
         manifests={dof: manifest for dof, (_, manifest) in bundles.items()},
-        plant=plant,
-        evaluations=_evaluations(files, plant),
         predictors={
             dof: read_predictors(path / "predictors.json")
             for dof, (path, _) in bundles.items()
             if (path / "predictors.json").is_file()
         },
+        plant=plant,
+        evaluations=_evaluations(files["evaluation"], plant),
         checks={
             path.stem.removeprefix("check_"): read_output(path, FmuCheckOutput)
-            for path in files.checks
+            for path in files["check"]
         },
-        loops=sorted(
-            (read_loop(path) for path in directories_with(directory, "timing.json", ("sil",))),
-            key=lambda loop: not loop.in_real_time,
-        ),
-        commands=read_commands(directory / "commands.log"),
+        loops=sorted(loops, key=lambda loop: not loop.in_real_time),
         faults=read_faults(campaigns[0] / "faults.json") if campaigns else None,
-        left_out=[*files.left_out, *studies.left_out],
+        commands=read_commands(directory / "commands.log"),
+        left_out=left_out,
     )
+
+
+def _directories_with(directory: Path, name: str, usual: str) -> list[Path]:
+    """Return the directory and its subdirectories that contain a file, usual names first."""
+    paths = [p for p in (directory, *directory.iterdir()) if (p / name).is_file()]
+    return sorted(paths, key=lambda p: (not p.name.startswith(usual), p.name))
+
+
+def _json_files(directory: Path) -> dict[str, list[Path]]:
+    """JSON files of the directory by their kind."""
+    files: dict[str, list[Path]] = {kind: [] for kind in JSON_FILES}
+    for path in sorted(directory.glob("*.json")):
+        named = [kind for kind, (name, _) in JSON_FILES.items() if path.match(name)]
+        for kind in named or _kinds_by_keys(path):
+            files[kind].append(path)
+    return files
+
+
+def _kinds_by_keys(path: Path) -> list[str]:
+    try:
+        content: Any = read_json(path, "")
+    except InputError:
+        return []
+    keys = content.keys() if isinstance(content, dict) else set()
+    return [kind for kind, (_, needed) in JSON_FILES.items() if needed <= keys]
+
+
+def _is_bundle(directory: Path) -> bool:
+    """Whether a directory is a robot's bundle, and not only the output of a study."""
+    if directory.name.startswith(("bundle_", "study_")):
+        return directory.name.startswith("bundle_")
+    return any((directory / name).is_file() for name in ("observer.fmu", "predictors.json"))
 
 
 def _bundles(directory: Path) -> dict[int, tuple[Path, Manifest]]:
     """Bundles by number of joints, those with the usual name first."""
-    found: dict[int, tuple[Path, Manifest]] = {}
-    paths = directories_with(directory, "manifest.json", ("bundle_",))
-    for path in sorted(paths, key=lambda p: not is_bundle(p)):
-        if path.name.startswith("study_"):
-            continue
-        manifest = read_manifest(path)
-        found.setdefault(manifest.dof, (path, manifest))
-    return found
+    bundles: dict[int, tuple[Path, Manifest]] = {}
+    paths = _directories_with(directory, "manifest.json", "bundle_")
+    for path in sorted(paths, key=lambda p: not _is_bundle(p)):
+        if not path.name.startswith("study_"):
+            manifest = read_manifest(path)
+            bundles.setdefault(manifest.dof, (path, manifest))
+    return bundles
+
+
+def _studies(
+    directory: Path, left_out: list[str]
+) -> tuple[dict[int, StudyDocument], dict[int, StudyDocument]]:
+    """Studies of the bundles by number of joints, and those of one phase of joint 2 by degrees."""
+    studies: dict[int, StudyDocument] = {}
+    of_phase: dict[int, StudyDocument] = {}
+    for path in _directories_with(directory, "study.json", "bundle_"):
+        study = read_study(path / "study.json")
+        phases, of_bundle = study.training.phase_2_rad, _is_bundle(path)
+        phase_deg = round(float(np.degrees(phases[0]))) if len(phases) == 1 else None
+        if study.dof not in studies and (of_bundle or study.dof == 1 or phase_deg is None):
+            studies[study.dof] = study
+        elif study.dof == 1 or of_bundle or phase_deg is None:
+            left_out.append(f"{path.name}: another study of {study.dof}DOF is shown")
+        elif phase_deg in of_phase:
+            left_out.append(f"{path.name}: another study has phase {phase_deg}°")
+        else:
+            of_phase[phase_deg] = study
+    return studies, of_phase
+
+
+def _motions(
+    studies: dict[int, StudyDocument], of_phase: dict[int, StudyDocument]
+) -> dict[str, StudyDocument]:
+    two = {f"2DOF, phase {phase}°": of_phase[phase] for phase in sorted(of_phase)}
+    if not two and 2 in studies:
+        two = {"2DOF": studies[2]}
+    return ({"1DOF": studies[1]} if 1 in studies else {}) | two
+
+
+def _evaluations(paths: list[Path], plant: Plant | None) -> dict[str, Evaluation]:
+    """Evaluations by `identify` on its held-out trials, and by `evaluate`."""
+    held_out = plant.provenance.held_out if plant else None
+    evaluations = {"held-out trials": held_out} if held_out else {}
+    for path in paths:
+        name = motion_words(path.stem.removeprefix("evaluate").strip("_"))
+        evaluations[name or "trials"] = read_output(path, Evaluation)
+    return evaluations
+
+
+def motion_words(name: str) -> str:
+    """Words for the name of some trials: "unseen 20° motion" for "unseen_20deg"."""
+    return re.sub(r"(\d)deg\b", r"\1° motion", name.replace("_", " "))
 
 
 def read_output(path: Path, kind: type[T]) -> T:
     """Read the output of a command with --json."""
     remedy = "write it again"
     return convert(read_json(path, remedy), kind, path, "cannot be read", remedy)
-
-
-def _motions(studies: StudyFiles) -> dict[str, StudyDocument]:
-    motions = {"1DOF": studies.of_robot[1]} if 1 in studies.of_robot else {}
-    if studies.apart:
-        return motions | {
-            f"2DOF, phase {phase}°": studies.apart[phase] for phase in sorted(studies.apart)
-        }
-    return motions | ({"2DOF": studies.of_robot[2]} if 2 in studies.of_robot else {})
-
-
-def _phases(study: StudyDocument) -> int:
-    return len(study.training.phase_2_rad)
-
-
-def _evaluations(files: BuildFiles, plant: Plant | None) -> dict[str, Evaluation]:
-    """Evaluations by `identify` on its held-out trials, and by `evaluate`."""
-    held_out = plant.provenance.held_out if plant else None
-    found = {"held-out trials": held_out} if held_out else {}
-    for path in files.evaluations:
-        name = path.stem.removeprefix("evaluate").strip("_").replace("_", " ")
-        found[name.replace("20deg", "20° motion") or "trials"] = read_output(path, Evaluation)
-    return found
 
 
 def read_loop(directory: Path) -> LoopRun:
@@ -220,5 +273,5 @@ def read_commands(path: Path) -> list[str]:
     if not path.is_file():
         return []
     lines = [line.strip() for line in read_text(path, "make it again").splitlines()]
-    last = {line: k for k, line in enumerate(lines) if re.match(r"\S", line)}
+    last = {line: k for k, line in enumerate(lines) if line}
     return sorted(last, key=last.__getitem__)

@@ -11,15 +11,14 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.core.units import ANGLE, DELAY, DURATION, FILE_SIZE, FRACTION, LENGTH
+from firmware_py.core.units import ANGLE, DURATION, FILE_SIZE, FRACTION, LENGTH
 from firmware_py.inference.manifest import Manifest
 from firmware_py.inference.predictor import TRUSTED_M
 from models.predictor.document import (
-    CandidateEntry,
-    Latency,
     PredictorsDocument,
-    TipScore,
     TrialsSummary,
+    latency_text,
+    scores_of,
 )
 from models.predictor.guarded_tip import MARGIN
 from models.predictor.validation import COVERS, MOVING_AXES, coverage_text
@@ -65,17 +64,6 @@ def write_model_card(
 
 def _numbers(values: Iterable[float], form: str = "%g") -> str:
     return ", ".join(form % value for value in values)
-
-
-def latency_text(latency: Latency) -> str:
-    """Latency as "warm / cold" in µs."""
-    return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
-
-
-def scores_of(entry: CandidateEntry) -> Iterable[tuple[str, TipScore]]:
-    """Scores of a candidate: in nested cross-validation, and on all rows of each test."""
-    yield "left out in turn", entry.nested
-    yield from ((test, parts["all"]) for test, parts in entry.tests.items())
 
 
 def _shares_outside(predictors: PredictorsDocument) -> dict[str, dict[str, float]]:

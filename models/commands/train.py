@@ -27,6 +27,7 @@ import msgspec
 from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import FRACTION, LENGTH
+from firmware_py.link.link_facts import STUDY_FACTS, other_link
 from models.commands.output_paths import check_output_directory
 from models.plant.document import Provenance
 from models.trials.checks.trials import (
@@ -39,6 +40,7 @@ from models.trials.files import STEP_TOLERANCE
 from models.trials.trial import Trial, TrialSet, is_one_amplitude
 
 if TYPE_CHECKING:
+    from models.plant.plant import Plant
     from models.predictor.document import PredictorsDocument
     from models.study.document import StudyDocument
 
@@ -126,6 +128,8 @@ def run(args: argparse.Namespace) -> int:
         tip = train_tip(together, trials.tests, observer, candidates, progress, askew_rad)
     if with_study:
         study = run_study(fallback, trials.tests, trials.other_dof, progress)
+        if not _is_of_the_paper(plant):
+            study = msgspec.structs.replace(study, findings=())
     try:
         parity = write_bundle(args.out, plant, fallback, tip, study)
     except ParityError as error:
@@ -295,6 +299,15 @@ def name_tests(training: TrialSet, held_out: tuple[Trial, ...]) -> dict[str, Tri
             name = f"unseen_{motion}{phase}{math.degrees(t.meta.amplitude_rad):.0f}deg"
         named.setdefault(name, []).append(t)
     return {name: TrialSet(tuple(named[name])) for name in sorted(named)}
+
+
+def _is_of_the_paper(plant: Plant) -> bool:
+    """Whether the link is the paper's, on any servo: no other link repeats its findings."""
+    if plant.load != "link":
+        return False
+    joints, servo = STUDY_FACTS.joints, STUDY_FACTS.servo
+    link = msgspec.structs.replace(plant.link_facts(), joints=joints, servo=servo)
+    return not other_link(link, STUDY_FACTS)
 
 
 def refuse_fitted(provenance: Provenance, where: Path | str, tests: Mapping[str, TrialSet]) -> None:

@@ -6,7 +6,7 @@ Distances and widths are in m; coverage and fractions are dimensionless.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Final
 
@@ -16,6 +16,7 @@ import numpy as np
 from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.core.input_files import FileContent
 from firmware_py.core.signals import PERIOD_S
+from firmware_py.core.units import DELAY
 from firmware_py.inference.predictor import OnnxGraph
 from firmware_py.summary import RangeReasons
 from models.predictor.onnx_graphs import OUTPUTS
@@ -87,6 +88,17 @@ class CandidateEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tests: dict[Test, dict[Part, TipScore]]
     graph_bytes: int  # Size of its ONNX graph
     latency: Latency  # Latency of its graph in onnxruntime
+
+
+def latency_text(latency: Latency) -> str:
+    """Latency as "warm / cold" in µs."""
+    return f"{DELAY.number(latency.warm_s)} / {DELAY.number(latency.cold_s)}"
+
+
+def scores_of(entry: CandidateEntry) -> Iterable[tuple[str, TipScore]]:
+    """Scores of a candidate: in nested cross-validation, and on all rows of each test."""
+    yield "left out in turn", entry.nested
+    yield from ((test, parts["all"]) for test, parts in entry.tests.items())
 
 
 class PredictorsDocument(Document, frozen=True, kw_only=True):

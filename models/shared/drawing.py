@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import io
-import itertools
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.rcsetup import cycler
 from matplotlib.ticker import LogLocator, NullLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from models.shared.pages import Panel
 from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
@@ -69,20 +68,44 @@ class Drawing:
         return Panel(title, alt, _with_unique_ids(self._svg, title + alt))
 
 
-def nested_widths(curves: Sequence[NDArray[np.float64]], shown: float) -> list[float]:
-    """Line widths that keep curves (n, 2) distinguishable, in drawing order.
+class Line(NamedTuple):
+    """Line of a chart, in display units; `dash` is "solid", "dashed" or "dotted"."""
 
-    If each curve covers the one before over at least half of its length, every line is narrower
-    than the one beneath; otherwise all are thin. `shown` is the length of the longer axis, in the
-    unit of the points. Lines nearer than 0.005 of it, about a line's width, cover each other.
-    """
-    thinned = [c[:: max(len(c) // 200, 1)] for c in curves]
-    covered = [
-        np.mean(np.linalg.norm(upper[:, None] - lower[None], axis=2).min(axis=1) < 0.005 * shown)
-        for lower, upper in itertools.pairwise(thinned)
-    ]
-    step = 1.4 if covered and min(covered) >= 0.5 else 0.0
-    return [round(1.1 + step * k, 2) for k in reversed(range(len(curves)))]
+    x: ArrayLike
+    y: ArrayLike
+    colour: str
+    dash: str = "solid"
+    width: float = 1.4
+    marker: str = ""
+
+
+class Chart(NamedTuple):
+    """Lines of a panel; `alt` says what they show."""
+
+    title: str
+    alt: str
+    lines: Sequence[Line]
+
+
+def plot_lines(ax: Any, lines: Iterable[Line]) -> None:
+    for x, y, colour, dash, width, marker in lines:
+        ax.plot(x, y, color=colour, linestyle=dash, linewidth=width, marker=marker, markersize=3.5)
+
+
+def line_panels(
+    charts: Sequence[Chart], xlabel: str, ylabel: str, log: bool = False, **axes: Any
+) -> list[Panel]:
+    """Draw each chart; a logarithmic y axis is the same in all. `axes`: for `Axes.set`."""
+    every = np.concatenate([np.ravel(line.y) for chart in charts for line in chart.lines])
+    panels = []
+    for title, alt, lines in charts:
+        with Drawing() as (drawing, ax):
+            plot_lines(ax, lines)
+            if log:
+                log_axis(ax, every)
+            ax.set(xlabel=xlabel, ylabel=ylabel, **axes)
+        panels.append(drawing.panel(title, alt))
+    return panels
 
 
 def log_axis(ax: Any, values: Iterable[float]) -> None:

@@ -15,6 +15,7 @@ from typing import ClassVar, Final, NamedTuple
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from firmware_py.core.output_files import write_whole
 from models.shared.palette import css_variables
 
 NO_VALUE = "–"
@@ -172,3 +173,11 @@ def render_page(
         title=title, lead=lead, sections=sections, style=stylesheet(),
         made=made.strftime("%d %B %Y, %H:%M UTC") if made else "",
     )  # fmt: skip
+
+
+def write_page(path: Path, page: str) -> int:
+    """Write a page, with its directory; return its size in bytes."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    data = page.encode("utf-8")
+    write_whole(path, data)
+    return len(data)

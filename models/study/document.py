@@ -164,7 +164,8 @@ class StudyDocument(Document, frozen=True, kw_only=True):
     baselines: dict[Test, BaselineErrors]  # Distances without a polynomial
     deployed: dict[Test, DeployedScores]  # Scores of the robot's predictor
     series: StudyCurves
-    findings: tuple[StudyFinding, ...]  # Findings of the paper, tested on these trials
+    # Findings of the paper, tested on these trials; none for another link than the paper's
+    findings: tuple[StudyFinding, ...]
 
 
 def read_study(path: Path) -> StudyDocument:

@@ -1,7 +1,7 @@
 """Page of a diagnosis (`OUT/report.html`): what is missing, and measured against simulated.
 
 It is drawn from gap.json, the two plants and the trials alone, so it can be drawn again from these
-files. `hil.report.gap.before_after_page` adds sections about FMU and robot.
+files. `hil.report.gap_page` adds sections about FMU and robot.
 """
 
 from __future__ import annotations

@@ -7,26 +7,43 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 
 import msgspec
+import numpy as np
 import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.bus.servo_models import MODELS
+from firmware_py.goals.tip_plan import FeedbackDesign, LoopMargins, PayloadPlan, RateFilter, TipPlan
 from firmware_py.inference.bundle import ModelBundle
+from firmware_py.link.link_facts import STUDY_FACTS
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
 from fmu.fmu_models import embedded_parts
 from hil.emulator.physics import build_twin
-from hil.report import write_report
+from hil.report.plans_page import PlannedRun, plans_page
 from hil.sil import SilOptions, run_sil, write_results
 from models.commands.train import name_tests
-from models.gap.report.gap_json import GapDocument, SignalFloor
-from models.gap.report.gap_results import errors_in_floors
+from models.gap.decision.certainty import Answers
+from models.gap.report.gap_json import (
+    FittedValue,
+    GapDocument,
+    HeldOutSummary,
+    MappedRegion,
+    NamedEffect,
+    NamingEvidence,
+    NoiseFloorSummary,
+    RejectedEffect,
+    RemainingGap,
+    SignalFloor,
+    SignalGap,
+    WrittenPlant,
+)
 from models.gap.settings import DEFAULT_SETTINGS
 from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import NOMINAL, read_plant
 from models.plant.simulation.runner import CompiledModel, run_trial
 from models.plant.step_model import names
 from models.predictor.fallback import fit_fallback
+from models.shared.pages import write_page
 from models.study.document import write_study
 from models.study.study import run_study
 from models.trials.files import write_trial
@@ -40,7 +57,7 @@ COMMANDS = [
 
 
 def with_phase(trials, phase_2_rad):
-    """The same trials, said to be of another phase of joint 2."""
+    """The same trials, labelled with another phase of joint 2."""
     return TrialSet(
         tuple(
             replace(t, name=f"{t.name}_ahead",
@@ -94,9 +111,8 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
 @pytest.fixture(scope="session")
 def page(build):
     """Path of the report of that directory."""
-    out = build / "report.html"
-    write_report(build, out)
-    return out
+    command(["report", "build", str(build)])
+    return build / "report.html"
 
 
 def as_if_by(plant, trials):
@@ -111,65 +127,43 @@ def as_if_by(plant, trials):
     return TrialSet(tuple(result))
 
 
-def diagnosis(before, after, trials):
-    """A gap.json that names softening."""
-    signals = ("angle_1_rad", "current_1_a", "tip_x_m", "tip_z_m")
-    floor = {s: SignalFloor(1e-3, 0.0, 1e-3) for s in signals}
-    fit, held_out = trials.split()
+def diagnosis():
+    """A gap document that names softening."""
+    signals = {"angle_1_rad": "rad", "current_1_a": "A", "tip_x_m": "m", "tip_z_m": "m"}
     levels = {
         "phase": ("1/8", "2/8"),
         "payload": ("0 kg", "2 kg"),
         "stroke": ("way out to negative angles", "return from positive angles"),
         "band": ("0 to 0.3 Hz", "0.3 to 0.8 Hz"),
     }
-    cells = [
-        {
-            "signal": s,
-            "factor": factor,
-            "level": level,
-            "size": size,
-            "mean": 0.0,
-            "p": 0.0,
-            "significant": size > 1,
-        }
+    regions = tuple(
+        MappedRegion(signal, factor, level, size, 0.0, 0.0, size > 1)
         for factor, pair in levels.items()
-        for s in floor
+        for signal in signals
         for level, size in zip(pair, (0.8, 12.3), strict=True)
-    ]
-    rival = {
-        "effect": "load_dependent_friction",
-        "separation": 7.0,
-        "reason": "noise",
-    }
-    value = {"value": 0.19, "unit": "1", "error": 0.01, "before": 0.0}
-    evidence = {
-        "separation": 40.0, "separation_of_nothing": 25.0, "difference": 0.05, "left": 0.1,
-    }  # fmt: skip
+    )
+    parameters = {"softening_share": FittedValue(0.19, "1", 0.01, 0.0)}
+    effect = NamedEffect(
+        effect="stiffness_softening", joint=None, parameters=parameters,
+        evidence=NamingEvidence(40.0, 25.0, 0.05, 0.1), look_alikes=(),
+    )  # fmt: skip
     errors = {
-        when: {
-            part: errors_in_floors(plant, own, floor, {})
-            for part, own in (("fitted", fit), ("held_out", held_out))
-        }
-        for when, plant in (("before", before), ("after", after))
-    }
-    return msgspec.to_builtins({
-        "schema": GapDocument.VERSION, "verdict": "closed", "gap_left_fraction": 0.1,
-        "separation_of_nothing": 25.0,
-        "headline": "Missing: stiffness softening 19 ± 1 %.",
-        "probabilities": {"nothing": 0.0, "catalogue": 0.98, "outside": 0.02},
-        "noise_floor": {"learned": True, "signals": floor},
-        "sentence": "The tip (x) differs most.", "located": [], "map": cells,
-        "named": [{
-            "effect": "stiffness_softening", "joint": None, "look_alikes": [],
-            "parameters": {"softening_share": value}, "evidence": evidence,
-        }],
-        "remaining": {"sentence": "", "located": []}, "rejected": [rival],
-        "written": {
-            "effects": ["stiffness_softening"], "parameters": {"softening_share": value},
-        },
-        "held_out": {"left_out": ["repetitions"], "fraction": 0.2},
-        "settings": DEFAULT_SETTINGS, **errors,
-    })  # fmt: skip
+        rms: {part: {s: SignalGap(rms, unit, rms / 1e-3) for s, unit in signals.items()}
+              for part in ("fitted", "held_out")}
+        for rms in (1e-2, 1e-3)
+    }  # fmt: skip
+    return GapDocument(
+        schema=GapDocument.VERSION, verdict="closed", gap_left_fraction=0.1,
+        separation_of_nothing=25.0, headline="Missing: stiffness softening 19 ± 1 %.",
+        probabilities=Answers(0.0, 0.98, 0.02),
+        noise_floor=NoiseFloorSummary(True, dict.fromkeys(signals, SignalFloor(1e-3, 0.0, 1e-3))),
+        sentence="The tip (x) differs most.", located=(), map=regions, named=(effect,),
+        remaining=RemainingGap("", ()),
+        rejected=(RejectedEffect("load_dependent_friction", 7.0, "noise"),),
+        written=WrittenPlant(("stiffness_softening",), parameters),
+        held_out=HeldOutSummary(("repetitions",), 0.2), settings=DEFAULT_SETTINGS,
+        before=errors[1e-2], after=errors[1e-3],
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -192,8 +186,7 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
     )
     paths = {name: [write_trial(t, directory / name) for t in of]
              for name, of in (("trials", trials), ("sealed", sealed))}  # fmt: skip
-    found = diagnosis(before, after, trials)
-    (directory / "found" / "gap.json").write_text(json.dumps(found))
+    (directory / "found" / "gap.json").write_bytes(msgspec.json.encode(diagnosis()))
     for variant, plant in {
         "before": plant_before,
         "after": directory / "found" / "plant.json",
@@ -205,20 +198,20 @@ def gap_build(build, toy_trials, toy_bundle, plant_before, tmp_path_factory):
             options = ["--trial", str(trial), "--out", str(name), "--json"]
             with pytest.MonkeyPatch.context() as patch:  # the page does not show this drawing
                 patch.setattr("fmu.fmpy_run.draw_run", lambda *_: None)
-                said = command(["fmu", "simulate", str(fmu), *options])
-            name.with_suffix(".json").write_text(said)
+                output = command(["fmu", "simulate", str(fmu), *options])
+            name.with_suffix(".json").write_text(output)
         for kg in ("0", "2"):
             shutil.copytree(build / "sil_1dof", directory / f"sil_{variant}_{kg}")
-    said = command(["fmu", "check", str(fmu), "--json"])
-    (directory / "check_twin_1dof.json").write_text(said)
+    output = command(["fmu", "check", str(fmu), "--json"])
+    (directory / "check_twin_1dof.json").write_text(output)
     return directory
 
 
 def command(arguments):
     """Output of a command."""
-    with redirect_stdout(io.StringIO()) as said:
+    with redirect_stdout(io.StringIO()) as output:
         assert main(arguments) == 0
-    return said.getvalue()
+    return output.getvalue()
 
 
 @pytest.fixture(scope="session")
@@ -234,3 +227,62 @@ def gap_command(gap_build, plant_before):
 def gap_page(gap_command):
     """Path of that page."""
     return gap_command[0]
+
+
+ROWS = 60
+PATH = tuple(np.sin(np.linspace(0.0, 2.0 * np.pi, ROWS)).tolist())
+
+
+def plan_of(dof, feedback=None):
+    columns = (PATH,) * dof
+    payload = PayloadPlan(
+        payload_kg=1.0, goals_rad=columns, tip_m=columns, current_a=columns, residual_rms_m=0.0,
+        rigid_rms_m=0.05, expected_rms_m=0.0,
+    )  # fmt: skip
+    return TipPlan(
+        schema=1, path="circle", method="inverse", dof=dof, period_s=0.017, rest_s=0.017,
+        start_row=5, end_row=50, drawn=((5, 50),), desired_m=columns, payloads=(payload,),
+        payload_rate_kg_s=0.5, plant_error_rms_m=None, plant_sha256="", bundle_sha256="",
+        link=STUDY_FACTS, feedback=feedback,
+    )  # fmt: skip
+
+
+def run_of(dof, knowledge, payload_kg, error_m, plan=None, trust=0):
+    """Run of a plan whose tip is everywhere `error_m` off its path."""
+    plan = plan or plan_of(dof)
+    tip_m = plan.desired_tip_m() + error_m / np.sqrt(dof)
+    goals_rad, trust = plan.goals_rad()[0], np.zeros(ROWS, int) + trust
+    return PlannedRun(
+        dof, knowledge, payload_kg, plan, tip_m, error_m, error_m, goals_rad, trust, 1.3
+    )
+
+
+@pytest.fixture(scope="session")
+def runs():
+    """Runs of plans with one and two joints, two payloads, and every knowledge of them."""
+    return [
+        run_of(dof, knowledge, payload_kg, error_m * (1 + payload_kg))
+        for dof in (1, 2)
+        for payload_kg in (0.0, 1.0)
+        for knowledge, error_m in (("rigid", 0.05), ("known", 0.001), ("unknown", 0.004))
+    ]
+
+
+@pytest.fixture(scope="session")
+def guided():
+    """Runs with feedback, whose trust is lost for half of the time."""
+    rate = RateFilter(a=((0.0,),), b=((0.0,),), c=((0.0,),), d=((1.0,),))
+    margins = ((LoopMargins(payload_kg=1.0, gain_db=6.4, phase_rad=0.7, crossover_rad_s=2.0),),)
+    design = FeedbackDesign(
+        filters=((rate,),), margins=margins, size_rad=0.03, rate_rad_s=0.16, innovation_a=0.25
+    )
+    plan, trust = plan_of(1, design), np.repeat([1, 2, 3, 1], ROWS // 4)
+    return [run_of(1, kind, 1.0, 0.01, plan, trust) for kind in ("known", "misled")]
+
+
+@pytest.fixture(scope="session")
+def plans_html(runs, guided, tmp_path_factory):
+    """Path of the page of plans, with feedback."""
+    path = tmp_path_factory.mktemp("plans") / "plans.html"
+    write_page(path, plans_page([*runs[6:], *guided], read_plant()))
+    return path

@@ -56,54 +56,31 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module", params=["page", "gap_page"])
+@pytest.fixture(scope="module", params=["page", "gap_page", "plans_html"])
 def shown(request):
     """Path of a page."""
     return request.getfixturevalue(request.param)
 
 
-@pytest.fixture(scope="module", params=[(1280, 900), (390, 844)], ids=["desktop", "phone"])
-def seen(request, shown, tmp_path_factory):
-    """What the browser measured and what it complained of."""
-    directory = tmp_path_factory.mktemp("browser")
-    copy = directory / "report.html"
-    copy.write_text(shown.read_text(encoding="utf-8").replace("</body>", MEASURE), encoding="utf-8")
-    width, height = request.param
-    frame = directory / "frame.html"
+@pytest.mark.parametrize(("width", "height"), [(1280, 900), (390, 844)], ids=["desktop", "phone"])
+def test_a_page_fits_its_screen_and_its_drawings_are_legible(shown, width, height, tmp_path):
+    page = shown.read_text(encoding="utf-8").replace("</body>", MEASURE)
+    (tmp_path / "report.html").write_text(page, encoding="utf-8")
+    frame = tmp_path / "frame.html"
     frame.write_text(FRAME % (width, height), encoding="utf-8")
     done = subprocess.run(
         [CHROMIUM, *FLAGS, "--virtual-time-budget=10000",
-         f"--user-data-dir={directory / 'profile'}", "--dump-dom", frame.as_uri()],
+         f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", frame.as_uri()],
         capture_output=True, text=True, timeout=120, check=True,
     )  # fmt: skip
-    found = re.search(r'data-measured="([^"]*)"', done.stdout)
-    assert found, done.stderr[-2000:]
-    return width, json.loads(html.unescape(found[1])), done.stderr
-
-
-def test_nothing_is_wider_than_the_screen(seen):
-    width, measured, _ = seen
+    output = re.search(r'data-measured="([^"]*)"', done.stdout)
+    assert output, done.stderr[-2000:]
+    measured = json.loads(html.unescape(output[1]))
     assert measured["width"] == width
     assert measured["wide"] == []
     assert measured["content"] <= width
-
-
-def test_the_browser_has_nothing_to_complain_of(seen):
-    _, _, complaints = seen
-    assert "CONSOLE" not in complaints
-
-
-def test_panels_stand_side_by_side_only_where_there_is_room(seen):
-    width, measured, _ = seen
     assert measured["columns"] == (2 if width > 1000 else 1)
-
-
-def test_text_in_drawings_is_legible_and_inside(seen):
-    _, measured, _ = seen
-    assert measured["smallest"] >= 9
+    assert measured["smallest"] >= 9, "pixels of a drawing's text"
     assert measured["outside"] == []
-
-
-def test_every_link_leads_somewhere(seen):
-    _, measured, _ = seen
-    assert measured["links"] == 0
+    assert measured["links"] == 0, "links that lead nowhere"
+    assert "CONSOLE" not in done.stderr

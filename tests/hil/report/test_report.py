@@ -1,3 +1,5 @@
+"""Report of a build: what it shows, what it judges, and what it says of missing files."""
+
 import json
 import re
 import shutil
@@ -11,13 +13,16 @@ import pytest
 
 from dropstitch.__main__ import main
 from hil.report.build_inputs import LoopRun, read_build
-from hil.report.loop_figures import loop_figures
-from hil.report.report_page import report_page
-from hil.report.report_tables import prediction_table, results_table, verdict_sentence
-from hil.report.study.motion_figures import motion_figures
+from hil.report.build_page import origin_table, report_notices, report_page, results_table
+from hil.report.loop_section import loop_figures, prediction_table, verdict_sentence
+from hil.report.study_figures import candidate_table, motion_figures
 from hil.sil.timing_verdict import TimingVerdict, judge_timing
-from models.shared.drawing import Drawing
+from models.plant.plant import NOMINAL, read_plant
+from models.predictor.document import CandidateEntry, Latency, PredictorsDocument, TipScore
 from models.trials.origin import TrialOrigin
+
+RIG, MEASURED = TrialOrigin("rig", "default", 4), TrialOrigin("measured", trials=2)
+UNSTATED = TrialOrigin("")
 
 
 class Page(HTMLParser):
@@ -63,41 +68,42 @@ def copy_1dof(copy):
     return copy
 
 
+@pytest.fixture
+def renamed(build, tmp_path):
+    """The build directory with every file and directory called otherwise."""
+    names = {
+        "bundle_1dof": "arm", "bundle_2dof": "two joints", "study_2dof_phase0": "a",
+        "study_2dof_phase90": "b", "sil_1dof": "first run",
+        "evaluate_unseen_20deg.json": "compared.json", "check_twin_1dof.json": "twin.json",
+    }  # fmt: skip
+    for usual, other in names.items():
+        path = build / usual
+        make = shutil.copytree if path.is_dir() else shutil.copyfile
+        make(path, tmp_path / other)
+    return tmp_path
+
+
+def row_of(table, words):
+    (row,) = [r for r in table.cells if words in r[0].text]
+    return row
+
+
+# --- the page -----------------------------------------------------------------------------------
+
+
 def test_the_page_needs_nothing_but_itself(page, html):
+    tags = Page(html).tags
     assert page.stat().st_size < 2_000_000
-    for tag, attributes in Page(html).tags:
+    for tag, attributes in tags:
         assert tag not in ("script", "iframe", "object", "img")
         for name in ("src", "href", "xlink:href", "action", "srcset"):
             assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
     assert not re.search(r"@import|url\((?!#)", html)
-
-
-def test_the_first_screen_says_where_the_trials_come_from(html):
-    before, after = html.split('<p class="notice unknown" role="note"><strong>Origin not stated')
-    assert "<h1>" in before and 'class="lead"' not in before
-    assert 'class="notice simulated"' in after.split('class="lead"')[0]  # the loop is emulated
-
-
-def test_text_of_drawings_is_dark(html):
-    """Drawings stand on a light plate, so text of 4.5 on white is legible in every scheme."""
-    for style in re.findall(r"<text\b[^>]*style=\"([^\"]*)\"", html):
-        if colour := re.search(r"fill: (#\w{6})", style):
-            luminance = sum(
-                weight * ((v / 255 + 0.055) / 1.055) ** 2.4
-                for weight, v in zip(
-                    (0.2126, 0.7152, 0.0722), bytes.fromhex(colour[1][1:]), strict=True
-                )
-            )
-            assert 1.05 / (luminance + 0.05) >= 4.5, colour[1]
-
-
-def test_every_reference_has_one_target(html):
-    tags = Page(html).tags
     ids = [a["id"] for _, a in tags if "id" in a]
     assert len(ids) == len(set(ids))
-    wanted = {v[1:] for _, a in tags for n, v in a.items() if n.endswith("href") and v[0] == "#"}
-    wanted |= set(re.findall(r"url\(#([^)]+)\)", html))
-    assert wanted and wanted <= set(ids)
+    targets = {v[1:] for _, a in tags for n, v in a.items() if n.endswith("href") and v[0] == "#"}
+    targets |= set(re.findall(r"url\(#([^)]+)\)", html))
+    assert targets and targets <= set(ids)
 
 
 def test_every_drawing_is_sound_described_and_scales(html):
@@ -111,16 +117,12 @@ def test_every_drawing_is_sound_described_and_scales(html):
         assert "nan" not in description.lower()
 
 
-def test_all_the_papers_figures_are_there(html):
-    text = Page(html).text
+def test_the_page_shows_the_figures_of_the_paper_and_of_the_files(build, html):
+    text = Page(html).text.replace("\u00a0", " ")
     for number in ("7", "8", "9 and 10", "11", "12 and 13", "14", "15"):
         assert f"paper, Fig. {number} " in text
-    for word in ("1DOF, trial 2", "2DOF, unseen 20° motion", "2DOF, phase 90°"):
-        assert word in text
-
-
-def test_the_tables_hold_the_inputs_figures(build, html):
-    text = Page(html).text.replace("\u00a0", " ")
+    for words in ("1DOF, trial 2", "2DOF, unseen 20° motion", "2DOF, phase 90°"):
+        assert words in text
     study = json.loads((build / "bundle_2dof" / "study.json").read_text())
     degree = str(study["chosen_degree"])
     table = study["mean_euclidean_distance_m"]["unseen_20deg"]["pooled"]
@@ -130,62 +132,8 @@ def test_the_tables_hold_the_inputs_figures(build, html):
     assert all(c["detail"] in text for c in check["checks"])
     for finding in study["findings"]:
         assert finding["claim"] in text and finding["depends_on"] in text
-
-
-def test_every_phase_has_its_study_beside_the_one_of_all(build, html):
-    inputs = read_build(build)
-    assert list(inputs.motions) == ["1DOF", "2DOF, phase 0°", "2DOF, phase 90°"]
-    assert list(inputs.every_study) == [*inputs.motions, "2DOF, all phases"]
-    assert inputs.every_study["2DOF, all phases"] is inputs.studies[2]
-    (figure,) = [f for f in motion_figures(inputs.motions) if f.title == "Mean DI by payload"]
-    (panel,) = figure.panels
-    for motion, study in inputs.motions.items():
-        assert f"{motion}: {100 * study.mean_di['0']:.2f}\u00a0% at 0 kg" in panel.alt
-    badges = re.findall(r'class="badge (\w+)">(.*?)</span>', html)
-    words = {"met": "comes out", "unmet": "does not come out", "unknown": "cannot be told"}
-    assert {text for _, text in badges} >= {f"1DOF, origin not stated: {words[badges[0][0]]}"}
-    assert {text.split(",")[0] for _, text in badges} == {"1DOF", "2DOF"}
-    assert all(text.endswith(f", origin not stated: {words[kind]}") for kind, text in badges)
-
-
-def grown(document, factor):
-    """The study of a link that is larger by a factor."""
-    paths = {
-        name: msgspec.structs.replace(
-            path, **{k: tuple(factor * v for v in getattr(path, k)) for k in path.__struct_fields__}
-        )
-        for name, path in document.series.path.items()
-    }
-    poses = document.series.poses
-    line_m = tuple(
-        tuple(tuple(None if v is None else factor * v for v in point) for point in line)
-        for line in poses.centre_line_m
-    )
-    poses = msgspec.structs.replace(poses, centre_line_m=line_m)
-    series = msgspec.structs.replace(document.series, path=paths, poses=poses)
-    return msgspec.structs.replace(document, series=series)
-
-
-def test_a_bundle_alone_is_drawn_with_all_its_phases(copy, monkeypatch):
-    for phase in (0, 90):
-        shutil.rmtree(copy / f"study_2dof_phase{phase}")
-    inputs = read_build(copy)
-    assert list(inputs.every_study) == ["1DOF", "2DOF"]
-    drawn, show = [], Drawing.panel
-    monkeypatch.setattr(Drawing, "panel", lambda d, *a: (drawn.append(d), show(d, *a))[1])
-    paths, *_ = motion_figures({"2DOF": grown(inputs.studies[2], 5.0)})
-    for ax in [ax for drawing in drawn for ax in drawing._figure.axes]:
-        box = ax.viewLim
-        inside = [box.x0 <= x <= box.x1 and box.y0 <= y <= box.y1
-                  for line in ax.lines for x, y in line.get_xydata()]  # fmt: skip
-        assert all(inside), (ax.get_xlabel(), box)
-    assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
-
-
-def test_commands_stand_once_in_the_order_of_their_last_run(build, html):
-    lines = (build / "commands.log").read_text().splitlines()
-    listed = re.findall(r"<li><code>(.*?)</code>", html)
-    assert listed == lines[1:]
+    commands = (build / "commands.log").read_text().splitlines()
+    assert re.findall(r"<li><code>(.*?)</code>", html) == commands[1:], "each once, the last use"
 
 
 def test_the_same_inputs_give_the_same_page(build, html):
@@ -194,86 +142,154 @@ def test_the_same_inputs_give_the_same_page(build, html):
     assert one == two
 
 
-def test_text_from_files_is_text(copy):
-    for name in ("bundle_1dof", "study_2dof_phase0", "study_2dof_phase90", "sil_1dof"):
-        shutil.rmtree(copy / name)  # one study is enough
-    path = copy / "bundle_2dof" / "study.json"
+def test_text_from_files_is_text(copy_1dof):
+    path = copy_1dof / "bundle_1dof" / "study.json"
     study = json.loads(path.read_text())
     study["findings"][0]["text"] = "<script>alert(1)</script> & more"
     path.write_text(json.dumps(study))
-    (copy / "commands.log").write_text("dropstitch report build --out '<b>'\n")
-    html = report_page(read_build(copy))
+    (path.parent / "manifest.json").unlink()  # it has the hash of the old study
+    (copy_1dof / "commands.log").write_text("dropstitch report build --out '<b>'\n")
+    html = report_page(read_build(copy_1dof))
     assert "<script>" not in html and "&lt;script&gt;" in html and "&lt;b&gt;" in html
-
-
-@pytest.mark.parametrize(
-    ("missing", "rest"),
-    [
-        (
-            {"bundle_1dof": "dropstitch train", "bundle_2dof": "dropstitch train",
-             "study_2dof_phase0": "dropstitch train",
-             "study_2dof_phase90": "dropstitch train", "commands.log": "make demo"},
-            "twin_1dof",
-        ),
-        (
-            {"evaluate_unseen_20deg.json": "dropstitch evaluate",
-             "check_twin_1dof.json": "dropstitch fmu check", "sil_1dof": "dropstitch sil"},
-            "Paths of the end",
-        ),
-    ],
-)  # fmt: skip
-def test_a_section_without_inputs_says_what_makes_them(copy, missing, rest):
-    for name in missing:
-        path = copy / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-    for path in copy.glob("*2dof*"):  # the 1DOF study is enough for the sections that stay
-        shutil.rmtree(path)
-    text = Page(report_page(read_build(copy))).text
-    for command in missing.values():
-        assert re.search(rf"Not shown: [^.]*\. To create them, run {re.escape(command)}", text)
-    assert rest in text
-
-
-def test_one_dof_alone_is_enough(copy_1dof):
-    text = Page(report_page(read_build(copy_1dof))).text
-    assert "1DOF, trial 2" in text and "2DOF, trial 2" not in text
+    assert "1DOF, trial 2" in html and "2DOF, trial 2" not in html, "one dof alone is enough"
 
 
 def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     assert main(["report", "build", str(tmp_path), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    output = capsys.readouterr()
+    assert "report 9/9" in output.err
+    result = json.loads(output.out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
     assert text.count("Not shown") == 8
-
-
-@pytest.mark.parametrize("damage", ["{", "[1]", "\xff\xfe"])
-def test_a_damaged_file_gets_one_sentence(copy, capsys, damage):
-    (copy / "check_twin_1dof.json").write_bytes(damage.encode("latin-1"))
-    assert main(["report", "build", str(copy)]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "check_twin_1dof.json" in err and "write it again" in err
-    assert main(["report", "build", str(copy / "none")]) == 2
+    for command in ("train --study", "evaluate", "fmu check build/twin_1dof.fmu", "sil"):
+        assert f"To create them, run dropstitch {command} " in text
 
 
 @pytest.mark.parametrize(
-    ("name", "command"),
-    [("bundle_1dof/study.json", "dropstitch train"), ("sil_1dof/timing.json", "dropstitch sil")],
+    ("name", "content", "words"),
+    [
+        ("check_twin_1dof.json", "{", "write it again"),
+        ("check_twin_1dof.json", "\xff\xfe", "write it again"),
+        ("bundle_1dof/study.json", {"schema": 1}, "dropstitch train"),
+        ("sil_1dof/timing.json", {"schema": 1}, "dropstitch sil"),
+    ],
 )
-def test_a_file_of_an_older_version_gets_one_sentence_with_the_command(copy, capsys, name, command):
-    document = json.loads((copy / name).read_text())
-    (copy / name).write_text(json.dumps(document | {"schema": 1}))
+def test_a_damaged_or_older_file_gets_one_sentence(copy, capsys, name, content, words):
+    path = copy / name
+    if isinstance(content, dict):
+        content = json.dumps(json.loads(path.read_text()) | content)
+    path.write_bytes(content.encode("latin-1"))
     assert main(["report", "build", str(copy)]) == 2
     err = capsys.readouterr().err
-    assert err.count("\n") == 1 and "schema version 1" in err and command in err
+    assert err.count("\n") == 1 and words in err and path.name in err
 
 
-def row_of(table, words):
-    (row,) = [r for r in table.cells if words in r[0].text]
-    return row
+# --- which files are read -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("gain", "met"), [(0.91, True), (0.9, True), (0.89, False)])
+def test_files_are_recognised_by_their_contents(build, renamed):
+    usual, other = read_build(build), read_build(renamed)
+    assert (other.studies, other.motions) == (usual.studies, usual.motions)
+    assert other.manifests == usual.manifests
+    assert list(other.evaluations.values()) == list(usual.evaluations.values())
+    assert other.checks == {"twin": usual.checks["twin_1dof"]}
+    assert [loop.name for loop in other.loops] == ["first run"]
+    assert other.left_out == []
+    (loop,) = read_build(renamed / "first run").loops
+    assert loop.dof == 1, "one run alone is a build"
+    shutil.copytree(renamed / "arm", renamed / "bundle_1dof")
+    shutil.copytree(renamed / "a", renamed / "c")
+    assert [left.split(":")[0] for left in read_build(renamed).left_out] == ["arm", "c"]
+
+
+def test_a_study_with_a_manifest_is_no_bundle(build, copy):
+    """`dropstitch train --study-only` writes a manifest too, which is no robot's."""
+    for phase in (0, 90):
+        (copy / f"study_2dof_phase{phase}" / "manifest.json").write_text("{}")
+    usual, other = read_build(build), read_build(copy)
+    assert (other.motions, other.manifests) == (usual.motions, usual.manifests)
+    assert other.left_out == []
+
+
+def test_the_usual_name_of_a_plant_comes_first(tmp_path):
+    (tmp_path / "notes.json").write_text("[1, 2]")
+    (tmp_path / "broken.json").write_text("{")
+    plant = read_plant(NOMINAL)
+    plant.write(tmp_path / "arm.json")
+    assert read_build(tmp_path).plant == plant
+    replace(plant, name="usual").write(tmp_path / "plant.json")
+    inputs = read_build(tmp_path)
+    assert inputs.plant.name == "usual"
+    assert [left.split(":")[0] for left in inputs.left_out] == ["arm.json"]
+
+
+def test_every_phase_has_its_study_beside_the_one_of_all(build, copy):
+    inputs = read_build(build)
+    assert list(inputs.motions) == ["1DOF", "2DOF, phase 0°", "2DOF, phase 90°"]
+    assert list(inputs.every_study) == [*inputs.motions, "2DOF, all phases"]
+    assert inputs.every_study["2DOF, all phases"] is inputs.studies[2]
+    for phase in (0, 90):
+        shutil.rmtree(copy / f"study_2dof_phase{phase}")
+    alone = read_build(copy)
+    assert list(alone.every_study) == ["1DOF", "2DOF"]
+    paths, *_, mean_di = motion_figures({"2DOF": alone.studies[2]})
+    assert [label for _, label, _ in paths.legend][:2] == ["0 kg, phase 0°", "0 kg, phase 90°"]
+    assert f"{100 * alone.studies[2].mean_di['0']:.2f}\u00a0% at 0 kg" in mean_di.panels[0].alt
+
+
+# --- where the trials come from -----------------------------------------------------------------
+
+
+def of_origins(inputs, of_study, of_evaluation):
+    """The same build with trials of these origins."""
+    study = inputs.studies[1]
+    part = msgspec.structs.replace(study.training, origins=of_study)
+    study = msgspec.structs.replace(study, training=part, tests={"trial_2": part})
+    (title, evaluation), *_ = inputs.evaluations.items()
+    evaluation = msgspec.structs.replace(evaluation, origins=of_evaluation)
+    return replace(
+        inputs, studies={1: study}, motions={"1DOF": study}, plant=None,
+        evaluations={title: evaluation},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("of_study", "of_evaluation", "label"),
+    [
+        ((RIG,), (RIG,), "Simulated"),
+        ((MEASURED,), (MEASURED,), "Measured"),
+        ((RIG,), (MEASURED,), "Simulated and measured"),
+        ((RIG,), (UNSTATED,), "Origin not stated"),
+    ],
+)
+def test_the_head_says_where_the_trials_come_from(build, of_study, of_evaluation, label):
+    changed = of_origins(read_build(build), of_study, of_evaluation)
+    trials, loops = report_notices(changed)
+    assert trials.label == label
+    assert loops.label == "Emulated"  # the loop never ran on a robot, whatever the trials are
+    table = origin_table(changed)
+    of_loop, study = row_of(table, "Control loop, sil_1dof"), row_of(table, "Study, 1DOF")
+    assert of_loop[1].text == "Simulated"
+    assert of_loop[2].text == "emulated servos, the twin behind them"
+    assert study[1].text == ("Measured" if of_study == (MEASURED,) else "Simulated")
+
+
+def test_the_first_screen_says_where_the_trials_come_from(build, html):
+    before, after = html.split('<p class="notice unknown" role="note"><strong>Origin not stated')
+    assert "<h1>" in before and 'class="lead"' not in before
+    assert 'class="notice simulated"' in after.split('class="lead"')[0]  # the loop is emulated
+    badges = re.findall(r'class="badge (\w+)">(.*?)</span>', html)
+    words = {"met": "comes out", "unmet": "does not come out", "unknown": "cannot be told"}
+    assert all(text.endswith(f", origin not stated: {words[kind]}") for kind, text in badges)
+    empty = replace(read_build(build), studies={}, motions={}, evaluations={}, loops=[])
+    assert report_notices(empty) == [] and origin_table(empty) is None
+
+
+# --- results and targets ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("gain", "met"), [(0.9, True), (0.89, False)])
 def test_gains_are_judged_by_their_target(build, gain, met):
     inputs = read_build(build)
     observer = inputs.studies[1].estimators["trial_2"]["observer"]
@@ -286,7 +302,7 @@ def test_gains_are_judged_by_their_target(build, gain, met):
     ("rms_m", "rig", "met"),
     [(0.0016, "default", True), (0.0018, "default", False), (0.0018, "test_a", None)],
 )
-def test_the_glance_judges_errors_of_the_default_rig(build, rms_m, rig, met):
+def test_errors_are_judged_on_the_default_rig_only(build, rms_m, rig, met):
     """Targets were set on the default rig; trials of another origin are shown without one."""
     inputs = read_build(build)
     title = "unseen 20° motion"
@@ -305,11 +321,35 @@ def test_what_was_not_measured_is_not_judged(tmp_path):
     assert all(cell.met is None for row in table.cells for cell in row[2:])
 
 
+def test_every_candidate_and_test_has_a_row_and_the_chosen_one_says_so():
+    def score(mean_m):
+        return TipScore(100, mean_m, 2 * mean_m, 3 * mean_m, 0.96, 0.004, 0.9, 2.5 * mean_m, 0.94)
+
+    entries = {
+        name: CandidateEntry(
+            name, 0, score(m), {"trial_2": {"all": score(2 * m)}}, 8000, Latency(1e-5, 3e-5)
+        )
+        for name, m in (("observer", 0.001), ("paper polynomial", 0.004))
+    }
+    document = PredictorsDocument(
+        schema=1, dof=1, chosen="observer", reason="It is the best.", trials=("a",),
+        motions=("sinusoid",), payload_kg=(1.0,), candidates=entries, askew_rad=0.005,
+    )  # fmt: skip
+    table = candidate_table({1: document})
+    assert len(table.rows) == 4 and all(len(row) == len(table.header) for row in table.rows)
+    assert table.rows[0][:3] == ["1DOF, observer, chosen", "left out in turn", "1.0"]
+    assert table.rows[2][0] == "1DOF, paper polynomial" and table.rows[3][2] == "8.0"
+    assert "It is the best." in table.note
+
+
+# --- runs of the loop ---------------------------------------------------------------------------
+
+
 def test_simulated_time_makes_no_claim_about_cost(build, html):
     inputs = read_build(build)
     (loop,) = inputs.loops
-    assert (loop.dof, loop.line, loop.in_real_time) == (1, "virtual", False)
-    assert [c.met for c in row_of(results_table(inputs), "Own cost")[2:]] == [None, None]
+    assert (loop.dof, loop.in_real_time) == (1, False)
+    assert [c.text for c in row_of(results_table(inputs), "Own cost")[2:]] == ["–", "–"]
     assert "Durations in ms" not in html
     (figure,) = loop_figures(loop)
     assert figure.title == "Tip predicted by the robot"
@@ -323,24 +363,16 @@ def test_prediction_and_plant_are_compared_tick_by_tick(build):
     assert error.n == len(distance_m)
     assert distance_m.mean() == pytest.approx(error.mean_euclidean_distance_m, rel=1e-9)
     assert distance_m.max() == pytest.approx(error.max_m, rel=1e-9)
-
-
-def test_the_error_is_listed_by_part_of_the_run(build):
-    (loop,) = read_build(build).loops
     table = prediction_table(loop)
-    parts = loop.timing.prediction_error.parts
-    assert row_of(table, "all ticks")[1].text == str(loop.timing.prediction_error.n)
+    assert row_of(table, "all ticks")[1].text == str(error.n)
     counts = [int(row_of(table, w)[1].text) for w in ("rest between", "motion, as", "stop")]
-    assert sum(counts) == loop.timing.prediction_error.n  # three seconds reach no glide
-    assert row_of(table, "motion, as")[2].text == (
-        f"{1e3 * parts['motion'].mean_euclidean_distance_m:.1f}"
-    )
+    assert sum(counts) == error.n  # three seconds reach no glide
 
 
-@pytest.fixture
-def slow_run(build):
-    """The same run as if in real time, with one slow tick of our own doing among many."""
-    (loop,) = read_build(build).loops
+def test_one_slow_tick_among_many_is_shown_named_and_judged(build):
+    """The run as if in real time, with a single tick that the loop itself made too long."""
+    inputs = read_build(build)
+    (loop,) = inputs.loops
     ticks = {name: column.copy() for name, column in loop.ticks.items()}
     ticks["busy_ns"][:] = 2_000_000
     ticks["bus_wait_ns"][:] = 1_400_000
@@ -356,23 +388,14 @@ def slow_run(build):
         environment=msgspec.structs.replace(loop.timing.environment, line="socket"),
         **{name: getattr(judged, name) for name in TimingVerdict.__struct_fields__},
     )
-    return LoopRun("sil", timing, ticks, loop.true_tip_m)
-
-
-def test_one_slow_tick_among_many_is_seen(slow_run):
-    timing, _ = loop_figures(slow_run)
-    timeline, histogram = timing.panels
+    run = LoopRun("sil", timing, ticks, loop.true_tip_m)
+    figure, _ = loop_figures(run)
+    (timeline,) = figure.panels
     assert "19.05 ms" in timeline.alt and "1 ticks" in timeline.alt
     assert timeline.svg.count("<use") > 0  # its mark
-    assert "2.05 ms" in histogram.alt
-    assert any(label == "period, 17 ms" for _, label, _ in timing.legend)
-
-
-def test_misses_of_our_own_doing_are_said_and_judged(build, slow_run):
-    inputs = replace(read_build(build), loops=[slow_run])
-    first = verdict_sentence(slow_run)
-    assert "fail" in first and "missed 1 of " in first and "1 own compute" in first
-    table = results_table(inputs)
+    sentence = verdict_sentence(run)
+    assert "fail" in sentence and "missed 1 of " in sentence and "1 own compute" in sentence
+    table = results_table(replace(inputs, loops=[run]))
     assert row_of(table, "missed by the loop itself")[2].met is False
     cost = row_of(table, "Own cost")[2]
     assert (cost.text, cost.met) == ("0.60\u00a0ms", None), "reported, not judged"

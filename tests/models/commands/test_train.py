@@ -12,6 +12,7 @@ from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
 from models.commands.train import name_tests, of_phases, refuse_fitted
 from models.plant.document import FittedTrial, Provenance
+from models.study.document import read_study
 from models.trials.files import write_trial
 from models.trials.trial import TrialSet
 
@@ -118,3 +119,15 @@ def test_several_pressures_and_one_recording_are_warned_of(toy_trials, tmp_path,
     assert f"warning: {warning}" in output.err
     assert warning in " ".join(json.loads(output.out)["warnings"])
     assert "are of one recording; import each recording once; a copy is no test" in output.err
+    assert read_study(tmp_path / "out" / "study.json").findings
+
+
+def test_another_link_than_the_papers_is_not_compared_with_its_findings(toy_trials, tmp_path):
+    size = {"link_length_m": 0.9, "link_width_m": 0.15, "base_offset_m": 0.06}
+    for trial in toy_trials(1, amplitudes_deg=(30,)):
+        write_trial(changed(trial, **size), tmp_path / "trials")
+    link = tmp_path / "link.toml"
+    assert main(["new", str(link), "--length", "0.9", "--largest-payload-kg", "2"]) == 0
+    assert train(tmp_path / "trials", tmp_path / "out", "--study", plant=link) == 0
+    assert read_study(tmp_path / "out" / "study.json").findings == ()
+    assert "eproduced" not in (tmp_path / "out" / "MODEL_CARD.md").read_text(encoding="utf-8")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_py.system.doctor_checks import Severity, examine
+from firmware_py.commands.doctor_checks import Severity, examine
 
 
 def machine(tmp_path, **files):

@@ -1,1 +1,0 @@
-"""Page of a gap before and after it was closed."""

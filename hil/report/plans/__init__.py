@@ -1,1 +1,0 @@
-"""Page of tip plans that were run on the rig: paths, errors, payloads."""

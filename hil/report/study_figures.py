@@ -1,0 +1,417 @@
+"""Figures and tables of the study (paper, Figs. 7 to 15) and of the predictors of the tip."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_py.core.units import (
+    ANGLE,
+    DEFORMATION,
+    DELAY,
+    FILE_SIZE,
+    FRACTION,
+    LENGTH,
+    PAYLOAD,
+    POSITION,
+    TIME,
+)
+from firmware_py.system.targets import DI_GAIN_DEGREE
+from hil.report.build_inputs import motion_words
+from models.predictor.document import PredictorsDocument, latency_text, scores_of
+from models.predictor.validation import COVERS, coverage_text
+from models.shared.drawing import Chart, Line, line_panels
+from models.shared.pages import NO_VALUE, Figure, LegendEntry, Panel, Table
+from models.shared.palette import AMBER, BLUE, GREEN, INK, MUTED, SERIES, ordered_colours
+from models.study.document import StudyDocument
+
+Array = NDArray[np.float64]
+Studies = Mapping[str, StudyDocument]
+"""Studies by their label, such as "2DOF, phase 0°"."""
+
+PLANES: Final = {"x–z plane": ("x", "z"), "y–z plane": ("y", "z"), "from above": ("x", "y")}
+"""Axes of each view of the link."""
+TEST: Final = "trial_2"
+VARIANTS: Final = {
+    "with_di": ("true DI", "solid"),
+    "estimated_di": ("estimated DI (robot)", "dashed"),
+    "without_di": ("without DI", "dotted"),
+}
+FOLDS: Final = {
+    "leave_one_payload_out_m": ("payloads left out of trial 1", "dashed"),
+    "blocks_m": ("blocks of time left out of trial 1", "dotted"),
+}
+SOURCES: Final = {
+    "true": ("motion capture", INK, "solid"),
+    "observer": ("plant observer", BLUE, "dashed"),
+    "lagged": ("lagged regressor", AMBER, "dotted"),
+}
+PREDICTORS: Final = {
+    "rigid": ("rigid kinematics", MUTED, "solid"),
+    "without": ("polynomial without DI", AMBER, "dotted"),
+    "estimated": ("polynomial, estimated DI (robot)", BLUE, "solid"),
+    "true": ("polynomial, true DI", INK, "dashed"),
+    "observer": ("tip of the plant observer", GREEN, "solid"),
+}
+
+
+def _ordered_legend(labels: Iterable[str]) -> list[LegendEntry]:
+    labels = list(labels)
+    colours = ordered_colours(len(labels))
+    return [LegendEntry(colour, label) for colour, label in zip(colours, labels, strict=True)]
+
+
+def _payload_legend(studies: Studies) -> list[LegendEntry]:
+    """Legend of the runs of a study: "0.5 kg", "2 kg, phase 90°"."""
+    labels = []
+    for key in next(iter(studies.values())).series.path:
+        payload, _, phase = key.partition(" phase ")
+        labels.append(f"{payload} kg" + (f", phase {phase.removesuffix('deg')}°" if phase else ""))
+    return _ordered_legend(labels)
+
+
+# --- motion of the link: Figs. 7 to 11 ----------------------------------------------------------
+
+
+def motion_figures(studies: Studies) -> list[Figure]:
+    """Draw paths, shapes and DI, with a panel for each kind of motion."""
+    return [_paths(studies), _poses(studies), _di_over_angle(studies), _mean_di(studies)]
+
+
+def _paths(studies: Studies) -> Figure:
+    panels: list[Panel] = []
+    for motion, study in studies.items():
+        paths = study.series.path.values()
+        colours = ordered_colours(len(paths))
+        # Where the paths coincide, each is thinner than the one beneath.
+        widths = [1.1 + 0.8 * k for k in reversed(range(len(paths)))]
+        for plane in ("x–z plane", "from above")[: study.dof]:
+            h, v = PLANES[plane]
+            lines = [
+                Line(getattr(path, f"tip_{h}_m"), getattr(path, f"tip_{v}_m"), colour, width=width)
+                for path, colour, width in zip(paths, colours, widths, strict=True)
+            ]
+            alt = f"Path of the end effector, {motion}, {plane}, one line per payload."
+            panels += _to_scale(Chart(f"{motion}, {plane}", alt, lines), plane)
+    return Figure(
+        "Paths of the end effector",
+        "The base joint is at the origin; at angle zero the link is along z. The lines get thinner "
+        "from the lightest payload to the heaviest.",
+        panels, "7", _payload_legend(studies),
+    )  # fmt: skip
+
+
+def _poses(studies: Studies) -> Figure:
+    panels: list[Panel] = []
+    for motion, study in studies.items():
+        poses = study.series.poses
+        line_m = np.array(poses.centre_line_m, dtype=np.float64)
+        whole_m = np.concatenate([np.zeros((len(line_m), 1, 3)), line_m], axis=1)
+        colours = ordered_colours(len(whole_m))
+        for plane in ("x–z plane", "y–z plane")[: study.dof]:
+            h, v = ("xyz".index(axis) for axis in PLANES[plane])
+            lines = [
+                Line(points[:, h], points[:, v], colour, marker="o")
+                for points, colour in zip(whole_m, colours, strict=True)
+            ]
+            alt = (
+                f"Centre line of the link at {len(line_m)} equal times of the first cycle; its DI "
+                f"goes from {DEFORMATION.number(min(poses.di))} to "
+                f"{DEFORMATION.text(max(poses.di))}."
+            )
+            title = f"{motion}, {plane}, {PAYLOAD.significant(poses.payload_kg)}"
+            panels += _to_scale(Chart(title, alt, lines), plane)
+    times_s = next(iter(studies.values())).series.poses.time_s
+    return Figure(
+        "Shape of the link", "Centre line through base plate and marker rows, to scale.",
+        panels, "8", _ordered_legend(map(TIME.text, times_s)),
+    )  # fmt: skip
+
+
+def _to_scale(chart: Chart, plane: str) -> list[Panel]:
+    h, v = map(POSITION.label, PLANES[plane])
+    return line_panels([chart], h, v, aspect="equal", adjustable="datalim")
+
+
+def _di_over_angle(studies: Studies) -> Figure:
+    charts = []
+    for motion, study in studies.items():
+        curves = study.series.di
+        lines = [
+            Line(ANGLE.shown(curve.angle_1_rad), DEFORMATION.shown(curve.di), colour, width=1.0)
+            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
+        ]
+        alt = (
+            f"DI over the angle of joint 1, {motion}, one loop per payload, up to "
+            f"{DEFORMATION.text(max(max(curve.di) for curve in curves.values()))}."
+        )
+        charts.append(Chart(motion, alt, lines))
+    return Figure(
+        "DI over the angle", "Trial 1. Marker noise alone contributes about 0.07 %.",
+        line_panels(charts, ANGLE.label("angle 1"), DEFORMATION.label("DI"), ylim=(0, None)),
+        "9 and 10", _payload_legend(studies),
+    )  # fmt: skip
+
+
+def _mean_di(studies: Studies) -> Figure:
+    lines, legend, listed = [], [], []
+    for (motion, study), colour in zip(studies.items(), SERIES, strict=False):
+        payloads_kg = [float(kg) for kg in study.mean_di]
+        values = DEFORMATION.shown([*study.mean_di.values()])
+        lines.append(Line(payloads_kg, values, colour, marker="o"))
+        legend.append(LegendEntry(colour, motion))
+        listed.append(
+            f"{motion}: "
+            + ", ".join(f"{DEFORMATION.text(v)} at {kg} kg" for kg, v in study.mean_di.items())
+        )
+    chart = Chart("1DOF and 2DOF", f"Mean DI over payload. {'; '.join(listed)}.", lines)
+    panels = line_panels(
+        [chart], PAYLOAD.label("payload"), DEFORMATION.label("mean DI"),
+        ylim=(0, None), xticks=payloads_kg,
+    )  # fmt: skip
+    return Figure("Mean DI by payload", "Rows of trial 1 in motion.", panels, "11", legend)
+
+
+# --- errors of the polynomials: Figs. 12 to 15 --------------------------------------------------
+
+
+def error_figures(studies: Studies) -> list[Figure]:
+    """Draw the error figures, one panel for each study with a trial 2."""
+    tested = {name: study for name, study in studies.items() if TEST in study.tests}
+    if not tested:
+        return []
+    return [_error_over_time(tested), _error_over_degree(tested), _gain_by_di(tested)]
+
+
+def _error_over_time(studies: Studies) -> Figure:
+    charts = []
+    for name, study in studies.items():
+        error = study.series.error[TEST]
+        curves = error.euclidean_distance_m
+        lines = [
+            Line(error.time_s, LENGTH.shown(curve), colour, width=1.0)
+            for curve, colour in zip(curves.values(), ordered_colours(len(curves)), strict=True)
+        ]
+        alt = f"Euclidean distance over time, {name}, mean over payloads, a line for each degree."
+        charts.append(Chart(name, alt, lines))
+    degrees = next(iter(studies.values())).series.error[TEST].euclidean_distance_m
+    return Figure(
+        "Error of the predictors over time",
+        "With true DI; trained on trial 1, tested on trial 2, mean over the payloads.",
+        line_panels(charts, TIME.label("time"), LENGTH.label("distance"), log=True),
+        "12 and 13", _ordered_legend(f"degree {d}" for d in degrees),
+    )  # fmt: skip
+
+
+def _error_over_degree(studies: Studies) -> Figure:
+    charts = []
+    for name, study in studies.items():
+        table = study.std_euclidean_distance_m[TEST]["pooled"]["with_di"]
+        mean, deviation = _pooled(study, "with_di"), LENGTH.shown([*table.values()])
+        degrees = range(1, len(mean) + 1)
+        lines = [
+            Line(degrees, mean, BLUE, marker="o"),
+            Line(degrees, mean + deviation, BLUE, width=0.6),
+        ]
+        for kind, (_, dash) in FOLDS.items():
+            folds = study.cross_validation["with_di"].values()
+            if held_out := [v for f in folds if (v := getattr(f, kind)) is not None]:
+                lines.append(Line(degrees, LENGTH.shown(held_out), INK, dash))
+        listed = ", ".join(f"{v:.1f} mm at degree {k}" for k, v in enumerate(mean, 1))
+        alt = f"Mean Euclidean distance on trial 2, {name}: {listed}."
+        charts.append(Chart(name, alt, lines))
+    return Figure(
+        "Error over the degree",
+        "With true DI, pooled over payloads; thin: one standard deviation of the samples above. "
+        "The degree is chosen by payloads left out of trial 1, never by trial 2.",
+        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True), "14",
+        [LegendEntry(BLUE, "trial 2"),
+         *(LegendEntry(INK, label, dash) for label, dash in FOLDS.values())],
+    )  # fmt: skip
+
+
+def _gain_by_di(studies: Studies) -> Figure:
+    charts = []
+    for name, study in studies.items():
+        distances = {variant: _pooled(study, variant) for variant in VARIANTS}
+        lines = [
+            Line(range(1, len(of_variant) + 1), of_variant, BLUE, VARIANTS[variant][1], marker="o")
+            for variant, of_variant in distances.items()
+        ]
+        listed = "; ".join(
+            f"{VARIANTS[variant][0]} {', '.join(f'{v:.1f}' for v in of_variant)} mm"
+            for variant, of_variant in distances.items()
+        )
+        alt = f"Mean Euclidean distance by degree, from 1, {name}: {listed}."
+        charts.append(Chart(name, alt, lines))
+    return Figure(
+        "Accuracy gained by DI",
+        "Trained on trial 1, tested on trial 2. The robot has no motion capture: it uses the "
+        "predictor that was trained on estimated DI.",
+        line_panels(charts, "degree", LENGTH.label("mean distance"), log=True),
+        "15", [LegendEntry(BLUE, label, dash) for label, dash in VARIANTS.values()],
+    )  # fmt: skip
+
+
+def _pooled(study: StudyDocument, variant: str) -> Array:
+    """Mean distance over all payloads by degree, in the display unit."""
+    return LENGTH.shown([*study.mean_euclidean_distance_m[TEST]["pooled"][variant].values()])
+
+
+# --- predictors and estimators without motion capture -------------------------------------------
+
+
+def di_estimates(studies: Mapping[int, StudyDocument]) -> Figure:
+    """Draw the DI of the heaviest payload over time, by source, on every test."""
+    charts = []
+    for dof, study in studies.items():
+        for test, curves in study.series.estimates.items():
+            lines = [
+                Line(curves.time_s, DEFORMATION.shown(getattr(curves, source)), colour, dash, 1.2)
+                for source, (_, colour, dash) in SOURCES.items()
+            ]
+            scores = study.estimators[test]
+            title = f"{dof}DOF, {motion_words(test)}"
+            alt = (
+                f"DI of the heaviest payload over time, {title}; over all payloads R² is "
+                f"{scores['observer'].r2_di:.2f} for the observer and "
+                f"{scores['lagged'].r2_di:.2f} for the lagged regressor."
+            )
+            charts.append(Chart(title, alt, lines))
+    mixed = any(len(study.training.phase_2_rad) > 1 for study in studies.values())
+    return Figure(
+        "DI without motion capture",
+        "Heaviest payload of each test" + (", 2DOF at its smallest phase." if mixed else "."),
+        line_panels(charts, TIME.label("time"), DEFORMATION.label("DI"), ylim=(0, None)),
+        legend=[LegendEntry(colour, label, dash) for label, colour, dash in SOURCES.values()],
+    )
+
+
+def predictors_by_payload(studies: Mapping[int, StudyDocument]) -> Figure:
+    """Draw the mean distance of every tip predictor by payload, on every test."""
+    charts, payloads_kg = [], []
+    for dof, study in studies.items():
+        for test, of_test in study.tests.items():
+            payloads_kg = list(of_test.payload_kg)
+            distances = {
+                key: LENGTH.shown([by_payload[f"{kg:g}"] for kg in payloads_kg])
+                for key, by_payload in _by_payload(study, test).items()
+            }
+            lines = [
+                Line(payloads_kg, values, *PREDICTORS[key][1:], marker="o")
+                for key, values in distances.items()
+            ]
+            listed = "; ".join(
+                f"{PREDICTORS[key][0]} {values.min():.1f} to {values.max():.1f} mm"
+                for key, values in distances.items()
+            )
+            alt = f"Mean distance to the measured end effector by payload: {listed}."
+            charts.append(Chart(f"{dof}DOF, {motion_words(test)}", alt, lines))
+    degrees = ", ".join(f"{dof}DOF {study.chosen_degree}" for dof, study in studies.items())
+    return Figure(
+        "Tip error by predictor",
+        f"Polynomials at the degree that cross-validation on trial 1 selected ({degrees}).",
+        line_panels(
+            charts, PAYLOAD.label("payload"), LENGTH.label("mean distance"), log=True,
+            xticks=payloads_kg,
+        ),
+        legend=[LegendEntry(colour, label, dash) for label, colour, dash in PREDICTORS.values()],
+    )  # fmt: skip
+
+
+def _by_payload(study: StudyDocument, test: str) -> dict[str, dict[str, float]]:
+    """Mean distance of each predictor by payload in kg, and over all of them ("pooled")."""
+    table, degree = study.mean_euclidean_distance_m[test], str(study.chosen_degree)
+    return {
+        "rigid": study.baselines[test].rigid_kinematics,
+        "without": {part: variants["without_di"][degree] for part, variants in table.items()},
+        "estimated": {part: variants["estimated_di"][degree] for part, variants in table.items()},
+        "true": {part: variants["with_di"][degree] for part, variants in table.items()},
+        "observer": study.baselines[test].observer_tip,
+    }
+
+
+def predictor_table(studies: Studies) -> Table:
+    """Return the mean distance over payloads at the chosen degree, also by phase if they differ."""
+    rows = []
+    for name, study in studies.items():
+        for test, deployed in study.deployed.items():
+            distances = _by_payload(study, test)
+            for part, covered in deployed.interval_coverage_by_part.items():
+                if part != "pooled" and not part.startswith("phase_"):
+                    continue
+                phase = f", phase {part[6:-3]}° of it" if part != "pooled" else ""
+                rows.append(
+                    [
+                        f"{name}, {motion_words(test)}{phase}", str(study.chosen_degree),
+                        *(LENGTH.number(by_part[part]) for by_part in distances.values()),
+                        FRACTION.text(covered, 1),
+                    ]
+                )  # fmt: skip
+    return Table(
+        f"Mean Euclidean distance in {LENGTH.name}, all payloads",
+        ["", "degree", "rigid link", "without DI", "estimated DI", "true DI", "observer's tip",
+         "interval covers"],
+        rows,
+        "The interval is the predictor's 95\u00a0% prediction interval; what it covers is the mean "
+        "over the axes that move. It is calibrated on payloads left out of training, so its "
+        "coverage of the training payloads is higher.",
+    )  # fmt: skip
+
+
+def di_estimator_table(studies: Mapping[int, StudyDocument]) -> Table:
+    """Return the accuracy of the three estimators of DI on every test."""
+    rows = []
+    for dof, study in studies.items():
+        for test, by_source in study.estimators.items():
+            for source, scores in by_source.items():
+                gain = scores.benefit_recovered[DI_GAIN_DEGREE]
+                rows.append(
+                    [
+                        f"{dof}DOF, {motion_words(test)}", source,
+                        f"{scores.r2_di:.2f}".replace("-", "−"),
+                        DEFORMATION.number(scores.rms_error_di, 3),
+                        LENGTH.number(scores.mean_euclidean_distance_m[DI_GAIN_DEGREE]),
+                        NO_VALUE if gain is None else FRACTION.text(gain).replace("-", "−"),
+                    ]
+                )  # fmt: skip
+    return Table(
+        "Estimators of DI",
+        ["", "estimator", "R² of DI", f"RMS error of DI, {DEFORMATION.name}",
+         f"distance at degree {DI_GAIN_DEGREE}, {LENGTH.name}", "gain recovered"],
+        rows,
+        "Gain: reduction of the mean Euclidean distance by true DI, compared with no DI. Each "
+        "predictor was trained on the DI of its own estimator, on trial 1.",
+    )  # fmt: skip
+
+
+def candidate_table(documents: Mapping[int, PredictorsDocument]) -> Table:
+    """Return errors, coverage and size of every candidate, on held-out rows and on every test."""
+    rows, notes = [], []
+    for dof, document in documents.items():
+        for name, entry in document.candidates.items():
+            chosen = ", chosen" if name == document.chosen else ""
+            for test, score in scores_of(entry):
+                rows.append(
+                    [
+                        f"{dof}DOF, {name}{chosen}", motion_words(test),
+                        *map(LENGTH.number, (score.mean_m, score.p95_m, score.max_m)),
+                        coverage_text(score.coverage, score.coverage_least),
+                        FRACTION.text(score.in_range),
+                        LENGTH.number(score.max_in_range_m), latency_text(entry.latency),
+                        FILE_SIZE.text(entry.graph_bytes),
+                    ]
+                )  # fmt: skip
+        notes.append(f"{dof}DOF: {document.reason}")
+        if document.runtimes:
+            costs = ", ".join(f"{r} {latency_text(v)}" for r, v in document.runtimes.items())
+            notes.append(f"Observer and predictor together, warm / cold in {DELAY.name}: {costs}.")
+    return Table(
+        f"Candidates for the robot's predictor, Euclidean distance in {LENGTH.name}",
+        ["", "test", "mean", "95th percentile", "maximum", COVERS, "in range",
+         "maximum in range", f"warm / cold in {DELAY.name}", "graph"],
+        rows, " ".join(notes),
+    )  # fmt: skip

@@ -1,0 +1,111 @@
+"""The page of a gap: what it reads, what it concludes, and that it says when a name was wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from dropstitch.__main__ import main
+from hil.report.gap_results import before_after, fraction_removed, read_gap
+
+HIDDEN = {"stiffness_softening": 0.2}
+
+
+@pytest.fixture
+def copy(gap_build, tmp_path):
+    """A copy of the directory, to damage."""
+    return shutil.copytree(gap_build, tmp_path / "gap")
+
+
+def edited(path, change):
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def test_fmu_and_diagnosis_are_judged_by_the_files(gap_build, plant_before):
+    data = before_after(read_gap(gap_build, plant_before), HIDDEN)
+    assert data.fmu.worst_difference < 1e-9
+    assert data.fmu.passed is True
+    # The trials are the improved plant's own: nothing is left but that they are stored in a file.
+    assert data.fmu.tip_rms_m["before"] > 1e-3
+    assert data.fmu.tip_rms_m["after"] < 1e-6
+    row = data.hidden["stiffness_softening"]
+    assert row.found == pytest.approx(0.19)
+    assert "0.2 hidden" in row.said and "0.19 ± 0.01 found" in row.said
+
+
+def test_an_fmu_of_another_plant_is_detected(copy, plant_before):
+    for before in copy.glob("fmpy_before_*/result.csv"):
+        shutil.copy(before, before.parent.parent / before.parent.name.replace("before", "after"))
+    fmu = before_after(read_gap(copy, plant_before), HIDDEN).fmu
+    assert fmu.worst_difference > 1e-3
+
+
+def test_names_are_compared_with_what_was_hidden(copy, plant_before):
+    def change(document):
+        (row,) = document["named"]
+        row["parameters"]["softening_share"]["before"] = 0.05
+        row["look_alikes"] = [{"effects": ["creep", "backlash"], "separation": 9.0}]
+
+    edited(copy / "found" / "gap.json", change)
+    inputs = read_gap(copy, plant_before)
+    strength = before_after(inputs, HIDDEN).hidden["stiffness_softening"].found
+    assert strength == pytest.approx(0.14), "a strength that was there before does not count"
+    alike = before_after(inputs, {"creep": 0.3})
+    assert "look-alike stiffness softening" in alike.hidden["creep"].said
+    joint = before_after(inputs, {"dead_time:2": 0.01})
+    assert joint.hidden["dead_time:2"].said == "dead time of joint 2 was hidden and not named"
+    assert joint.also_named == ["stiffness_softening"]
+
+
+def test_the_fraction_removed_needs_a_gap():
+    assert fraction_removed({"before": 5.0, "after": 2.0, "without": 1.0}) == pytest.approx(0.75)
+    assert fraction_removed({"before": 5.0, "after": 6.0, "without": 1.0}) == pytest.approx(-0.25)
+    assert fraction_removed({"before": 1.05, "after": 1.0, "without": 1.0}) is None
+    assert fraction_removed({"before": 5.0, "after": 2.0}) is None
+
+
+def test_a_run_without_motion_has_no_figure_and_plans_have_theirs(copy, plant_before, capsys):
+    def stop(timing):
+        nothing = dict.fromkeys(timing["prediction_error"])
+        timing["prediction_error"] = nothing | {"n": 0, "parts": {}}
+
+    for timing in copy.glob("sil_after_*/timing.json"):
+        edited(timing, stop)
+    errors_m = {"rigid": 0.05, "before": 0.01, "after": 0.002}
+    for variant, rms_m in errors_m.items():
+        shutil.copytree(copy / "sil_before_2", copy / f"plan_{variant}")
+        path_error = {"rms_m": rms_m, "max_m": 0.1, "path_rms_m": 0.1, "rows": 9}
+        edited(
+            copy / f"plan_{variant}" / "timing.json",
+            lambda timing, row=path_error: timing.update(path_errors=[row]),
+        )
+    command = ["report", "gap", str(copy), "--plant", str(plant_before), "--hide", "creep=0.3"]
+    assert main([*command, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["robot"]["tip_mean_m"]["after"] is None
+    assert data["robot"]["tip_mean_m"]["before"] > 0
+    assert data["path_rms_m"] == errors_m
+    page = (copy / "report.html").read_text(encoding="utf-8")
+    assert "The tip on its path" in page and "25.0" in page
+    assert "Creep was hidden and not named" in page
+
+
+@pytest.mark.parametrize(
+    "missing", ["found/gap.json", "fmpy_after_2.json", "sil_before_2", "check_twin_1dof.json"]
+)
+def test_a_missing_file_is_named_with_its_remedy(copy, plant_before, capsys, missing):
+    path = copy / missing
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert main(["report", "gap", str(copy), "--plant", str(plant_before)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and missing in err and "make gap-demo" in err
+
+
+def test_the_command_writes_the_page_and_names_it(gap_command):
+    out, text = gap_command
+    assert text.splitlines()[-1] == str(out)
+    assert "http://" not in out.read_text(encoding="utf-8").replace("http://www.w3.org", "")
