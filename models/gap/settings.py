@@ -18,7 +18,8 @@ class GapSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     same_link: bool = False
     """Whether the link is the one that the plant was identified on, unchanged since. Its stiffness,
-    mass and damping are not refitted then, so fainter effects show, as creep and hysteresis."""
+    mass and damping are refitted within a third of the usual range then and not written, so fainter
+    effects show, as creep and hysteresis."""
     equation_error_fraction: float = 0.1
     """Fraction of its d′ that the equation of a named effect may miss. A further effect must
     explain more than that."""

@@ -43,8 +43,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--same-link", action="store_true",
-        help="the link is the one that the plant was identified on, unchanged since: it is not "
-        "refitted then, and fainter effects show, as creep and hysteresis",
+        help="the link is the one that the plant was identified on, unchanged since: fainter "
+        "effects show then, as creep and hysteresis",
     )  # fmt: skip
 
 

@@ -74,9 +74,7 @@ def notes_in_words(document: GapDocument) -> list[str]:
     notes += _own_error(document)
     notes += [_changed_in_words(row) for row in document.changed_conditions]
     if document.settings.same_link:
-        notes.append(
-            "The link is taken for the one that the plant was identified on, and not refitted."
-        )
+        notes.append("The link is taken for the one that the plant was identified on.")
     return notes
 
 

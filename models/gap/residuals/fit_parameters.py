@@ -43,6 +43,9 @@ moment, which stayed within 5 % on links of drawn rigs that changed. A fifth, si
 equations make the cost of a large gap some 25 times too certain (docs/decisions.md, "Gap
 workflow"). The limit moment changes with the pressure, as the stiffness does: fixed, a change of
 the link went into the variation of pressure between trials."""
+SAME_LINK_FRACTION: Final = 0.3
+"""Factor on these where the link is the one that the plant was identified on: what its estimates
+miss, and what a day changes [assumed]."""
 BOUND_PRIOR_FRACTION: Final = 0.25
 """Standard deviation of a nuisance parameter of other loads, as a fraction of the distance between
 its bounds [assumed]."""
@@ -126,8 +129,7 @@ def all_fit_parameters(
     """Fit parameters of nuisance, trial variation and every candidate of a catalogue.
 
     `is_known`: whether a plant of another load was identified, and on none of these trials.
-    `same_link`: whether the link is the one that the plant was identified on, so that its values
-    are not refitted.
+    `same_link`: whether the link is the one that the plant was identified on.
     """
     dof = trials[0].meta.dof
     effects = [
@@ -167,9 +169,10 @@ def nuisance_fit_parameters(
             for q in plant.parameters.values() if q.role != "fixed" and q.name in names
         ]  # fmt: skip
     result = []
-    for part, fraction in ({} if same_link else NUISANCE_PRIOR_FRACTION).items():
+    scale = SAME_LINK_FRACTION if same_link else 1.0
+    for part, fraction in NUISANCE_PRIOR_FRACTION.items():
         for name in (n for n in names if part in n and full.parameters[n].role == "nuisance"):
-            result.append(_relative(full.parameters[name], fraction))
+            result.append(_relative(full.parameters[name], scale * fraction))
     shift_m, clock_s = FRAME_SHIFT_PRIOR_M, CLOCK_LIMIT_S
     for axis in TIP:
         name = f"frame shift {axis[4]}"

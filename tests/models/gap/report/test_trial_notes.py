@@ -45,7 +45,7 @@ def test_everything_that_a_reader_has_to_know_is_noted(notes):
     for words in (
         "p2_r2 (1 kg) is left out", "8.9 noise floors", "heavy from row 310", "5000 of long",
         "identify the plant on trials of this motion too: 1dof steps", "3.9 times at 2 kg",
-        "and not refitted",
+        "The link is taken",
     ):  # fmt: skip
         assert words in text
 

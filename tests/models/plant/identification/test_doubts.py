@@ -128,7 +128,6 @@ def test_trials_of_another_link_are_refused(trials, change):
         ["identify", "--out", "plant.json"],
         ["evaluate"],
         ["gap", "--out", "gap"],
-        ["calibrate"],
     ],
 )
 def test_every_command_that_compares_trials_with_a_plant_refuses(
