@@ -40,8 +40,8 @@ endef
 # The same for a command whose verdict belongs in the report, whatever it is (exit codes 1 and 3).
 judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 
-.PHONY: help help-all setup demo gap-demo tip-demo test test-fast sil figures docs clean lint pytest mutate \
-  test-durations experiment-demo link-demo fmu-all ssp faults recorded-runs soak fuzz fuzz-fmu hitl hitl-emulated \
+.PHONY: help help-all setup demo gap-demo tip-demo test test-all sil figures docs clean lint pytest mutate \
+  experiment-demo link-demo fmu-all ssp faults recorded-runs soak fuzz fuzz-fmu hitl hitl-emulated \
   wheelhouse lock
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -51,8 +51,8 @@ help:
 	@echo "make demo       the whole chain from trials to the report; 10 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect in the rig, finds it, adds it to the plant; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle on the rig; 5 minutes more"
-	@echo "make test       lint, types, import contracts and all tests; 17 minutes"
-	@echo "make test-fast  the same without the slow tests; 5 minutes"
+	@echo "make test       lint, types, import contracts and the tests; 5 minutes"
+	@echo "make test-all   the same with the slow tests; 15 minutes"
 	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict; 3 minutes without the demo"
 	@echo "make figures    measures docs/figures.md; 45 minutes. ONLY='tip loop' prints parts and writes nothing"
 	@echo "make docs       the documentation as a site, its notebooks run; 3 minutes"
@@ -73,7 +73,6 @@ help-all: help
 	@echo "                (ONLY, SEED, COUNT)"
 	@echo "make hitl       tests on a real servo at DROPSTITCH_HITL_PORT; hitl-emulated: on an emulated one"
 	@echo "make lint       ruff, mypy and import contracts; make pytest: the tests alone"
-	@echo "make test-durations  measures the tests and renews tests/slow.txt"
 	@echo "make recorded-runs  records anew the runs that every change has to answer as before"
 	@echo "make wheelhouse the wheels that a robot PC without network installs from"
 	@echo "make lock       renews requirements/ from pyproject.toml"
@@ -350,18 +349,15 @@ figures: $(READY)
 
 # Lint runs beside the tests; the output of each is printed when it ends.
 test: $(READY)
-	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest
-
-test-fast: $(READY)
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest PYTEST_OPTIONS='-m "not slow"'
+
+test-all: $(READY)
+	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest
 
 # worksteal gives each process one half of the tests in their order, so that most fixtures are
 # built once; a process that has finished takes over tests of the other.
 pytest: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_OPTIONS)
-
-test-durations: $(READY)
-	$(BIN)/python -m pytest -n 0 --record-slow
 
 lint: $(READY)
 	$(BIN)/ruff check .

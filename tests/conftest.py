@@ -16,11 +16,7 @@ from models.plant.step_model import StepModel, Variable, runge_kutta
 from models.shared.kinematics import base_rotation
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from tests.compiler_options import pytest_runtest_protocol  # noqa: F401 (hook of pytest)
-from tests.durations import (  # noqa: F401 (hooks of pytest)
-    pytest_addoption,
-    pytest_collection_modifyitems,
-    pytest_configure,
-)
+from tests.durations import pytest_terminal_summary  # noqa: F401 (hook of pytest)
 
 STEP_S, PERIOD_S, REST = 0.017, 4.352, 20
 OFFSET_M, LENGTH_M, WIDTH_M = 0.06, 0.95, 0.15

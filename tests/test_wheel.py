@@ -17,6 +17,8 @@ from dropstitch.__main__ import main as dropstitch
 from firmware_py.commands.command_table import COMMANDS
 from firmware_py.core.console import Command
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 WORKSHOP_ONLY = ("sklearn", "casadi", "mujoco", "fmpy", "scipy", "skl2onnx", "models", "fmu", "hil")
 

@@ -14,6 +14,8 @@ from models.gap.training.case_runs import (
 from models.gap.training.cases import PAYLOAD_SETS, HiddenCase, hidden_cases
 from models.plant.plant import read_plant
 
+pytestmark = pytest.mark.slow
+
 FEW_KG = (0.0, 2.0)
 
 

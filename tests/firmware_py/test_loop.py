@@ -57,6 +57,7 @@ def test_slots_that_have_begun_are_skipped_and_phase_is_kept(duration_ns, missed
     assert summary.ended is Ended.FINISHED
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=50)  # a run takes 0.1 s; a busy machine must not fail it
 @given(st.dictionaries(st.integers(1, 400), st.integers(0, 3 * PERIOD_NS), max_size=20))
 def test_no_two_ticks_share_a_slot_and_none_starts_early(delays):

@@ -82,6 +82,7 @@ def call(capsys, *arguments):
     return code, capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     tmp_path, servos, config, toy_bundle, capsys
 ):
@@ -124,6 +125,7 @@ def test_a_run_is_logged_replayed_and_imported_as_a_trial(
     assert np.isfinite(trial.columns["predicted_tip_z_m"]).all()
 
 
+@pytest.mark.slow
 def test_a_replay_through_another_bundle_disagrees(
     tmp_path, servos, config, toy_bundle, capsys, monkeypatch
 ):
@@ -297,6 +299,7 @@ def test_without_a_log_a_doubtful_payload_is_told(servos, config, capsys, monkey
     assert not list(config.parent.rglob("*.mcap"))
 
 
+@pytest.mark.slow
 def test_a_run_is_shown_live_with_or_without_a_file(servos, config, capfd):
     config.write_text("record = false\n" + config.read_text() + "[live]\nport = 0\n")
     code, output = call(capfd, "run", "--config", config, "--live", "--json")
@@ -358,6 +361,7 @@ def test_the_service_is_shown_before_it_is_written(config, tmp_path, capsys):
     assert all(path.read_text() in shown for path in written)
 
 
+@pytest.mark.slow
 def test_a_run_tells_systemd_when_it_is_ready_and_when_it_stops(
     servos, config, capsys, monkeypatch, tmp_path
 ):

@@ -4,6 +4,7 @@ import gc
 import tracemalloc
 
 import numpy as np
+import pytest
 
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
@@ -64,6 +65,7 @@ def test_the_stages_add_up_to_the_tick():
     assert np.all(sum(rows[f"{stage}_ns"] for stage in STAGES[1:]) == rows["busy_ns"])
 
 
+@pytest.mark.slow
 def test_a_tick_leaves_no_memory_behind():
     clock = SimClock()
     models = {1: MODELS[54024], 2: MODELS[54024]}

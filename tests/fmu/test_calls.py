@@ -167,6 +167,7 @@ def test_of_several_inputs_none_is_taken_where_one_is_out_of_bounds(instance):
     assert instance.get(["torque_nm", "payload_kg"]).tolist() == [1.0, 0.25]
 
 
+@pytest.mark.slow
 def test_the_commands_refuse_a_payload_out_of_bounds_in_one_sentence(bundle_1dof, tmp_path, capsys):
     twin, out = str(tmp_path / "twin.fmu"), str(tmp_path / "run")
     assert main(["fmu", "build", str(bundle_1dof), "--out", twin]) == 0

@@ -88,6 +88,7 @@ def _trial_of(columns, directory):
     return write_trial(trial, directory)
 
 
+@pytest.mark.slow
 def test_a_trial_gives_the_inputs_row_by_row(twin, bundle_1dof, tmp_path, capsys):
     """A trial recorded from the twin: the twin repeats it, the observer finds its tip."""
     assert main(["fmu", "simulate", str(twin), "--out", str(tmp_path), "--payload-kg", "1"]) == 0
@@ -150,6 +151,7 @@ def test_check_fails_an_fmu_whose_binary_lacks_a_function(twin, tmp_path, capsys
     assert "lacks fmi3GetClock" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_check_fails_a_description_without_units(twin, tmp_path, capsys):
     def strip(files):
         xml = files["modelDescription.xml"].decode()

@@ -49,6 +49,7 @@ def built(request, bundle, fmu_of):
     return fmu_of(kind, bundle), read_parts(kind, dof, bundle)
 
 
+@pytest.mark.slow
 def test_the_command_passes_each_fmu(built, capsys):
     path, parts = built
     assert main(["fmu", "check", str(path), "--json"]) == 0
@@ -157,6 +158,7 @@ def test_a_plant_without_the_predictors_features_is_refused(bundle_1dof, toy):
         fmu_models._with_predictor(toy, read_parts("twin", 1, bundle_1dof))
 
 
+@pytest.mark.slow
 def test_check_notices_another_plant(bundle_1dof, fmu_of, tmp_path, capsys):
     plant = read_parts("twin", 1, bundle_1dof).plant
     mass_kg = plant.parameters["link_mass_kg"].value

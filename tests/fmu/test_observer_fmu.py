@@ -47,6 +47,7 @@ def test_the_robot_accepts_the_completed_bundle(completed):
         assert any(name.startswith(folder) for name in held)
 
 
+@pytest.mark.slow
 def test_golden_ticks_are_the_plants(completed, bundle):
     """The motion is the bundle's own; the answers are those of the run that the study makes."""
     manifest = read_manifest(completed)
@@ -81,6 +82,7 @@ def test_a_sample_that_is_no_number_is_answered_with_nan_and_not_taken(completed
     np.testing.assert_allclose(follow(), golden.di[10:20], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_swapped_observer_is_refused_by_its_golden_ticks(completed, tmp_path):
     """An FMU of another plant with its correct hash in the manifest: the replay detects it."""
     directory = tmp_path / "bundle"

@@ -200,6 +200,7 @@ def test_the_sources_are_c99_to_gcc(sources, tmp_path):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (shutil.which("cmake") and shutil.which("gcc")), reason="no cmake or gcc")
 @pytest.mark.parametrize("sources", [3], indirect=True)
 def test_fmpy_compiles_the_sources(toy, sources, tmp_path):

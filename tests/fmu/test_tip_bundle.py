@@ -102,6 +102,7 @@ def test_training_counts_the_rows_out_of_range_as_the_robot_does(trained, observ
     ).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_observer_passes_its_check_and_takes_the_age_of_a_sample_as_zero(observed, capsys):
     assert dropstitch(["fmu", "check", str(observed / "observer.fmu")]) == 0
     assert "NOT sound" not in capsys.readouterr().out

@@ -17,6 +17,7 @@ def readers():
     return {reader.name: reader for reader in every_reader()}
 
 
+@pytest.mark.slow
 def test_every_reader_uses_or_refuses_a_slice_of_inputs(readers, tmp_path):
     failures = {}
     for name, reader in readers.items():

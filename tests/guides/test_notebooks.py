@@ -11,6 +11,8 @@ from matplotlib import pyplot
 
 from tests.house.each_file import ROOT
 
+pytestmark = pytest.mark.slow
+
 FOLDER = ROOT / "docs" / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 

@@ -13,6 +13,8 @@ from sphinx.cmd.build import main as sphinx_build
 
 from tests.house.each_file import ROOT
 
+pytestmark = pytest.mark.slow
+
 DOCS = ROOT / "docs"
 
 

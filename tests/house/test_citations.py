@@ -9,6 +9,8 @@ import re
 import tokenize
 from pathlib import Path
 
+import pytest
+
 from tests.house.each_file import ROOT, each_file, tree_of
 
 ROOMS = ("firmware_py", "models", "fmu", "hil", "dropstitch", "bench", "tests")
@@ -90,6 +92,7 @@ def test_nothing_cites_a_document_outside_the_repository(path):
     assert not re.findall(rf"\b(?:{'|'.join(OUTSIDE)})\b", text)
 
 
+@pytest.mark.slow
 @each_file([*MARKDOWN, *PYTHON, *DATA])
 def test_cited_sections_and_files_are_there(path):
     text = prose(path)

@@ -13,6 +13,8 @@ from firmware_py.commands.command_table import COMMANDS
 from tests.house import emulated_windows
 from tests.house.each_file import ROOT, each_file, tree_of
 
+pytestmark = pytest.mark.slow
+
 SOURCES = [p for room in emulated_windows.ROOMS for p in sorted((ROOT / room).rglob("*.py"))]
 
 

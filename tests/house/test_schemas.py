@@ -20,6 +20,7 @@ def written(directory):
     return {p.relative_to(directory).as_posix(): p.read_text(encoding="utf-8") for p in files}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(schema_files()))
 def test_a_schema_file_is_that_of_its_document(name):
     file = ROOT / "docs" / "schema" / name

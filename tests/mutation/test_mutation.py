@@ -73,6 +73,7 @@ def chosen(path, old, new):
     return [m for m in mutants(path) if (m.old, m.new) == (old, new)]
 
 
+@pytest.mark.slow
 def test_a_mutant_is_killed_survives_or_hangs(toy):
     assert results(toy, [None]) == ["survived"]
     assert results(toy, chosen(toy, "value > most", "value >= most")) == ["killed"]
@@ -81,6 +82,7 @@ def test_a_mutant_is_killed_survives_or_hangs(toy):
     assert "toy_of_mutation" not in sys.modules
 
 
+@pytest.mark.slow
 def test_a_program_that_a_test_starts_runs_the_mutant(toy):
     (toy.parent / "test_toy.py").write_text(IN_A_PROGRAM)
     assert results(toy, [None]) == ["survived"]

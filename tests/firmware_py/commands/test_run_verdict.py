@@ -21,6 +21,7 @@ def file_limit():
     resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.slow
 def test_a_log_that_lacks_ticks_is_no_success(servos, config, capsys, file_limit):
     file_limit(20_000)
     code, output = call(capsys, "run", "--config", config, "--seconds", "1", "--json")
@@ -33,6 +34,7 @@ def test_a_log_that_lacks_ticks_is_no_success(servos, config, capsys, file_limit
     assert "full disk" in output.err
 
 
+@pytest.mark.slow
 def test_a_recorder_that_says_no_number_is_no_success(servos, config, capsys, monkeypatch):
     monkeypatch.setattr("firmware_py.log.recorder._await_end", lambda _: None)
     code, output = call(capsys, "run", "--config", config, "--json")
@@ -40,6 +42,7 @@ def test_a_recorder_that_says_no_number_is_no_success(servos, config, capsys, mo
     assert "holds an unknown number of" in output.err
 
 
+@pytest.mark.slow
 def test_a_payload_that_the_bundle_does_not_use_is_told(servos, config, toy_bundle, capsys):
     config.write_text("payload_kg = 9.0\n" + config.read_text())
     code, output = call(capsys, "run", "--config", config, "--json")

@@ -305,6 +305,7 @@ def test_a_missing_module_of_a_package_that_is_there_is_an_error_of_ours(dispatc
         dispatched(lacking)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "offered"),
     [

@@ -55,6 +55,7 @@ def test_range_ends_at_the_bounds_that_the_manifest_names(predictor, toy_bundle)
         assert np.isnan(answer.half_width_m).all()
 
 
+@pytest.mark.slow
 def test_a_tick_leaves_nothing_allocated(predictor):
     angle_rad, current_a = np.array([0.1]), np.array([0.4])
     predictor.predict(angle_rad, current_a, 0.002)

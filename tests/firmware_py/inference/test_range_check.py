@@ -88,6 +88,7 @@ def test_each_cause_is_counted_apart():
     assert all(words in note for words in ("innovation 1 reached 400.0 mA", "±46.0 mm", "late"))
 
 
+@pytest.mark.slow
 def test_the_summary_of_a_run_names_the_input(servos, config, toy_bundle, tmp_path, capsys):
     current_a = 20.0
     config.write_text(config.read_text().replace("[limits]", "[limits]\ncurrent_a = 90.0"))

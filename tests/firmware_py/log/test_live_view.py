@@ -98,6 +98,7 @@ with subscribed(sys.argv[1]) as (viewer, _):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fate", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_viewer_that_dies_or_stands_still_costs_the_log_nothing(tmp_path, capfd, fate):
     records, path = ticks(3000), tmp_path / "run.mcap"
@@ -176,6 +177,7 @@ def test_an_address_that_cannot_be_listened_at_is_refused_before_the_start(capfd
 # --- who is admitted ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", ["https://evil.example", "null", "http://127.0.0.1:8000", ""])
 def test_a_page_of_another_site_is_refused(capfd, origin):
     with recording(None, 1, 0, {}, live=ANYWHERE):
@@ -197,6 +199,7 @@ def test_no_end_of_a_line_hides_an_origin(end):
         gate.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", [*ORIGINS, None])
 def test_foxglove_and_programs_that_are_no_browser_are_admitted(capfd, origin):
     with (

@@ -150,6 +150,7 @@ TAILS = {"nothing": b"", "zeros": bytes(4096), "litter": bytes(range(256)) * 4}
 """What a file system may leave behind the cut."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tail", TAILS.values(), ids=TAILS)
 def test_a_log_cut_off_at_a_seam_is_read_up_to_its_last_whole_chunk(tmp_path, whole, tail):
     size = len(whole.data)
@@ -203,6 +204,7 @@ def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
     assert on_disk[-1] > 70
 
 
+@pytest.mark.slow
 def test_the_file_is_complete_though_the_loop_was_killed(tmp_path):
     path = tmp_path / "run.mcap"
     code = f"""
@@ -271,6 +273,7 @@ def limited(path, most):
     )
 
 
+@pytest.mark.slow
 def test_a_disk_that_is_full_at_the_start_is_told_and_keeps_no_empty_file(tmp_path):
     ended = limited(tmp_path / "run.mcap", 0)
     assert str(tmp_path / "run.mcap") in ended.stdout and "File too large" in ended.stdout
@@ -278,6 +281,7 @@ def test_a_disk_that_is_full_at_the_start_is_told_and_keeps_no_empty_file(tmp_pa
     assert ended.stderr == "", "no traceback of the recorder"
 
 
+@pytest.mark.slow
 def test_a_disk_that_fills_during_the_run_leaves_a_count_of_what_the_log_holds(tmp_path):
     ended = limited(tmp_path / "run.mcap", 60_000)
     logged, readable = map(int, ended.stdout.split())

@@ -8,6 +8,7 @@ import pytest
 from tests.fmu.fuzz.fuzzer import build_fuzzer, fuzz
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_no_sequence_of_calls_breaks_the_fmu(toy, tmp_path, fmi):

@@ -80,6 +80,7 @@ def test_a_campaign_leaves_results_summary_failures_and_a_page(ran):
         assert words in page
 
 
+@pytest.mark.slow
 def test_dask_gives_the_same_bytes_and_blames_the_same_cases(ran):
     pytest.importorskip("distributed")
     where, _, text = ran
@@ -113,6 +114,7 @@ def test_results_of_other_code_do_not_count(tmp_path, capsys, monkeypatch):
     assert "the campaign has other code" in printed.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executor", ["processes", "dask"])
 def test_workers_killed_from_outside_lose_no_case(tmp_path, executor):
     if executor == "dask":
@@ -135,6 +137,7 @@ def test_workers_killed_from_outside_lose_no_case(tmp_path, executor):
     assert not list((tmp_path / "out/failures").iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "executor"),
     [

@@ -86,6 +86,7 @@ def test_a_refused_priority_is_told_once_and_the_servos_are_served(monkeypatch, 
     assert said.err == f"{NOT_REAL_TIME}\n"
 
 
+@pytest.mark.slow
 def test_a_termination_leaves_no_socket(tmp_path):
     path = tmp_path / "bus"
     process, port = started("--line", "socket", "--path", path)

@@ -306,6 +306,7 @@ def test_a_legacy_pro_does_not_know_the_fast_sync_read(bus_of):
     assert together(bus_of(LEGACY, ids=(1, 2)), (1, 2), 611, 4) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [LEGACY, PRO_A, X])
 @given(data=st.data())
 def test_indirect_data_shows_and_sets_what_its_entries_name(bus_of, number, data):

@@ -46,6 +46,7 @@ def options(bundle, tmp_path):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_run_is_reproducible_and_its_seed_is_its_variation(options):
     first, second = run_sil(options), run_sil(options)
     assert first.summary.ended is Ended.FINISHED
@@ -87,6 +88,7 @@ def test_time_that_is_too_short_for_a_step_is_not_lost():
     assert apart.angle_rad[0] == together.angle_rad[0] != 0.0
 
 
+@pytest.mark.slow
 def test_a_run_becomes_a_trial_and_says_what_stood_behind_the_servos(options):
     options = replace(options, rig=RigSource({"prebend": 0.01}))
     timing = write_results(run_sil(options), options)

@@ -50,6 +50,7 @@ def run(robot, row, number=PRO_A, seed=5):
     return judge_case(case, virtual_case.run_virtual(robot, row, number, seed), PERIOD_S)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", VIRTUAL, ids=lambda row: f"{row.fault}, {row.how}")
 def test_every_fault_ends_as_its_row_says(robot, row):
     for number in row.models:
@@ -150,6 +151,7 @@ _TRIES = 3
 """The host may disturb the course of a run in real time, but not its safety."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "how"),
     [

@@ -136,12 +136,14 @@ def test_the_page_shows_the_figures_of_the_paper_and_of_the_files(build, html):
     assert re.findall(r"<li><code>(.*?)</code>", html) == commands[1:], "each once, the last use"
 
 
+@pytest.mark.slow
 def test_the_same_inputs_give_the_same_page(build, html):
     again = report_page(read_build(build))
     one, two = (re.sub(r"Written .*? UTC", "", text) for text in (html, again))
     assert one == two
 
 
+@pytest.mark.slow
 def test_text_from_files_is_text(copy_1dof):
     path = copy_1dof / "bundle_1dof" / "study.json"
     study = json.loads(path.read_text())

@@ -16,6 +16,8 @@ from models.rig.drawn import rig_named
 from models.shared.c_compiler import OPTIONS_VARIABLE
 from models.trials.files import read_trial
 
+pytestmark = pytest.mark.slow
+
 LINK = (
     "--length 0.6 --width 0.1 --rows 3 --servo XM430-W350 --mounting hanging --dof 1 "
     "--pressure-pa 20700 --largest-payload-kg 0.4"

@@ -86,6 +86,7 @@ def options(twins, bundles, tmp_path):
     return build
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "dof"), [(54024, 1), (1020, 2)])
 def test_a_virtual_run_is_bit_identical_twice(options, number, dof):
     chosen = options(dof, model=MODELS[number], faults={"lost": 0.02, "late": 0.02})
@@ -156,6 +157,7 @@ def test_faults_of_the_line_are_survived_or_stop_the_robot(options, faults, ende
     assert steps.max() < 0.76 * 0.017 * (records["stale_ticks"].max() + 2)
 
 
+@pytest.mark.slow
 def test_a_run_leaves_log_trial_and_verdict(options):
     chosen = options(2, motion=MotionConfig(phase_2_rad=math.pi / 2), faults={"lost": 0.1})
     result = run_sil(chosen)
@@ -177,6 +179,7 @@ def test_a_run_leaves_log_trial_and_verdict(options):
     assert timing.reason in describe_sil(timing, chosen.out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", ["socket", "pty"])
 def test_the_verdict_on_a_run_in_real_time_follows_from_its_evidence(options, line):
     chosen = options(line=line, seconds=1.0)
@@ -211,6 +214,7 @@ class SlowOnce(RigidPredictor):
         return super().predict(angle_rad, current_a, di)
 
 
+@pytest.mark.slow
 def test_a_run_in_real_time_fails_where_the_loop_computes_longer_than_its_period(options):
     chosen = options(line="socket", seconds=1.0)
     slow = replace(chosen, bundle=replace(chosen.bundle, predictor=SlowOnce()))
@@ -237,6 +241,7 @@ class Interrupter(RigidPredictor):
         return super().predict(angle_rad, current_a, di)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tick", "at_rest"), [(30, True), (120, False)])
 def test_a_run_that_a_signal_ended_early_is_inconclusive_and_leaves_its_trial(
     options, tick, at_rest

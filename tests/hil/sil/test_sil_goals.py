@@ -132,6 +132,7 @@ def options(bundle, plan, twins, tmp_path):
     return build
 
 
+@pytest.mark.slow
 def test_the_robot_sends_the_planned_goals_and_learns_from_the_run(options, bundle, plan, tmp_path):
     chosen = options(runs=2)
     result = run_sil(chosen)
@@ -185,6 +186,7 @@ def test_corrections_of_a_wrong_estimate_stay_within_their_bounds(options, plan)
     assert np.max(np.abs(np.diff(added))) <= plan.feedback.rate_rad_s * PERIOD_S + 1e-9
 
 
+@pytest.mark.slow
 def test_a_plan_improved_by_motion_capture_reaches_its_expected_error_with_a_wrong_observer(
     options, plan, tmp_path
 ):

@@ -106,6 +106,7 @@ def test_a_place_for_no_bundle_is_refused_before_the_trials_are_read(
     assert (tmp_path / "full" / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_several_pressures_and_one_recording_are_warned_of(toy_trials, tmp_path, capsys):
     size = {"link_length_m": 0.95, "link_width_m": 0.15, "base_offset_m": 0.06}
     for trial in toy_trials(1, amplitudes_deg=(30,)):
@@ -122,6 +123,7 @@ def test_several_pressures_and_one_recording_are_warned_of(toy_trials, tmp_path,
     assert read_study(tmp_path / "out" / "study.json").findings
 
 
+@pytest.mark.slow
 def test_another_link_than_the_papers_is_not_compared_with_its_findings(toy_trials, tmp_path):
     size = {"link_length_m": 0.9, "link_width_m": 0.15, "base_offset_m": 0.06}
     for trial in toy_trials(1, amplitudes_deg=(30,)):

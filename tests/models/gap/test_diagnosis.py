@@ -31,6 +31,7 @@ def test_a_dead_time_is_named_with_its_value_and_added(late):
     assert "dead_time" in found.improved.effects
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, diagnosed):
     found = diagnosed(plant, hidden(viscous_friction_1_nm_s_rad=4.0))
     assert found.named == ("viscous_friction",)
@@ -39,6 +40,7 @@ def test_an_effect_that_the_plant_holds_is_named_by_its_change(plant, hidden, di
     assert q.value - before == pytest.approx(4.0, rel=0.2)
 
 
+@pytest.mark.slow
 def test_play_in_the_mount_is_named_as_backlash_and_told_from_that_in_the_gear(
     plant, hidden, diagnosed
 ):
@@ -52,6 +54,7 @@ def test_play_in_the_mount_is_named_as_backlash_and_told_from_that_in_the_gear(
     assert geared.improved.parameters["backlash_mount_fraction"].value == pytest.approx(0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_link_that_is_said_to_be_the_same_is_not_written_as_changed(plant, hidden, diagnosed):
     trials = hidden(link_mass_kg=0.03, root_stiffness_1_nm_rad=12.0)
     found = diagnosed(plant, trials, GapSettings(same_link=True))
@@ -59,6 +62,7 @@ def test_a_link_that_is_said_to_be_the_same_is_not_written_as_changed(plant, hid
     assert found.improved.parameters == found.plant.parameters
 
 
+@pytest.mark.slow
 def test_nuisance_alone_is_refitted_and_never_called_missing(plant, hidden, diagnosed):
     found = diagnosed(
         plant,
@@ -84,6 +88,7 @@ def test_the_improved_plant_is_read_and_simulates_the_trials(late, tmp_path):
     assert np.std(after) < 0.002 * rate_rad_s
 
 
+@pytest.mark.slow
 def test_a_limit_of_the_current_is_named_though_it_shows_nothing_at_first(plant, hidden, diagnosed):
     current_a = max(np.abs(t.current_a).max() for t in hidden())
     limit_a = plant.parameters["current_limit_1_a"].value
@@ -107,6 +112,7 @@ def test_no_nested_model_costs_more(late):
     assert alone.separation >= naming.search.screened["dead_time"]
 
 
+@pytest.mark.slow
 def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden, diagnosed):
     """Its twin follows the rows before the fall; the rows after it are not used."""
     current_a = max(np.abs(t.current_a).max() for t in hidden())
@@ -120,6 +126,7 @@ def test_a_limit_that_lets_the_arm_fall_is_named(plant, hidden, diagnosed):
     assert limit_a - cut.value == pytest.approx(0.7 * current_a, rel=0.03)
 
 
+@pytest.mark.slow
 def test_friction_is_named_beside_a_dead_time(plant, hidden):
     trials = hidden(dead_time_1_s=0.05, coulomb_friction_1_nm=6.0)
     named = ("dead_time", "coulomb_friction")
@@ -131,6 +138,7 @@ def test_friction_is_named_beside_a_dead_time(plant, hidden):
     assert larger == pytest.approx(plant.parameters["coulomb_friction_1_nm"].value + 6.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_stand_in_is_neither_believed_nor_written(plant, hidden, diagnosed):
     """The encoder's ripple is not in this catalogue."""
     found = diagnosed(plant, hidden(encoder_ripple_1_rad=0.004))

@@ -48,6 +48,7 @@ def mislabelled(trial):
     return replace(trial, meta=msgspec.structs.replace(trial.meta, payload_kg=0.0, trial=3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [bumped, mislabelled])
 def test_the_trial_is_left_out_and_told_and_nothing_is_named(plant, hidden, change):
     trials = hidden()
@@ -62,6 +63,7 @@ def test_the_trial_is_left_out_and_told_and_nothing_is_named(plant, hidden, chan
     assert odd in gap_in_words(document)
 
 
+@pytest.mark.slow
 def test_an_effect_is_found_beside_a_disturbed_trial(plant, hidden):
     trials = hidden(viscous_friction_1_nm_s_rad=4.0)
     name = next(t.name for t in trials if t.meta.payload_kg == 1.0)
@@ -70,6 +72,7 @@ def test_an_effect_is_found_beside_a_disturbed_trial(plant, hidden):
     assert found.named == ("viscous_friction",)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "strengths",
     [{}, {"viscous_friction_1_nm_s_rad": 4.0}, {"dead_time_1_s": 0.02}, {"backlash_1_rad": 0.02}],

@@ -13,6 +13,8 @@ from models.trials.files import read_trials
 from models.trials.trial import Trial, TrialMeta, TrialSet
 from tests.real_data import real_recordings
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = "models/plant/examples"
 STEP_S = 0.005
 CONSIDERED = ("coulomb_friction", "current_saturation")

@@ -1,6 +1,7 @@
 """Slices of real recordings through import, identify, gap and logs left out."""
 
 import numpy as np
+import pytest
 
 from dropstitch.__main__ import main
 from models.gap.report.gap_json import read_gap_document
@@ -9,6 +10,8 @@ from models.plant.identification.evaluation import compare_with_trials
 from models.plant.plant import NOMINAL, read_plant
 from models.trials.files import read_trials
 from tests.real_data import real_recordings
+
+pytestmark = pytest.mark.slow
 
 EXAMPLES = NOMINAL.parent / "examples"
 

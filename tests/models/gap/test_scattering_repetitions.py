@@ -9,6 +9,8 @@ from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 from models.trials.trial import TrialSet
 
+pytestmark = pytest.mark.slow
+
 SCATTER_M = 0.004
 ALL_TRIALS_M = 0.001
 

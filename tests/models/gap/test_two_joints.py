@@ -57,6 +57,7 @@ def test_an_effect_that_servos_share_is_a_candidate_of_each_too(effect, alike):
     assert {n: m for n, m in moved.items() if n != effect} == (single if alike else {})
 
 
+@pytest.mark.slow
 def test_a_fault_of_one_servo_is_named_in_its_joint(two_joints, trials_of):
     name = "viscous_friction_2_nm_s_rad"
     value = two_joints.parameters[name].value
@@ -71,6 +72,7 @@ def test_a_fault_of_one_servo_is_named_in_its_joint(two_joints, trials_of):
     assert "viscous_friction" in found.improved.effects
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "named", "verdict"),
     [(0.0, (), "no gap"), (FRICTION_NM_S_RAD, ("viscous_friction",), "closed")],

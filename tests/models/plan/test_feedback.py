@@ -57,6 +57,7 @@ def test_both_loops_of_two_joints_are_stable_together_and_keep_their_margins():
     assert_stable(control.feedback(tip_part(twin) * filters, unit), twin)
 
 
+@pytest.mark.slow
 def test_the_highest_gain_of_a_known_loop_keeps_both_margins():
     """k/(s (s + 1)²): −180° at 1 rad/s, where the gain is k/2; 45° and 6 dB, some to spare."""
     w = np.geomspace(0.01, 100.0, 20_000)

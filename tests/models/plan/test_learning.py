@@ -160,6 +160,7 @@ def test_a_wrong_estimate_of_the_payload_does_not_change_the_stiffness(plant, pl
     assert after_m < improved.learned[-1].rms_m / 2, "with the same wrong estimate"
 
 
+@pytest.mark.slow
 def test_learning_from_motion_capture_removes_feedback(plant, planned, twin, other):
     assert planned.feedback is not None
     by_mocap, by_robot = (

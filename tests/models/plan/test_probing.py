@@ -88,6 +88,7 @@ def test_the_motion_begins_and_ends_at_rest_and_leaves_little_swing(twin, probe)
         assert np.max(np.abs(tip[probe.rows :] - tip[0])) < 8e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limits", "sentence"),
     [

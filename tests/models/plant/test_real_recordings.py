@@ -25,6 +25,7 @@ def errors_on(recordings, pattern, system, tmp_path, capsys):
     return json.loads(capsys.readouterr().out)["signals"]
 
 
+@pytest.mark.slow
 def test_the_pendulum_follows_all_logs(tmp_path, capsys):
     """Three quarters of what viscous and Coulomb friction alone leave, 62 mrad in the mean."""
     recordings = real_recordings("bam_xl330")

@@ -85,6 +85,7 @@ def test_constant_terms_are_computed_once_per_run(tmp_path):
     assert "pow(" in code["constants"] and "pow(" not in code["rate"]
 
 
+@pytest.mark.slow
 def test_two_threads_never_build_casadi_functions_at_once(monkeypatch):
     model, building, at_once = read_plant().step_model(1, "observer"), [], []
 
@@ -128,6 +129,7 @@ def rolled_out_jacobian(model, wrt, u, p):
     return values.reshape(len(rows), -1, len(wrt))
 
 
+@pytest.mark.slow
 @UNITS
 def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
     monkeypatch.setenv(OPTIONS_VARIABLE, "-O0")  # the run is short, and the same bits
@@ -142,6 +144,7 @@ def test_slopes_are_those_of_the_unrolled_run(bench, dof, unit, monkeypatch):
     assert (np.abs(slopes - expected) <= 1e-10 * scale).all()
 
 
+@pytest.mark.slow
 def test_the_width_of_the_vectors_changes_no_bit(bench, monkeypatch):
     model = read_plant().step_model(1, "twin")
     u, runs = bench.inputs(model, 40), []

@@ -51,6 +51,7 @@ def guarded(seed=0, noise=None):
     return GuardedPredictor.fit(2, features, targets, folds), features
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["normal", "heavy tails"])
 def test_interval_covers_95_percent_of_fresh_data(law):
     covered = []

@@ -48,6 +48,7 @@ def test_markers_at_rest_are_where_the_contract_puts_them(numbers, rigid_markers
     np.testing.assert_allclose(rig.markers_m, rigid_markers(np.zeros((1, 2)))[0], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint, axis", [(0, 0), (1, 1)])
 def test_a_positive_angle_leans_the_link_towards_plus_x_or_plus_y(numbers, joint, axis):
     rig = build_rig(numbers, 2, 0.5)
@@ -61,6 +62,7 @@ def test_a_positive_angle_leans_the_link_towards_plus_x_or_plus_y(numbers, joint
     assert rig.servos[joint].current_a < 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("root_nm_rad", [350.0, 3000.0])
 def test_sag_follows_beam_theory(numbers, root_nm_rad):
     """Gravity along x, weak enough to stay linear: Timoshenko's beam on a root spring."""
@@ -80,6 +82,7 @@ def test_sag_follows_beam_theory(numbers, root_nm_rad):
     assert deflection_m(rig)[0] == pytest.approx(sag, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_payload_beside_the_axis_bends_the_link_by_its_moment(numbers):
     gravity, payload, offset = 0.2, 1.0, 0.05
     values = {"world.gravity_m_s2": gravity, "stiffness.damping_s": 0.03}
@@ -178,6 +181,7 @@ def beam_mode_hz(tip_kg, payload_kg=0.0):
     return slender_hz / math.sqrt((1.0 + turning / moving) * (1.0 + shear + patch))
 
 
+@pytest.mark.slow
 def test_first_mode_of_the_rod_follows_beam_theory_and_converges(rod):
     coarse, used, fine = (first_mode_of_rod_hz(rod, 0.0, n)[0] for n in (4, 8, 16))
     assert used == pytest.approx(beam_mode_hz(0.25), rel=0.003)
@@ -199,6 +203,7 @@ def swing(rig):
     return 0.5 / np.mean(np.diff(turns)[:3]), x[-800:].mean()
 
 
+@pytest.mark.slow
 def test_both_engines_agree_on_first_mode_and_sag(rod, parameters):
     """The same numbers; the laws differ, so the agreement is that of engineering."""
     modes_hz = []
@@ -262,6 +267,7 @@ def test_energy_of_the_hinged_link_never_grows_unforced(name):
     assert max(history[-500:]) < 0.05 * history[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DIFFERENT)
 def test_the_hinged_link_follows_its_goal_and_bends_outwards(name):
     goal = np.array([0.3, -0.2])
@@ -282,6 +288,7 @@ def leaning(parameters):
     return rig.markers_m.copy()
 
 
+@pytest.mark.slow
 def test_effects_outside_the_law_show_on_the_rod_and_none_at_strength_zero(rod):
     plain = leaning(rod)
     nothing = rod.hide(dict.fromkeys(rod.effects(), 0.0))
@@ -291,6 +298,7 @@ def test_effects_outside_the_law_show_on_the_rod_and_none_at_strength_zero(rod):
         assert np.sqrt(np.mean(moved[12:] ** 2)) > 2e-4, effect
 
 
+@pytest.mark.slow
 def test_a_trial_of_the_rod_depends_on_its_seed_alone(short_case):
     rig = read_rig("cosserat").changed(**{"world.settle_s": 0.1, "world.pause_s": 0.1})
     case = short_case(period_s=0.3)

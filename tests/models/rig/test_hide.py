@@ -44,6 +44,7 @@ def test_strength_zero_is_no_effect(short, short_case, default_trial):
     assert run_case(nothing, short_case()).sha256() == default_trial.sha256()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", CATALOGUE)
 def test_every_effect_shows_above_the_noise(effect, hidden, default_trial):
     trial = hidden(effect)
@@ -53,6 +54,7 @@ def test_every_effect_shows_above_the_noise(effect, hidden, default_trial):
     assert tip_m > 3e-4 or current_a > 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["test_a", "test_b"])
 def test_every_effect_of_link_and_servo_shows_in_other_structures(name):
     of_sensors = {"current_bias", "current_scale", "marker_frame_tilt", "marker_scale",
@@ -140,6 +142,7 @@ def slow_lean(short, short_case):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["backlash", "joint_elasticity"])
 def test_play_and_compliance_of_the_gear_move_the_tip_but_not_the_encoder(effect, slow_lean):
     plain, loose = slow_lean(), slow_lean(effect)
@@ -147,6 +150,7 @@ def test_play_and_compliance_of_the_gear_move_the_tip_but_not_the_encoder(effect
     assert rms(loose.tip_m - plain.tip_m) > 5 * measured_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "effect, more",
     [("unmodelled_payload", True), ("stiffness_softening", True), ("stiffness_hardening", False),
@@ -164,6 +168,7 @@ def test_softer_or_heavier_links_bend_further(effect, more, slow_lean):
 # ---- in one joint --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, effect", [("default", "current_scale"), ("capture", "backlash")])
 def test_an_effect_in_each_joint_is_the_effect_in_both(name, effect, short_case):
     rig, strength = read_rig(name).changed(**QUICK), STRENGTH[effect]
@@ -173,6 +178,7 @@ def test_an_effect_in_each_joint_is_the_effect_in_both(name, effect, short_case)
     assert each.sha256() == both.sha256() != second.sha256()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", ["coulomb_friction", "current_bias", "viscous_friction"])
 def test_an_effect_in_one_joint_shows_in_that_joints_current(effect, hidden, default_trial):
     trial = hidden(f"{effect}:2")

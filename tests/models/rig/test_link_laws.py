@@ -67,6 +67,7 @@ def closed_path(seed, scale_rad, steps=3000):
     return np.stack([bends(root, root) for root in path])
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     engine=st.sampled_from((*ENGINES, "memory", "test_a", "test_b")),
@@ -82,6 +83,7 @@ def test_no_path_draws_energy_from_the_link(engine, seed, scale_rad, strengths):
     assert np.all(work[-1] - work[-1 - cycle] > -1e-3 * work.max(axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_closed_loop_costs_energy_only_with_memory(engine):
     path = closed_path(5, 0.1)

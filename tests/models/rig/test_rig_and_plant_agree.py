@@ -11,6 +11,8 @@ from models.plant.simulation.runner import CompiledModel, run_trial, trial_param
 from models.plant.step_model import names
 from models.rig.protocol import run_case
 
+pytestmark = pytest.mark.slow
+
 HIDDEN = {
     "sensor_lag": (0.02, "current_1_a", 0.2),
     "encoder_ripple": (0.004, "tip_x_m", 0.5),

@@ -44,6 +44,7 @@ def test_drawn_rigs_have_no_form_of_rigs_for_testing_and_no_hidden_effect():
             assert default[name] != 0.0 or entry.value == 0.0
 
 
+@pytest.mark.slow
 def test_drawn_masses_have_their_deviation():
     masses = [rig_named(f"drawn_{k}")["link.mass_kg"] for k in range(400)]
     assert np.std(np.log(masses)) == pytest.approx(0.15, rel=0.15)

@@ -75,6 +75,7 @@ def linear_loop(parameters, payload_kg):
     return control.ss(a, b, out, 0.0) * controller
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload_kg", [0.0, 2.0])
 def test_the_servo_loop_is_stable_with_margin(parameters, payload_kg):
     loop = linear_loop(parameters, payload_kg)

@@ -71,6 +71,7 @@ def test_the_overview_is_drawn_and_conditions_stay_beside_the_trials(written):
     assert set(record["trials"]) == {t.name for t in read_trials(written)}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_in_any_number_of_processes(written, tmp_path, undrawn):
     options = ("--dof", "1", "2", "--seed", "3", "--workers", "2", "--trials", "2")
     assert simulate(tmp_path, *options) == DONE
@@ -103,6 +104,7 @@ def test_markers_and_encoder_share_one_clock(parameters, short_case):
     assert abs(lag_s) < 3e-4
 
 
+@pytest.mark.slow
 def test_further_trials_join_and_the_same_options_write_the_same_again(written, undrawn):
     before = files(written)
     assert simulate(written, "--workers", "1", "--motion", "multisine", "--seed", "3") == DONE
@@ -162,6 +164,7 @@ def test_wrong_options_get_one_sentence(options, message, tmp_path, capsys, undr
     assert not list((tmp_path / "out").glob("*.csv"))
 
 
+@pytest.mark.slow
 def test_a_folding_link_is_reported_across_processes(tmp_path, capsys):
     options = ["--payloads", "9", "10", "--amplitude-deg", "60", "--period", "4", "--workers", "2"]
     assert simulate(tmp_path, *options) == BAD_INPUT

@@ -23,6 +23,8 @@ from models.trials.files import write_trial
 from tests.models.robustness.mutations import CASES, PLANT_CASES
 from tests.models.robustness.short_trials import plant_of, short_trials
 
+pytestmark = pytest.mark.slow
+
 CONSIDERED = {
     "link": ("coulomb_friction", "unmodelled_payload", "current_saturation"),
     "pendulum": ("coulomb_friction", "current_saturation"),

@@ -168,6 +168,7 @@ def offset_errors(rig, payload_kg, directory):
         yield abs(clock.offset_s - OFFSET_S), clock.error_s
 
 
+@pytest.mark.slow
 def test_offset_interval_covers_the_truth_in_nineteen_of_twenty_takes(tmp_path):
     takes = [take for run in RUNS for take in offset_errors(*run, tmp_path)]
     assert sum(error_s <= half_width_s for error_s, half_width_s in takes) >= 11, takes

@@ -63,6 +63,7 @@ def test_no_signal_is_worse_held_out_than_with_the_plant_as_given(request, case)
     assert all(errors[s] <= 1.05 * rms for s, rms in found.held_out_given.items())
 
 
+@pytest.mark.slow
 def test_a_name_stands_whose_plant_is_worse_on_what_was_left_out(plant, hidden, diagnosed):
     """The check decides on the plant alone: here it refuses every fit with an effect."""
     trials = hidden(dead_time_1_s=0.02)

@@ -71,6 +71,7 @@ def experiment(gap, out, *options):
     )
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_best_motion_and_its_page(diagnosis, tmp_path, capsys):
     out = tmp_path / "motion.toml"
     gap = diagnosis(tmp_path / "trials")

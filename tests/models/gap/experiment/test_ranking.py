@@ -72,6 +72,7 @@ def refitted(plant, trials, fit_parameters, floor):
     return np.sqrt(2 * estimator.fit(start, np.ones(len(start.values), dtype=bool)).cost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "payload_kg"), [("triangle", 0.0), ("multisine", 2.0)])
 def test_the_separation_is_what_a_refit_to_all_trials_leaves(
     plant, truth, at_hand, model, kind, payload_kg

@@ -5,6 +5,7 @@ import pytest
 from models.gap.residuals.fit_parameters import effect_candidates, nuisance_fit_parameters
 
 
+@pytest.mark.slow
 def test_a_frame_that_was_set_up_anew_is_no_gap(plant, hidden, diagnosed):
     found = diagnosed(
         plant,

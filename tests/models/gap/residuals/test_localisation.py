@@ -38,6 +38,7 @@ def noise(rng, group):
     return rng.standard_normal((len(group.trials), len(group.signals), group.coefficients))
 
 
+@pytest.mark.slow
 def test_noise_alone_is_seldom_located(trials):
     group = group_of(trials)
     found = [

@@ -40,6 +40,7 @@ def test_clocks_may_differ_but_not_be_late_together():
     assert cost(values) > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden_s", [0.013, -0.013])
 def test_an_offset_beyond_what_counts_as_synchronised_is_named(plant, hidden, hidden_s):
     """Clocks of single trials would take up what exceeds 10 ms."""

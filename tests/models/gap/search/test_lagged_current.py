@@ -1,7 +1,11 @@
 """A lagged current in the effect search: named before the friction that it resembles."""
 
+import pytest
+
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
+
+pytestmark = pytest.mark.slow
 
 CONSIDERED = ("sensor_lag", "viscous_friction", "dead_time")
 

@@ -5,6 +5,8 @@ import pytest
 from models.gap.diagnosis import diagnose
 from models.gap.residuals.fit_parameters import candidate_effects
 
+pytestmark = pytest.mark.slow
+
 CONSIDERED = ("dead_time", "position_gain_change", "sync_offset", "viscous_friction")
 
 

@@ -21,6 +21,7 @@ from models.plant.effects import EFFECTS
 CONSIDERED = ("coulomb_friction", "stiction", "stribeck_friction", "viscous_friction")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tail", [0.02, 1.0], ids=["gaussian", "rational"])
 def test_strength_and_tail_are_found_whichever_way_it_fades(plant, hidden, tail):
     strength_nm, speed_rad_s = 4.0, 0.06

@@ -35,6 +35,7 @@ def test_faint_effects_are_fainter_than_usual_ones_and_each_is_another_one():
     assert {e for c in with_two for e in c.hidden} == set(CATALOGUE)
 
 
+@pytest.mark.slow
 def test_strengths_are_negative_where_the_rig_allows_it():
     drawn = [c for k in range(30) for c in hidden_cases(f"drawn_{k}", 31, 0, 0, 0, 0, 1, True)]
     negative = {e for c in drawn for e, v in c.hidden.items() if v < 0}
@@ -100,6 +101,7 @@ def test_trials_have_the_motion_and_payloads_of_the_case(monkeypatch):
     ]
 
 
+@pytest.mark.slow
 def test_a_case_with_a_record_is_not_run_again_and_a_failure_is_reported(tmp_path):
     done, fails = (HiddenCase("null", {}, {}, seed, "drawn_1") for seed in (1, 2))
     (tmp_path / "plants").mkdir()

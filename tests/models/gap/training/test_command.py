@@ -65,6 +65,7 @@ def test_work_of_other_versions_is_not_mixed_with_that_of_these(shipped, runs, t
     assert "made_with.json: names other versions" in capsys.readouterr().err and not runs
 
 
+@pytest.mark.slow
 def test_rigs_for_testing_are_refused(shipped, runs, tmp_path, capsys):
     assert command.main(["--out", str(tmp_path / "out"), "--rigs", "301"]) == 2
     assert "drawn_900: is not for tuning" in capsys.readouterr().err

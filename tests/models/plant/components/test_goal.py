@@ -96,6 +96,7 @@ def test_the_goal_within_a_step_is_that_of_an_independent_integration(pendulum, 
     np.testing.assert_allclose(y["current_1_a"][1:], current_a, atol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation, phase", [(0.0, 0.5), (1.0, 0.3)])
 def test_feedforward_integral_and_weight_are_those_of_an_independent_integration(
     extended_pendulum, interpolation, phase
@@ -108,6 +109,7 @@ def test_feedforward_integral_and_weight_are_those_of_an_independent_integration
     assert error < 0.05 * moved + 0.015 * interpolation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interpolation, phase", [(0.0, 0.7), (0.5, 0.4)])
 def test_the_current_is_sampled_at_its_phase(pendulum, interpolation, phase):
     """A line between two ends of steps leaves out the ripple of a goal whose slope has kinks."""
@@ -117,6 +119,7 @@ def test_the_current_is_sampled_at_its_phase(pendulum, interpolation, phase):
     assert error < 0.05 * moved + 0.015 * interpolation
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase, delay_s", [(0.9, 0.004), (0.1, 0.004)])
 def test_the_current_of_a_late_goal_is_the_earlier_one_also_before_its_jump(
     pendulum, phase, delay_s

@@ -218,6 +218,7 @@ def test_noise_folds_as_the_folded_normal_distribution_does(mean, deviation):
     assert float(mean_magnitude(ca.DM(mean), ca.DM(deviation))) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dof", "unit"), [(1, "twin"), (2, "twin"), (2, "observer")])
 def test_the_plant_stays_finite_within_its_bounds(bench, dof, unit):
     """Also for a link that cannot carry its load and folds."""
@@ -332,6 +333,7 @@ def test_no_fast_bend_takes_more_than_the_limit_moment(root_torque):
     assert 0.8 * 28.9 < torque.max() < 28.9 + fold
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_no_closed_path_of_the_root_yields_energy(root_torque, seed):
     """Cycles in both planes, up to far beyond the limit moment, after the memory has settled."""

@@ -59,6 +59,7 @@ def test_a_parameter_is_left_out_for_a_drive_without_its_feature(effect, paramet
     assert with_feature - without == {parameter}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (2, "driven"), (1, "observer")])
 def test_all_effects_at_zero_change_no_bit(bench, dof, unit):
     """Beside the effects that the nominal plant has at their identified strength."""
@@ -90,6 +91,7 @@ def test_sensitivities_by_every_strength_at_zero(bench):
         assert np.abs(slopes[:, :, k] - difference).max() <= 1e-3 * scale + 1e-6, name
 
 
+@pytest.mark.slow
 def test_all_effects_at_once_stay_finite_within_half_their_bounds(bench):
     """Beyond that, effects that all weaken drive and link together let the robot fall over."""
     plant, dof = bench.plant(*ALL), 2
@@ -107,6 +109,7 @@ def test_all_effects_at_once_stay_finite_within_half_their_bounds(bench):
     assert finite >= 39
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dof", [1, 2])
 def test_one_effect_stays_finite_at_its_bounds(bench, dof):
     plant = bench.plant(*ALL)
@@ -173,6 +176,7 @@ def registry():
     EFFECTS.update(known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("dof", "unit"), [(2, "twin"), (1, "observer")])
 def test_the_order_of_definition_does_not_change_the_composed_model(registry, dof, unit):
     def composed(effects):

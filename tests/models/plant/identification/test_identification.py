@@ -52,6 +52,7 @@ OPTIONS = {
 """What servos may have beside the cascade."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed, option", [(2, "profile"), (5, "feedforward")])
 def test_known_parameters_are_recovered(synthetic, seed, option):
     true, rng = drawn(seed)
@@ -120,6 +121,7 @@ def test_a_fit_that_starts_at_the_truth_stays_there(synthetic):
     assert [q[n].value for n in SHIFTED] == pytest.approx([p[n].value for n in SHIFTED], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_two_joints_have_their_values_each(synthetic):
     true, rng = drawn(6)
     second = {"root_stiffness_2_nm_rad": 300.0, "coulomb_friction_2_nm": 3.5}
@@ -132,6 +134,7 @@ def test_two_joints_have_their_values_each(synthetic):
         assert q[name].value == pytest.approx(value, rel=0.05), name
 
 
+@pytest.mark.slow
 def test_the_commands_write_what_they_print(synthetic, tmp_path, capsys, monkeypatch):
     # Of the synthetic markers only the lengths between them are right, not where they stand.
     monkeypatch.setattr("models.trials.checks.trials.judge_tip", lambda trial: [])

@@ -87,6 +87,7 @@ def test_a_wrong_signal_or_condition_is_named(mistake, level, cause):
     assert findings(mistake(swung(dof=2)))[0] == (level, cause)
 
 
+@pytest.mark.slow
 def test_a_late_clock_within_one_file_is_named():
     late = run_case(read_parameters().hide({"sync_offset": 0.02}), TrialCase(Motion(), 1.0, 1, 0))
     (found,) = [f for f in check_trial(late).findings if f.cause == "clock"]

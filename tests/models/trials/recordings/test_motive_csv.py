@@ -72,6 +72,7 @@ def test_export_with_a_servo_log_becomes_the_true_trial(
     assert (0.5 - 0.2) / 0.017 < trial.meta.rest_samples < np.argmax(moved)  # no reference motion
 
 
+@pytest.mark.slow
 def test_blank_cells_are_occluded_markers_and_short_gaps_of_the_tip_are_bridged(
     session, importing, check, tmp_path
 ):

@@ -74,6 +74,7 @@ def write_bag(path, session, form):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["MarkerArray", "PoseArray"])
 def test_a_bag_becomes_the_true_trial(session, write_map, run, check, tmp_path, form):
     bag = write_bag(tmp_path / "bag", session, form)

@@ -50,6 +50,7 @@ def write_json(path, columns, form):
     path.write_text(json.dumps(forms[form]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["csv", "tsv", "semicolon", "lists", "records", "nested", "mat"])
 def test_every_form_of_a_table_becomes_the_true_trial(
     session, log, write_map, run, check, tmp_path, form

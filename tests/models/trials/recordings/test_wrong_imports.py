@@ -174,6 +174,7 @@ WARNED = {
 """Trial, fields of the written take, and words of the sentence or the finding."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSED)
 def test_an_import_that_cannot_be_right_is_refused_with_its_cause(name, trials, tmp_path):
     trial, fields, words = REFUSED[name]
@@ -213,6 +214,7 @@ RIGHT = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fields", RIGHT)
 @pytest.mark.parametrize("trial", ["rigid 1", "rigid 2"])
 def test_right_imports_pass_and_their_clock_is_right(trial, fields, trials, tmp_path, capsys):
