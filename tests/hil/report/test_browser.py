@@ -50,7 +50,8 @@ onmessage = event => { document.documentElement.dataset.measured = event.data; }
 <iframe src="report.html" style="border: 0; width: %dpx; height: %dpx"></iframe>
 </body></html>"""
 
-pytestmark = [pytest.mark.slow, ]
+pytestmark = [
+    pytest.mark.slow,
     pytest.mark.browser,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt install chromium"),
 ]

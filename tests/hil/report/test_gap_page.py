@@ -10,6 +10,8 @@ import pytest
 from dropstitch.__main__ import main
 from hil.report.gap_results import before_after, fraction_removed, read_gap
 
+pytestmark = pytest.mark.slow
+
 HIDDEN = {"stiffness_softening": 0.2}
 
 
@@ -68,7 +70,6 @@ def test_the_fraction_removed_needs_a_gap():
     assert fraction_removed({"before": 5.0, "after": 2.0}) is None
 
 
-@pytest.mark.slow
 def test_a_run_without_motion_has_no_figure_and_plans_have_theirs(copy, plant_before, capsys):
     def stop(timing):
         nothing = dict.fromkeys(timing["prediction_error"])
