@@ -18,6 +18,7 @@ export OPENBLAS_NUM_THREADS := 1
 
 BIN := .venv/bin
 READY := .venv/.ready
+COMPLETE := .venv/.complete
 SEED ?= 1
 
 # Effects that gap-demo hides in the rig: EFFECT=STRENGTH, separated by spaces.
@@ -47,7 +48,7 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 .SECONDARY:
 
 help:
-	@echo "make setup      .venv with everything; a minute or two"
+	@echo "make setup      .venv with everything, 2.1 GB; a minute or two. The demo needs 1.3 GB of it"
 	@echo "make demo       the whole chain from trials to the report; 10 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect in the rig, finds it, adds it to the plant; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle on the rig; 5 minutes more"
@@ -79,11 +80,18 @@ help-all: help
 
 # --- set-up -------------------------------------------------------------------------------------
 
-setup: $(READY)
+setup: $(COMPLETE)
 
 # uv installs faster than pip; pip where uv fails, as behind an index that pip alone knows.
 UV = uv pip install --quiet --python $(BIN)/python
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+
+# One pip install from a lock file, into the environment that is there.
+define install
+@export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
+$(UV) --require-hashes -r $(1) || \
+{ $(BIN)/python -m pip --version >/dev/null 2>&1 && $(PIP) --require-hashes -r $(1); }
+endef
 
 $(READY): requirements/workshop.txt requirements/uv.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -91,15 +99,17 @@ $(READY): requirements/workshop.txt requirements/uv.txt pyproject.toml
 	@if command -v uv >/dev/null; then uv venv --quiet --allow-existing --python $(PYTHON) .venv; else \
 	  $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 	    { echo "Python's venv is incomplete here: apt install python3-venv, then make again"; exit 1; }; \
-	  echo "setting up .venv (2.2 GB, a minute or two)"; \
+	  echo "setting up .venv (1.3 GB, about a minute)"; \
 	  $(PYTHON) -m venv .venv && { $(PIP) --require-hashes -r requirements/uv.txt || true; }; \
 	fi
+	$(call install,requirements/workshop.txt)
 	@export PATH="$$PATH:$(CURDIR)/$(BIN)"; \
-	{ $(UV) --require-hashes -r requirements/workshop.txt && \
-	  $(UV) --no-deps --no-build-isolation -e .; } || \
-	{ $(BIN)/python -m pip --version >/dev/null 2>&1 && \
-	  $(PIP) --require-hashes -r requirements/workshop.txt && \
-	  $(PIP) --no-deps --no-build-isolation -e .; }
+	$(UV) --no-deps --no-build-isolation -e . || $(PIP) --no-deps --no-build-isolation -e .
+	@touch $@
+
+# What the tests, lint, figures and documents need besides: 0.8 GB more.
+$(COMPLETE): requirements/test.txt $(READY)
+	$(call install,requirements/test.txt)
 	@touch $@
 
 # --- the main job -------------------------------------------------------------------------------
@@ -336,30 +346,30 @@ build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
 # --- documentation ------------------------------------------------------------------------------
 
 # The site of docs/, its notebooks run; a warning is an error.
-docs: $(READY)
+docs: $(COMPLETE)
 	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
 	@echo
 	@echo "open $(CURDIR)/build/guides/index.html"
 
 # One run of one commit, on an idle machine; begin with `make clean`.
-figures: $(READY)
+figures: $(COMPLETE)
 	@PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -m bench.figures $(if $(ONLY),--only $(ONLY))
 
 # --- checks -------------------------------------------------------------------------------------
 
 # Lint runs beside the tests; the output of each is printed when it ends.
-test: $(READY)
+test: $(COMPLETE)
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest PYTEST_OPTIONS='-m "not slow"'
 
-test-all: $(READY)
+test-all: $(COMPLETE)
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint pytest
 
 # worksteal gives each process one half of the tests in their order, so that most fixtures are
 # built once; a process that has finished takes over tests of the other.
-pytest: $(READY)
+pytest: $(COMPLETE)
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_OPTIONS)
 
-lint: $(READY)
+lint: $(COMPLETE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -392,28 +402,28 @@ soak: build/twin_2dof.fmu
 	  --load 1 --faults lost=0.01 corrupt=0.01 --out build/soak)
 
 # The same tests on the real servo at DROPSTITCH_HITL_PORT and on an emulated one.
-hitl: $(READY)
+hitl: $(COMPLETE)
 	@test -n "$$DROPSTITCH_HITL_PORT" || \
 	  { echo "set DROPSTITCH_HITL_PORT to the port of a real servo (docs/robot.md)"; exit 2; }
 	$(BIN)/python -m pytest tests/hitl
 
-hitl-emulated: $(READY)
+hitl-emulated: $(COMPLETE)
 	$(BIN)/python -m tests.hitl.emulated
 
 faults: build/twin_2dof.fmu
 	$(call judge,dropstitch faults --bundle build/bundle_2dof --fmu $< --out build/faults)
 
 # What tests/hil/faults/test_recorded_runs.py asks of every change.
-recorded-runs: build/twin_2dof.fmu
+recorded-runs: build/twin_2dof.fmu | $(COMPLETE)
 	$(BIN)/python -m tests.hil.faults.recorded_runs --anew --bundle build/bundle_2dof --fmu $<
 
-fuzz: build/bundle_1dof/observer.fmu
+fuzz: build/bundle_1dof/observer.fmu | $(COMPLETE)
 	$(BIN)/python -m tests.fuzz --bundle $(<D) --keep
 
-mutate: $(READY)
+mutate: $(COMPLETE)
 	$(BIN)/python -m tests.mutation $(if $(ONLY),--only $(ONLY)) $(if $(COUNT),--count $(COUNT)) --seed $(SEED)
 
-fuzz-fmu: $(READY)
+fuzz-fmu: $(COMPLETE)
 	$(BIN)/python -m tests.fmu.fuzz --seconds 600
 
 # Diagnose, rank motions, run the best, diagnose again: one payload more or less does not tell these effects apart.
@@ -425,7 +435,8 @@ experiment-demo: build/plant.json
 	$(call run,dropstitch experiment --gap build/experiment/gap/gap.json --config robot.toml --out build/experiment/motion.toml --repeat --seed 7 $(foreach effect,$(HIDE),--hide $(effect)))
 
 lock:
-	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test:workshop"; do \
+	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test --group build:test" \
+	  "--extra workshop --group build --constraint requirements/test.txt:workshop"; do \
 	  uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes \
 	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" \
 	    $${extras%%:*} --output-file requirements/$${extras##*:}.txt; done

@@ -113,8 +113,13 @@ def build_rig(
     load = Load(payload_kg, x_m, y_m, gravity_m_s2)
     # An engine is loaded when it is built: each needs a large library.
     if p.structure.engine == "cosserat":
-        from models.rig.rod import CosseratRig
-
+        try:
+            from models.rig.rod import CosseratRig
+        except ModuleNotFoundError as error:
+            raise InputError(
+                "the engine cosserat", f"needs the package {error.name}",
+                "pip install 'dropstitch[rod]', or make setup",
+            ) from None  # fmt: skip
         return CosseratRig(p, dof, load)
     from models.rig.hinged import MujocoRig
 

@@ -16,7 +16,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 EXTRAS = {
     "firmware_py": ("record", "live", "trust", "completion"),
     "dropstitch": ("library",),
-    "models": ("workshop", "library"),
+    "models": ("workshop", "rod", "library"),
     "fmu": ("workshop",),
     "hil": ("workshop", "dask"),
 }
