@@ -48,7 +48,7 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 .SECONDARY:
 
 help:
-	@echo "make setup      .venv with everything, 2.1 GB; a minute or two. The demo needs 1.3 GB of it"
+	@echo "make setup      .venv with everything, 2.2 GB; a minute or two. The demo needs 1.5 GB"
 	@echo "make demo       the whole chain from trials to the report; 10 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect in the rig, finds it, adds it to the plant; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle on the rig; 5 minutes more"
@@ -99,7 +99,7 @@ $(READY): requirements/workshop.txt requirements/uv.txt pyproject.toml
 	@if command -v uv >/dev/null; then uv venv --quiet --allow-existing --python $(PYTHON) .venv; else \
 	  $(PYTHON) -c 'import ensurepip' 2>/dev/null || \
 	    { echo "Python's venv is incomplete here: apt install python3-venv, then make again"; exit 1; }; \
-	  echo "setting up .venv (1.3 GB, about a minute)"; \
+	  echo "setting up .venv (1.5 GB, about a minute)"; \
 	  $(PYTHON) -m venv .venv && { $(PIP) --require-hashes -r requirements/uv.txt || true; }; \
 	fi
 	$(call install,requirements/workshop.txt)
@@ -107,7 +107,7 @@ $(READY): requirements/workshop.txt requirements/uv.txt pyproject.toml
 	$(UV) --no-deps --no-build-isolation -e . || $(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
-# What the tests, lint, figures and documents need besides: 0.8 GB more.
+# What the tests, lint, figures and documents need besides: 0.7 GB more.
 $(COMPLETE): requirements/test.txt $(READY)
 	$(call install,requirements/test.txt)
 	@touch $@
