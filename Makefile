@@ -48,7 +48,7 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 .SECONDARY:
 
 help:
-	@echo "make setup      .venv with everything, 2.2 GB; a minute or two. The demo needs 1.5 GB"
+	@echo "make setup      .venv with everything, 2 GB; a minute or two. The demo needs 1.5 GB"
 	@echo "make demo       the whole chain from trials to the report; 10 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect in the rig, finds it, adds it to the plant; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle on the rig; 5 minutes more"
@@ -107,7 +107,7 @@ $(READY): requirements/workshop.txt requirements/uv.txt pyproject.toml
 	$(UV) --no-deps --no-build-isolation -e . || $(PIP) --no-deps --no-build-isolation -e .
 	@touch $@
 
-# What the tests, lint, figures and documents need besides: 0.7 GB more.
+# What the tests, lint, figures and documents need besides: 0.5 GB more.
 $(COMPLETE): requirements/test.txt $(READY)
 	$(call install,requirements/test.txt)
 	@touch $@
