@@ -113,7 +113,7 @@ def _deviations(row: FaultRow, run: CaseObservation) -> list[str]:
     """Differences between the course of the run and the row's expectation."""
     must, complaints = row.must, []
     if row.injections and not run.injected:
-        complaints.append("the fault never befell it")
+        complaints.append("the fault did not occur")
     if must.unlogged and not run.unlogged_ticks:
         complaints.append("the log is whole: nothing was tried")
     if run.ended not in must.ended.split(" or "):

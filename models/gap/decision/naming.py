@@ -96,7 +96,8 @@ def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: 
             break
         grown.append(search.settled(more))
     probable = [fit for fit in grown if probability(fit) >= NAMED_PROBABILITY]
-    named, best = (probable[-1],) * 2 if probable else (search.nothing, grown[-1])
+    best = (probable or grown)[-1]
+    named = best if probable else search.nothing
     evidence = evidence_of(search, best, certainty, scale)
     answers = certainty.answers_for(evidence)
     return Naming(named, best, tuple(map(tuple, rounds)), search, evidence, answers)

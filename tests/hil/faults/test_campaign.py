@@ -142,7 +142,7 @@ def test_goals_that_jump_after_a_replug_fail_the_case(robot, monkeypatch):
 def test_a_fault_that_never_occurs_fails_the_case(robot):
     """Without feedback of the tip there is no innovation to change."""
     row = FaultRow("x", "y", Expectation("finished"), (Injection("innovation", 1000),))
-    assert run(robot, row).deviations == ["the fault never befell it"]
+    assert run(robot, row).deviations == ["the fault did not occur"]
 
 
 # --- real processes

@@ -38,7 +38,7 @@ PRO_A = 54025
         ({"detected_ticks": None}, "seen in tick None"),
         ({"detected_ticks": 2}, "seen in tick 2"),
         ({"replugs": 1}, "went on 1 times"),
-        ({"injected": False}, "never befell"),
+        ({"injected": False}, "did not occur"),
         ({"reason": "another"}, "the reason is"),
     ],
 )
