@@ -70,7 +70,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
             "fitted": errors_in_floors(plant, found.trials, floor, unused),
             "held_out": _held_out_in_floors(plant, found.trials, rms, floor),
         }
-        for plant, rms in ((found.plant, found.held_out_given), (found.improved, held_out))
+        for plant, rms in ((found.plant, found.held_out_baseline), (found.improved, held_out))
     )
     document = GapDocument(
         schema=GapDocument.VERSION,
@@ -103,7 +103,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
         before=before,
         after=after,
         held_out=HeldOutSummary(found.left_out, round(found.unexplained_fraction, 4)),
-        odd_trials=found.odd,
+        odd_trials=found.outliers,
         changed_conditions=changed_conditions(found.plant.provenance, found.floor, found.trials),
         rows_fitted={
             t.name: len(t)

@@ -199,9 +199,9 @@ class Residuals:
         spectra = np.zeros((len(group.signals), group.coefficients, int(wanted.sum())))
         for b, signal in enumerate(group.signals):
             o = self._outputs.index(signal)
-            own = self._coefficients(k, signal, slopes[:, o, used], group.coefficients)
+            by_parameter = self._coefficients(k, signal, slopes[:, o, used], group.coefficients)
             level = self._coefficients(k, signal, np.ones(len(slopes)), group.coefficients)
-            spectra[b][:, acting[wanted]] = own @ moved[used] + np.outer(
+            spectra[b][:, acting[wanted]] = by_parameter @ moved[used] + np.outer(
                 level, self._by_output[o, acting]
             )
         spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0
