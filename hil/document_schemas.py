@@ -84,7 +84,7 @@ def _structs(base: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
 
 def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
     """Comment of each field, including the fields of base classes."""
-    found: dict[str, str] = {}
+    comments: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if base.__module__.startswith("msgspec") or not issubclass(base, msgspec.Struct):
             continue
@@ -93,10 +93,10 @@ def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
             if match := re.match(r"    (\w+): [^#]*(?:# (.*))?$", line):
                 field, beside = match.groups()
                 if text := beside or " ".join(above):
-                    found[field] = text
+                    comments[field] = text
             comment = re.match(r"    # (.*)", line)
             above = [*above, comment[1]] if comment else []
-    return found
+    return comments
 
 
 def main(argv: Sequence[str] | None = None) -> int:

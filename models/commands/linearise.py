@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         plant, payload_kg, dof=args.dof, period_s=args.period, angles_rad=angles_rad,
         sliding=not args.at_rest,
     )  # fmt: skip
-    found = modes(system)
+    modes_of_twin = modes(system)
     margins = design_feedback(plant, args.dof, args.period, [payload_kg]).margins
     document: dict[str, Any] = {
         "plant_sha256": plant.sha256(), "payload_kg": payload_kg, "dof": args.dof,
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
         "states": system.state_labels, "inputs": system.input_labels,
         "outputs": system.output_labels,
         **{name: getattr(system, name).tolist() for name in "ABCD"},
-        "modes": msgspec.to_builtins(found),
+        "modes": msgspec.to_builtins(modes_of_twin),
         "margins": [
             {"joint": joint, "gain_db": m.gain_db, "phase_rad": m.phase_rad,
              "crossover_rad_s": m.crossover_rad_s}
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     lines += [
         f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}, "
         + " and ".join(f"{share:.0%}" for share in m.shares) + " of the link's bend"
-        for m in found
+        for m in modes_of_twin
     ]  # fmt: skip
     lines += [
         f"feedback of joint {joint}: gain margin {m.gain_db:.1f} dB, phase margin "

@@ -96,13 +96,13 @@ def line_panels(
     charts: Sequence[Chart], xlabel: str, ylabel: str, log: bool = False, **axes: Any
 ) -> list[Panel]:
     """Draw each chart; a logarithmic y axis is the same in all. `axes`: for `Axes.set`."""
-    every = np.concatenate([np.ravel(line.y) for chart in charts for line in chart.lines])
+    values = np.concatenate([np.ravel(line.y) for chart in charts for line in chart.lines])
     panels = []
     for title, alt, lines in charts:
         with Drawing() as (drawing, ax):
             plot_lines(ax, lines)
             if log:
-                log_axis(ax, every)
+                log_axis(ax, values)
             ax.set(xlabel=xlabel, ylabel=ylabel, **axes)
         panels.append(drawing.panel(title, alt))
     return panels

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         trials.content_sha256(), args.dof,
     )  # fmt: skip
     settings = GapSettings(same_link=args.same_link)
-    found, document, page = write_diagnosis(
+    diagnosis, document, page = write_diagnosis(
         plant, trials, inputs, args.out, progress.step, args.without, settings
     )
     progress.step("done", 0)
@@ -82,8 +82,8 @@ def run(args: argparse.Namespace) -> int:
         msgspec.to_builtins(document),
         f"{gap_in_words(document, str(args.out / 'gap.json'))}\n{page}",
     )
-    if found.verdict != "not in the catalogue":
+    if diagnosis.verdict != "not in the catalogue":
         return DONE
-    for warning in evaluation_doubts(evaluate_plant(plant, found.trials), plant):
+    for warning in evaluation_doubts(evaluate_plant(plant, diagnosis.trials), plant):
         print(f"warning: {warning}", file=sys.stderr)
     return NEGATIVE
