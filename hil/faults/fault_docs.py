@@ -20,9 +20,10 @@ _REQUIREMENTS: Final = Path(__file__).with_name("safety_requirements.toml")
 
 _FAULTS_TEXT: Final = """# Faults and requirements
 
-Written by `python -m hil.faults.fault_docs`; do not edit. The text of a requirement and its tests stand in
-`hil/faults/safety_requirements.toml`, the faults in `hil/faults/fault_table.py`. What the requirements mean for you:
-[Safety](../safety.md). How to add a fault: [Extend](../guides/extend.md#add-a-fault).
+Written by `python -m hil.faults.fault_docs`; do not edit. The text of a requirement and its tests
+stand in `hil/faults/safety_requirements.toml`, the faults in `hil/faults/fault_table.py`. What the
+requirements mean for you: [Safety](../safety.md). How to add a fault:
+[Extend](../guides/extend.md#add-a-fault).
 
 ## Requirements
 
@@ -30,8 +31,8 @@ Written by `python -m hil.faults.fault_docs`; do not edit. The text of a require
 
 ## Faults
 
-`dropstitch faults --bundle BUNDLE --out OUT` injects each fault on its lines: in simulated time (virtual), against emulated
-servos on a socket, or against the whole program (process).
+`dropstitch faults --bundle BUNDLE --out OUT` injects each fault on its lines: in simulated time
+(virtual), against emulated servos on a socket, or against the whole program (process).
 
 {faults}
 """
