@@ -1,7 +1,5 @@
 """Configuration of the guides' site: `make docs` builds docs/ into build/guides."""
 
-from pygments.lexers import TextLexer
-
 project = "dropstitch"
 copyright = "the dropstitch authors, Apache-2.0"
 extensions = ["myst_nb"]
@@ -11,7 +9,6 @@ exclude_patterns = ["site", "schema", "notebooks/bundle_1dof"]
 # Headings are addressed like on a code host, so that the same links work in both.
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
-suppress_warnings = ["myst.header"]  # decisions.md and safety.md skip a level on purpose
 
 # Every notebook is run while the site is built; an error is an error of the build.
 nb_execution_mode = "force"
@@ -29,7 +26,3 @@ html_show_sourcelink = False
 pygments_style = "friendly"
 pygments_dark_style = "github-dark"
 
-
-def setup(app):
-    """Diagrams of Mermaid are shown as the text that they are."""
-    app.add_lexer("mermaid", TextLexer)
