@@ -9,6 +9,7 @@ exclude_patterns = ["site", "schema", "notebooks/bundle_1dof"]
 # Headings are addressed like on a code host, so that the same links work in both.
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
+suppress_warnings = ["myst.header"]  # decisions.md and safety.md skip a level on purpose
 
 # Every notebook is run while the site is built; an error is an error of the build.
 nb_execution_mode = "force"
