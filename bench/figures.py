@@ -461,12 +461,15 @@ def page_text(document: dict[str, Any]) -> str:
 def readme_block(document: dict[str, Any]) -> str:
     """Table that README shows: five of the figures."""
     rows = {f["name"]: f for part in document["parts"] for f in part["figures"]}
-    lines = ["| figure | value |", "|---|---|"]
+    by = document["measured_by"]
+    machine = f"{by['cpu']}, {by['cores']} cores"
+    lines = ["| figure | value | measured on |", "|---|---|---|"]
     for name in README_FIGURES:
         if name in rows:
             f = rows[name]
             beside = f" ({f['beside']})" if f["beside"] else ""
-            lines.append(f"| {f['what']} | {f['shown']}{beside} |")
+            on = machine if f["measured_on"] == MACHINE else f["measured_on"]
+            lines.append(f"| {f['what']} | {f['shown']}{beside} | {on} |")
     return "\n".join(lines) + "\n"
 
 

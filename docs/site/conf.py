@@ -1,7 +1,5 @@
 """Configuration of the guides' site: `make docs` builds docs/ into build/guides."""
 
-from pygments.lexers import TextLexer
-
 project = "dropstitch"
 copyright = "the dropstitch authors, Apache-2.0"
 extensions = ["myst_nb"]
@@ -28,8 +26,3 @@ html_copy_source = False
 html_show_sourcelink = False
 pygments_style = "friendly"
 pygments_dark_style = "github-dark"
-
-
-def setup(app):
-    """Diagrams of Mermaid are shown as the text that they are."""
-    app.add_lexer("mermaid", TextLexer)
