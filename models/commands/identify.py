@@ -18,12 +18,11 @@ from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.log.recording import read_recording
-from models.commands.output_paths import check_output_file
-from models.plant.identification.doubts import refuse_other_links
 from models.plant.identification.evaluation import draw_fit
 from models.plant.identification.identify import identify
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_file
 from models.trials.checks.trials import read_usable_trials
 from models.trials.files import conditions_beside
 
@@ -54,7 +53,6 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_usable_trials([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
-    refuse_other_links(plant, args.plant, trials)
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 
     def report(text: str) -> None:

@@ -26,8 +26,8 @@ from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 from firmware_py.link.link_description import STUDY_LINK
-from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_file
 
 EXAMPLE = (
     "dropstitch linearise --plant build/plant.json --dof 1 --payload-kg 1 --out build/linear.json"

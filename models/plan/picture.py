@@ -22,6 +22,13 @@ LINES: Final = ("-", "--")
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
+    """Write the figure of `plot_plan`."""
+    figure = plot_plan(plan)
+    with mpl.rc_context(FILE_STYLE):
+        figure.savefig(path, metadata={"Date": None})
+
+
+def plot_plan(plan: TipPlan) -> Figure:
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     ramp = mpl.colormaps["viridis"](np.linspace(0.1, 0.85, len(plan.payloads)))
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
@@ -60,7 +67,7 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
             f"{plan.path}, {plan.method}: predicted error {LENGTH.number(most, 2)} mm RMS at most; "
             f"rigid kinematics {LENGTH.number(min(rigid))} to {LENGTH.number(max(rigid))} mm"
         )
-        figure.savefig(path, metadata={"Date": None})
+    return figure
 
 
 def _draw_path(ax: Any, plan: TipPlan, colours: Any) -> None:

@@ -74,6 +74,8 @@ class Plant:
         Parent plant, data, fitted trials and held-out errors.
     link : LinkDescription or None
         Described link that the plant models (markers, gravity, servo); None for the study's.
+    path : Path
+        File that it was read from; empty for a plant that was not read from a file.
 
     Examples
     --------
@@ -94,6 +96,7 @@ class Plant:
     signals: dict[str, SignalRole] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     link: LinkDescription | None = None
+    path: Path = field(default=Path(), compare=False)
 
     def __repr__(self) -> str:
         effects = f"{len(self.effects)} effect{'' if len(self.effects) == 1 else 's'}"
@@ -270,6 +273,11 @@ class Plant:
         """Return the names of an effect's strength: one per joint, or one for all."""
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
 
+    @property
+    def where(self) -> str:
+        """File or name of the plant, for messages."""
+        return str(self.path) if self.path.name else f"plant {self.name!r}"
+
     def link_facts(self) -> LinkFacts:
         """Return the facts that identify the plant's link; fails for a plant of another machine."""
         facts = facts_of_plant(plain_plant(self.document()))
@@ -346,7 +354,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     effects = tuple(e.name for e in document.effects)
     plant = Plant(
         document.name, drive, load, effects, {}, signals=document.signals,
-        provenance=document.provenance, link=document.link,
+        provenance=document.provenance, link=document.link, path=path,
     )  # fmt: skip
     return _complete(plant, path, document.parameters)
 
@@ -356,7 +364,7 @@ def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
     nominal, scale = read_plant(), LinkScale(link)
     known = _declared(nominal, nominal.applicable()) | nominal.expected | nominal.parameters
     scaled = {name: parameter_of_link(q, scale) for name, q in known.items()}
-    plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled)
+    plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled, path=where)
     return _complete(plant, where, {})
 
 

@@ -59,9 +59,7 @@ def plot_against(
     return plot_panels(title, time_s, panels)
 
 
-def plot_panels(
-    title: str, time_s: Array, panels: Mapping[str, Mapping[str, Array]]
-) -> Figure:
+def plot_panels(title: str, time_s: Array, panels: Mapping[str, Mapping[str, Array]]) -> Figure:
     """Panels below each other over one axis of time, by the label of their y axis."""
     import matplotlib
     from matplotlib.figure import Figure

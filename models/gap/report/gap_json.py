@@ -216,7 +216,7 @@ class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GapDocument(Document, frozen=True, kw_only=True):
-    """Content of `gap.json`; docs/gap.md explains the keys.
+    """Content of `gap.json`; docs/gap.md explains the keys and `gap_document` makes it.
 
     Attributes
     ----------

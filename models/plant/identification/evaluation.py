@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 TIP: Final = ("tip_x_m", "tip_y_m", "tip_z_m")
 
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Measured trial beside its simulation; `compare_with_trials` makes it.

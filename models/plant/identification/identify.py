@@ -181,7 +181,7 @@ def identify(
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     refuse_unusable(trials)
-    refuse_other_links(plant, plant.name, trials)
+    refuse_other_links(plant, plant.where, trials)
     for trial in trials:
         check_duration(trial)
     fit, held_out = trials.split()
