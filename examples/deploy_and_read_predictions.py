@@ -5,6 +5,7 @@ Emulated servos stand for the robot. On the robot PC leave `emulate` out and nam
     python examples/deploy_and_read_predictions.py
 """
 
+import contextlib
 import math
 import subprocess
 import sys
@@ -52,7 +53,8 @@ if __name__ == "__main__":
         config.write_text(CONFIG.format(bundle=BUNDLE, port=port), encoding="utf-8")
         goals = f"unix:{scratch}/goals"
         robot = start("run", "--config", config, "--goals", goals)
-        follow(goals)
+        with contextlib.suppress(ConnectionError):  # the robot has stopped
+            follow(goals)
         code = robot.wait()
         emulator.terminate()
     sys.exit(code)

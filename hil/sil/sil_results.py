@@ -278,17 +278,17 @@ def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
 
 def plot_summary(result: SilResult, timing: TimingVerdict) -> Figure:
     """Error of the predicted tip over time, and a histogram of the ends of the ticks."""
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+    from matplotlib import pyplot
 
     from models.shared.drawing import FILE_STYLE
 
-    with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
-        figure = Figure(figsize=(8, 5), layout="constrained")
+    with pyplot.rc_context(FILE_STYLE | {"font.size": 8}):
+        figure = pyplot.figure(figsize=(8, 5), layout="constrained")
         error, ends = figure.subplots(2)
         _draw_error(error, result)
         _draw_ends(ends, result, timing)
         figure.suptitle(f"{timing.verdict}: {timing.reason}")
+        pyplot.close(figure)
     return figure
 
 

@@ -74,10 +74,12 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(option, "changes nothing with --study-only", "leave out one")
     check_output_directory(args.out)
     # scikit-learn and CasADi are loaded here, so that a wrong option is refused at once.
-    from models.bundle.files import ParityError
+    from models.bundle.files import ParityError, check_bundle_directory
     from models.bundle.train import of_phases, train
     from models.plant.plant import read_plant
     from models.predictor.candidates import CANDIDATES, DEFAULT_CANDIDATES, load_candidate
+
+    check_bundle_directory(args.out)
 
     def read(directories: Sequence[Path]) -> list[Trial]:
         parts = [of_phases(read_trials(path), args.phase_deg, path) for path in directories]

@@ -61,13 +61,13 @@ def plot_against(
 
 def plot_panels(title: str, time_s: Array, panels: Mapping[str, Mapping[str, Array]]) -> Figure:
     """Panels below each other over one axis of time, by the label of their y axis."""
-    import matplotlib
-    from matplotlib.figure import Figure
+    from matplotlib import pyplot
 
     from models.shared.drawing import FILE_STYLE
 
-    with matplotlib.rc_context(FILE_STYLE):
-        figure = Figure(figsize=(7.0, 0.6 + 1.6 * len(panels)), layout="constrained")
+    with pyplot.rc_context(FILE_STYLE):
+        # A figure of pyplot is what a notebook shows as a picture.
+        figure = pyplot.figure(figsize=(7.0, 0.6 + 1.6 * len(panels)), layout="constrained")
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for ax, (label, lines) in zip(axes, panels.items(), strict=True):
             for name, values in lines.items():
@@ -76,6 +76,7 @@ def plot_panels(title: str, time_s: Array, panels: Mapping[str, Mapping[str, Arr
             ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes[0].set_title(title)
         axes[-1].set_xlabel("time, s")
+        pyplot.close(figure)
     return figure
 
 
