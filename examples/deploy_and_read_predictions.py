@@ -38,7 +38,7 @@ def follow(address: str, seconds: float = 5.0) -> None:
     with connect(address) as robot:
         while data := robot.recv(4096):
             status = msgspec.json.decode(data, type=StatusMessage)
-            goal = (0.3 * math.sin(1.5 * max(status.time_s, 0.0)),)
+            goal = (0.15 - 0.15 * math.cos(1.5 * max(status.time_s, 0.0)),)
             end = status.time_s > seconds
             robot.send(encode_goal(GoalMessage(status.tick, None if end else goal, end=end)))
             if status.tick % 30 == 0:

@@ -21,7 +21,7 @@ payload_kg = {payload_kg}
 pressure_pa = 41300.0
 trial = 1
 motion = "sinusoid"
-period_s = 1.5
+period_s = 2.0
 amplitude_rad = 0.2
 base_offset_m = 0.06
 link_length_m = 0.95
@@ -33,8 +33,8 @@ current_1_a = {{ from = "current", unit = "mA" }}
 
 
 def record(path: Path, payload_kg: float) -> None:
-    rig = dropstitch.rig_named("default").changed(**{"world.pause_s": 0.5, "world.settle_s": 0.5})
-    motion = dropstitch.Motion(amplitude_rad=0.2, period_s=1.5)
+    rig = dropstitch.rig_named("default")
+    motion = dropstitch.Motion(amplitude_rad=0.2, period_s=2.0)
     case = dropstitch.TrialCase(motion, payload_kg, trial=1)
     frame = dropstitch.trial_frame(dropstitch.run_case(rig, case))
     frame["position"] = np.degrees(frame.pop("angle_1_rad"))

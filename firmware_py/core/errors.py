@@ -29,7 +29,7 @@ class DropstitchError(Exception):
     ...     dropstitch.read_plant("no.toml")
     ... except dropstitch.DropstitchError as error:
     ...     print(error)
-    no.toml: is missing; name a plant, e.g. models/plant/nominal.toml.
+    no.toml: is missing; name a plant or a link.
     """
 
 

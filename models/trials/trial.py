@@ -263,7 +263,7 @@ class TrialSet(tuple[Trial, ...]):
 
     def __repr__(self) -> str:
         names = [t.name for t in self]
-        shown = names if len(names) <= 4 else [*names[:2], "…", names[-1]]
+        shown = names if len(names) <= 2 else [names[0], "…", names[-1]]
         count = f"{len(names)} trial{'' if len(names) == 1 else 's'}"
         return f"<TrialSet of {count}: {', '.join(shown)}>" if names else "<TrialSet, empty>"
 

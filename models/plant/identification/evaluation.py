@@ -337,7 +337,7 @@ def plot_fit(plant: Plant, trials: Sequence[Trial]) -> Figure:
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(
             len(signals), len(columns), squeeze=False, sharex="col",
-            figsize=(3.4 * len(columns), 1.5 * len(signals)), layout="constrained",
+            figsize=(max(6.0, 3.4 * len(columns)), 1.5 * len(signals)), layout="constrained",
         )  # fmt: skip
         for column, c in zip(axes.T, columns, strict=True):
             payload = PAYLOAD.significant(c.trial.meta.payload_kg)
