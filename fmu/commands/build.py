@@ -42,7 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from firmware_py.inference.manifest import read_manifest
+    from firmware_py.inference.bundle import read_manifest
     from fmu.bundle_observer import add_observer
     from fmu.fmu_builder import build_fmu
     from fmu.packaging import SOURCE_CODE, platform_names

@@ -58,7 +58,7 @@ class TrialCase:
     --------
     >>> import dropstitch
     >>> dropstitch.TrialCase(dropstitch.Motion(), payload_kg=1.0, trial=1).name
-    'sinusoid_1dof_1000g_30deg_4352ms_1'
+    'dof1_payload1_trial1_sinusoid_30deg'
     """
 
     motion: Motion
@@ -188,7 +188,8 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     >>> import dropstitch
     >>> rig = dropstitch.rig_named("default")
     >>> rig = rig.changed(**{"world.pause_s": 0.1, "world.settle_s": 0.1})
-    >>> case = dropstitch.TrialCase(dropstitch.Motion(period_s=1.0), payload_kg=1.0, trial=1)
+    >>> motion = dropstitch.Motion(period_s=1.0, amplitude_rad=0.05)
+    >>> case = dropstitch.TrialCase(motion, payload_kg=0.5, trial=1)
     >>> trial = dropstitch.run_case(rig, case)
     >>> trial.columns["tip_x_m"].shape == (len(trial),)
     True

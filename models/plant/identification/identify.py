@@ -69,7 +69,7 @@ class Identification:
     >>> mass = plant.parameters["link_mass_kg"]
     >>> result = Identification(plant, (mass,), plant.provenance.held_out)
     >>> print(result.summary().splitlines()[1])
-    link_mass_kg                           0.9          0  kg
+    link_mass_kg                          0.8225        0.11  kg
     """
 
     plant: Plant
