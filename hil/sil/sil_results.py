@@ -283,7 +283,7 @@ def plot_summary(result: SilResult, timing: TimingVerdict) -> Figure:
     from models.shared.drawing import FILE_STYLE
 
     with pyplot.rc_context(FILE_STYLE | {"font.size": 8}):
-        figure = pyplot.figure(figsize=(8, 5), layout="constrained")
+        figure: Figure = pyplot.figure(figsize=(8, 5), layout="constrained")
         error, ends = figure.subplots(2)
         _draw_error(error, result)
         _draw_ends(ends, result, timing)

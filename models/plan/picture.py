@@ -33,7 +33,7 @@ def plot_plan(plan: TipPlan) -> Figure:
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     ramp = mpl.colormaps["viridis"](np.linspace(0.1, 0.85, len(plan.payloads)))
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
-        figure = pyplot.figure(figsize=(8.5, 6.5), layout="constrained")
+        figure: Figure = pyplot.figure(figsize=(8.5, 6.5), layout="constrained")
         axes: dict[str, Any] = figure.subplot_mosaic([["path", "error"], ["goals", "current"]])
         _draw_path(axes["path"], plan, ramp)
         for colour, one in zip(ramp, plan.payloads, strict=True):

@@ -67,7 +67,7 @@ def plot_panels(title: str, time_s: Array, panels: Mapping[str, Mapping[str, Arr
 
     with pyplot.rc_context(FILE_STYLE):
         # A figure of pyplot is what a notebook shows as a picture.
-        figure = pyplot.figure(figsize=(7.0, 0.6 + 1.6 * len(panels)), layout="constrained")
+        figure: Figure = pyplot.figure(figsize=(7.0, 0.6 + 1.6 * len(panels)), layout="constrained")
         axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for ax, (label, lines) in zip(axes, panels.items(), strict=True):
             for name, values in lines.items():
