@@ -126,6 +126,7 @@ def add_observer(
         )
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
     motion = read_golden(bundle / GOLDEN, parts.dof)
+    report("composing the model")
     model = parts.model()
     report("computing the golden ticks")
     golden = record_golden(

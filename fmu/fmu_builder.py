@@ -124,6 +124,7 @@ def build_fmu(
         model = source
     else:
         parts = _parts(source, kind, dof, plant)
+        report("composing the model")
         model = parts.model()
         report("simulating the reference run")
         documents = fmu_documents(parts, model, fmi)

@@ -57,10 +57,9 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress(f"fmu {kind}", 3 + sum(name != SOURCE_CODE for name in platforms))
 
     def report(phase: str) -> None:
-        progress.done += 1
         progress.begin(phase)  # always shown, because each phase may take many seconds
+        progress.done += 1
 
-    progress.begin("composing the model")
     if for_robot:
         add_observer(args.bundle, plant=args.plant, platforms=platforms, report=report)
     else:
