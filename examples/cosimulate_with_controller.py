@@ -1,4 +1,4 @@
-"""Co-simulate the twin FMU in FMPy with a controller of your own that holds the tip in place.
+"""Co-simulate the twin FMU in FMPy with your controller, which holds the tip in place.
 
 The payload doubles after four seconds; the controller sees the tip and moves the goal:
 

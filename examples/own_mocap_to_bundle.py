@@ -1,4 +1,4 @@
-"""From motion capture of your own to a bundle for the robot: import, identify, train.
+"""From your motion capture to a bundle for the robot: import, identify, train.
 
 The rig makes the recordings here, with angles in degrees and currents in mA. Replace `record` and
 the map by your files; docs/trials.md describes both.

@@ -71,7 +71,7 @@ def build_fmu(
     sections: Sequence[Section] = (),
     example: Sequence[float] = (),
 ) -> Path:
-    """Build an FMU from a bundle, from a plant alone, or from a step model of your own.
+    """Build an FMU from a bundle, from a plant alone, or from your step model.
 
     Parameters
     ----------

@@ -101,10 +101,11 @@ class SilResult:
         timing, error = self.timing, self.timing.prediction_error
         tip = ""
         if error.mean_euclidean_distance_m is not None:
-            tip = f", predicted tip off by {LENGTH.number(error.mean_euclidean_distance_m)} mm"
+            distance_mm = LENGTH.number(error.mean_euclidean_distance_m)
+            tip = f", predicted tip off by {distance_mm} mm on average"
         return (
             f"<SilResult: {timing.verdict}, {timing.ticks} ticks on the {self.options.line} line, "
-            f"{timing.own_misses} own misses{tip} on average>"
+            f"{timing.own_misses} own misses{tip}>"
         )
 
     @property

@@ -96,11 +96,11 @@ class Identification:
         """Return what speaks against the result, one sentence each."""
         from models.plant.identification.doubts import doubts, torque_constant_doubts
 
-        found = doubts(self)
+        warnings = doubts(self)
         if len(self.trials):
-            found += torque_constant_doubts(self.plant, self.trials.split()[0])
+            warnings += torque_constant_doubts(self.plant, self.trials.split()[0])
         findings = [*judge_pressures(self.trials), *judge_not_fitted(self.trials)]
-        return [*found, *(f"{row.text}; {row.remedy}" for row in findings)]
+        return [*warnings, *(f"{row.text}; {row.remedy}" for row in findings)]
 
     def summary(self) -> str:
         """Return the fitted parameters, and the errors on the held-out trials, as tables."""
