@@ -56,7 +56,7 @@ help:
 	@echo "make test-all   the same with the slow tests; 15 minutes"
 	@echo "make sil        the robot's loop in software for 10 s, with a timing verdict; 3 minutes without the demo"
 	@echo "make figures    measures docs/figures.md; 45 minutes. ONLY='tip loop' prints parts and writes nothing"
-	@echo "make docs       the documentation as a site, its notebooks run; 3 minutes"
+	@echo "make docs       the documentation as a site"
 	@echo "make clean      removes what was built (keeps .venv)"
 	@echo "make help-all   the other targets"
 
@@ -345,7 +345,7 @@ build/link_demo/sil/timing.json: build/link_demo/bundle/manifest.json
 
 # --- documentation ------------------------------------------------------------------------------
 
-# The site of docs/, its notebooks run; a warning is an error.
+# The site of docs/; a warning is an error.
 docs: $(COMPLETE)
 	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
 	@echo

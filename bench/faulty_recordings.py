@@ -84,7 +84,7 @@ def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
     if not path.exists():
         start = read_plant(EXAMPLES / f"{SYSTEM.name}.toml").with_effects(*EFFECTS)
         rest = TrialSet(tuple(t for t in trials if gain_of(t) not in gains))
-        identify(start, rest).plant.write(path)
+        identify(start, rest, noise_floor=False).plant.write(path)
     return path
 
 

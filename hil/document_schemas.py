@@ -57,6 +57,8 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
 """Every document that a command writes, by the name of its schema file. A command that writes
 several has a folder."""
 
+SECTION: Final = r"\n\n *(?:Attributes|Examples)\n"
+"""Where the sections of a docstring begin, which explain a class in Python."""
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -66,6 +68,9 @@ def schema_files() -> dict[str, str]:
     files = {}
     for name, document in DOCUMENTS.items():
         schema = {"$schema": DIALECT} | msgspec.json.schema(document)
+        for definition in schema["$defs"].values():
+            if text := definition.get("description"):
+                definition["description"] = re.split(SECTION, text)[0]
         for struct in schema["$defs"].keys() & structs.keys():
             properties = schema["$defs"][struct]["properties"]
             comments = _comments(structs[struct])

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -39,7 +39,7 @@ from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import aligned
 from models.plant.plant import Plant
-from models.trials.trial import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,9 +49,9 @@ GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no 
 something outside of the catalogue is missing; the noise is unknown, so nobody can tell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Results of the gap workflow.
+    """Result of `diagnose`.
 
     Attributes
     ----------
@@ -84,6 +84,15 @@ class Diagnosis:
         Where the gap is after the nuisance fit, and with the named effects.
     settings : GapSettings
         Settings of this run.
+
+    Examples
+    --------
+    Ask a diagnosis for its words, its figure and the improved plant:
+
+    >>> found = dropstitch.diagnose(plant, trials)  # doctest: +SKIP
+    >>> print(found.summary())                      # doctest: +SKIP
+    >>> found.plot().savefig("gap.svg")             # doctest: +SKIP
+    >>> found.improved.write("better.json")         # doctest: +SKIP
     """
 
     plant: Plant
@@ -106,6 +115,19 @@ class Diagnosis:
     located: tuple[GapRegion, ...]
     remaining: tuple[GapRegion, ...]
     settings: GapSettings
+
+    def __repr__(self) -> str:
+        named = ", ".join(self.named) or "nothing"
+        trials = f"{len(self.trials)} trial{'' if len(self.trials) == 1 else 's'}"
+        return f"<Diagnosis of {trials}: {self.verdict}; missing: {named}>"
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        rows = [
+            (" + ".join(h.effects) or "nothing", f"{h.probability:.2f}") for h in self.hypotheses
+        ]
+        return html_table(repr(self)[1:-1], ("what may be missing", "probability"), rows)
 
     @property
     def floor(self) -> NoiseFloor:
@@ -143,7 +165,7 @@ class Diagnosis:
 
 def diagnose(
     plant: Plant,
-    trials: TrialSet,
+    trials: Iterable[Trial],
     report: ReportProgress = lambda text, further: None,
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
@@ -155,7 +177,7 @@ def diagnose(
     ----------
     plant : Plant
         Identified plant; its provenance may carry the noise floor.
-    trials : TrialSet
+    trials : TrialSet or iterable of Trial
         Trials with the same number of joints.
     report : callable
         Called after each part of the work with a phrase and the least number of parts to follow.
@@ -176,7 +198,19 @@ def diagnose(
     InputError
         If there are no trials or they are of one and of two joints, or an effect to leave out is
         unknown.
+
+    Examples
+    --------
+    Six trials of the link take a minute; `docs/notebooks/diagnose.ipynb` runs a smaller one.
+
+    >>> import dropstitch
+    >>> plant = dropstitch.read_plant("build/plant.json")    # doctest: +SKIP
+    >>> trials = dropstitch.read_trials("build/gap_trials")  # doctest: +SKIP
+    >>> found = dropstitch.diagnose(plant, trials)           # doctest: +SKIP
+    >>> found                                                # doctest: +SKIP
+    <Diagnosis of 6 trials: closed; missing: dead_time>
     """
+    trials = TrialSet(tuple(trials))
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     catalogue = _catalogue(plant, leave_out)

@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from models.shared.pages import Panel
 from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
 
-matplotlib.use("svg")
+if matplotlib.get_backend(auto_select=False) is None:
+    matplotlib.use("svg")  # otherwise pyplot would look for a screen; a notebook has its own
 
 
 SIZE_IN: Final = (4.3, 2.9)

@@ -18,11 +18,11 @@ from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.safety.limits import Limits
 from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
-from models.commands.output_paths import check_output_directory, check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import read_rig
 from models.shared.catalogue import parse_strengths
+from models.shared.output_paths import check_output_directory, check_output_file
 from models.trials.checks.trials import read_usable_trials
 from models.trials.files import conditions_beside, write_trial
 from models.trials.trial import TrialSet

@@ -14,9 +14,9 @@ import msgspec
 
 from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.core.errors import InputError
-from models.commands.output_paths import check_output_directory
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_directory
 from models.trials.checks.trials import read_usable_trials
 
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"

@@ -216,7 +216,7 @@ class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GapDocument(Document, frozen=True, kw_only=True):
-    """Content of `gap.json`; docs/gap.md explains the keys.
+    """Content of `gap.json`; docs/gap.md explains the keys and `gap_document` makes it.
 
     Attributes
     ----------
@@ -264,6 +264,13 @@ class GapDocument(Document, frozen=True, kw_only=True):
         Settings of the run.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; None where it was run from Python.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> document = dropstitch.gap_document(found)         # doctest: +SKIP
+    >>> document.headline                                 # doctest: +SKIP
+    'Missing: dead time 30.1 ± 0.4 ms ...'
     """
 
     VERSION: ClassVar[int] = 3

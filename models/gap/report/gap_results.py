@@ -61,6 +61,13 @@ def gap_document(found: Diagnosis) -> GapDocument:
     -------
     GapDocument
         Document without `inputs`, which only the command knows.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> document = dropstitch.gap_document(found)                # doctest: +SKIP
+    >>> document.verdict, [row.effect for row in document.named]  # doctest: +SKIP
+    ('closed', ['dead_time'])
     """
     floor = noise_floor_rms(found)
     residuals = found.nuisance.estimator.residuals

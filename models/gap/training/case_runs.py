@@ -22,7 +22,6 @@ from models.gap.decision.naming import evidence_of
 from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
 from models.plant.identification.identify import identify
-from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import Plant, read_plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
@@ -140,8 +139,7 @@ def identify_on_rig(path: Path, rig: str, joints: int = 1) -> None:
     ]
     try:
         trials = TrialSet(tuple(run_case(rig_named(rig), case) for case in cases))
-        plant = identify(read_plant(), trials).plant
-        with_noise_floor(plant, trials.trials).write(path)
+        identify(read_plant(), trials).plant.write(path)
     except InputError as error:
         path.with_suffix(".refused.txt").write_text(f"{error}\n", encoding="utf-8")
 
