@@ -280,11 +280,11 @@ def test_a_port_that_comes_back_lets_the_robot_go_on_from_where_it_stands():
     bus.away, bus.script = 5, dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
     summary = loop.run()
     assert (summary.replugs, supervisor.state) == (1, SafetyState.OFF)
-    assert (summary.ended, summary.faults) == (Ended.TRIPPED, {Fault.DATA}), "a fault was seen"
+    assert (summary.ended, summary.faults) == (Ended.TRIPPED, {Fault.DATA}), "there was a fault"
     away = int(re.search(r"for (\d+) ticks the goals were not those", summary.reason)[1])
     goals, ticks = summary.records["goal_1_rad"], summary.records["tick"]
-    own = np.isclose(goals, GOALS[np.maximum(ticks, 0) % len(GOALS), 0], rtol=0, atol=1e-12)
-    joined = ticks[np.flatnonzero(~own & (ticks < 600))[-1]] + 1
+    of_motion = np.isclose(goals, GOALS[np.maximum(ticks, 0) % len(GOALS), 0], rtol=0, atol=1e-12)
+    joined = ticks[np.flatnonzero(~of_motion & (ticks < 600))[-1]] + 1
     assert joined - 102 == pytest.approx(away, abs=2)
     assert away * 0.017 < 6.0, "from wherever the limits are, it would take 6 s"
     assert bus.calls == ["connect", "torque on", "connect", "torque on", "torque off"]

@@ -49,14 +49,14 @@ def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
 def test_the_first_plan_is_the_fastest_and_the_plain_one_is_always_there(
     table, servos, baud, delay_s
 ):
-    found = plans(table, servos, baud, delay_s)
-    assert found[0].total_s == min(plan.total_s for plan in found)
-    assert plain(found).block == table.feedback
+    possible = plans(table, servos, baud, delay_s)
+    assert possible[0].total_s == min(plan.total_s for plan in possible)
+    assert plain(possible).block == table.feedback
     if servos == 1 or not table.fast_sync_read:  # a common packet saves nothing for one
-        assert not found[0].fast
+        assert not possible[0].fast
     elif delay_s > 100e-6:
-        assert found[0].fast
-    for plan in found:  # indirect addresses in RAM would show zeros after a reboot
+        assert possible[0].fast
+    for plan in possible:  # indirect addresses in RAM would show zeros after a reboot
         assert not plan.indirect or table.indirect.address < table.ram_start
 
 

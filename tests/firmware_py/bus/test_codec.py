@@ -24,7 +24,7 @@ tricky = st.lists(
 
 
 class SdkPort:
-    """Port for the SDK: keeps the bytes that are written, returns those that it was given."""
+    """Port for the SDK: records the bytes that are written, returns those of `incoming`."""
 
     def __init__(self, incoming: bytes = b"") -> None:
         self.is_using = False
@@ -54,7 +54,7 @@ def sent_by_sdk(call) -> bytes:
     return port.sent
 
 
-def heard(data: bytes) -> list[Packet]:
+def parsed(data: bytes) -> list[Packet]:
     """What a servo parses."""
     return PacketSearch(host=False).feed(data)
 
@@ -86,7 +86,7 @@ def test_every_instruction_equals_the_sdks_and_is_parsed(servo_id, address, data
         if MARK not in ours[codec.BODY :]:  # the SDK sends without stuffing
             theirs = sent_by_sdk(call)
             assert ours == theirs
-            assert [p.intact for p in heard(theirs)] == [True]
+            assert [p.intact for p in parsed(theirs)] == [True]
 
 
 @given(ids, tricky)
@@ -106,7 +106,7 @@ def test_whatever_is_sent_arrives_and_holds_no_false_header(parameters):
     assert frame.find(codec.HEADER, 1) < 0
     body = frame[codec.BODY : -codec.CRC_BYTES]
     assert body.count(MARK) == body.count(codec.STUFFED)
-    assert heard(frame) == [Packet(1, Instruction.WRITE, parameters)]
+    assert parsed(frame) == [Packet(1, Instruction.WRITE, parameters)]
 
 
 # --- the SDK parses what a servo sends ----------------------------------------------------------
@@ -197,12 +197,12 @@ def test_packets_are_found_where_the_sdk_finds_them(stream, common, data):
 )
 def test_packets_survive_any_slicing_of_the_stream(messages, cuts):
     stream = b"".join(codec.build(*message) for message in messages)
-    search, found, position = PacketSearch(host=False), [], 0
+    search, packets, position = PacketSearch(host=False), [], 0
     while position < len(stream):
         step = cuts[position % len(cuts)]
-        found += search.feed(stream[position : position + step])
+        packets += search.feed(stream[position : position + step])
         position += step
-    assert found == [Packet(*message) for message in messages]
+    assert packets == [Packet(*message) for message in messages]
 
 
 @given(ids, tricky, st.data())
@@ -210,4 +210,4 @@ def test_no_packet_with_a_flipped_bit_is_taken_for_intact(servo_id, parameters, 
     frame = bytearray(codec.build(servo_id, Instruction.WRITE, parameters))
     bit = data.draw(st.integers(0, 8 * len(frame) - 1))
     frame[bit // 8] ^= 1 << bit % 8
-    assert not [p for p in heard(bytes(frame)) if p.intact]
+    assert not [p for p in parsed(bytes(frame)) if p.intact]

@@ -91,8 +91,8 @@ class Hand:
         if self._asked_ns is not None:
             since_s = (self.clock.now_ns() - self._asked_ns) * 1e-9
             turned = np.clip((since_s - 2.0) / 4.0, 0.0, 1.0)  # and it moves on after 5 degrees
-            own = self._wiring[self._joint]
-            self.angle_rad[own] = (0.3, -0.1)[own] + self._turn_rad * turned
+            servo = self._wiring[self._joint]
+            self.angle_rad[servo] = (0.3, -0.1)[servo] + self._turn_rad * turned
         return BusStatus.OK
 
 

@@ -39,17 +39,17 @@ def log_of(**changes):
 
 def test_the_past_before_a_port_that_came_back_is_discarded_as_in_the_run(toy_bundle):
     bundle, log = ModelBundle.load(toy_bundle), log_of()
-    said, tips_m = [], []
+    di, tips_m = [], []
     for k in range(COUNT):
         if k in (0, GONE):
             bundle.estimator.reset()
         sample = log.columns["angle_1_rad"][k : k + 1], log.columns["current_1_a"][k : k + 1]
-        said.append(bundle.estimator.update(*sample, PERIOD_S).di)
-        tips_m.append(bundle.predictor.predict(*sample, said[-1]).tip_m)
-    told = {"di": np.array(said)}
-    told |= dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
-    assert set(compare(log_of(**told), bundle).values()) == {0.0}
-    through = log_of(**told, state=np.full(COUNT, int(SafetyState.RUNNING)))
+        di.append(bundle.estimator.update(*sample, PERIOD_S).di)
+        tips_m.append(bundle.predictor.predict(*sample, di[-1]).tip_m)
+    answers = {"di": np.array(di)}
+    answers |= dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
+    assert set(compare(log_of(**answers), bundle).values()) == {0.0}
+    through = log_of(**answers, state=np.full(COUNT, int(SafetyState.RUNNING)))
     assert compare(through, bundle)["di"] > 1e-6, "the past counts"
 
 
@@ -86,10 +86,10 @@ def test_the_restart_of_a_run_is_found_in_its_records():
 
 
 def test_ticks_that_a_log_lacks_are_counted_and_slots_that_were_missed_are_not():
-    kept = np.delete(np.arange(COUNT), [20, 21, 90])
+    logged = np.delete(np.arange(COUNT), [20, 21, 90])
     log = log_of()
     assert find_seams(log).missing == 0
-    lacking = Recording({n: c[kept] for n, c in log.columns.items()}, log.metadata, True)
+    lacking = Recording({n: c[logged] for n, c in log.columns.items()}, log.metadata, True)
     assert find_seams(lacking).missing == 3
     missed = np.zeros(COUNT - 3, int)
     missed[20] = 2

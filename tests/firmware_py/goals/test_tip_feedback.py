@@ -124,7 +124,7 @@ def test_the_limits_leave_room_for_corrections():
 
 
 def test_a_stiffer_link_is_estimated_from_its_current():
-    """Currents of a link 10 % stiffer, 20 % more friction, noise: 10 % are found to 3 %."""
+    """Currents of a link 10 % stiffer, 20 % more friction, noise: the estimate is 10 % ± 3 %."""
     rng, estimate = np.random.default_rng(3), StiffnessEstimate(1)
     by_stiffness, by_friction = 0.8 * np.sin(PHASE), 0.7 * np.sign(np.cos(PHASE))
     for _ in range(3):
@@ -149,8 +149,8 @@ def test_goals_follow_the_stiffness_with_a_known_payload_only():
     unknown = TipFeedback(plan, PlanGoals(plan), TrustOptions(), [])
     for k in range(2 * ROWS):
         for feedback in (known, unknown):
-            left = 0.2 - feedback.stiffness  # goals for a stiffer link bring the current back
-            tick(feedback, 0.0, slot=k, current=left * np.sin(PHASE[k % ROWS]))
+            rest = 0.2 - feedback.stiffness  # goals for a stiffer link bring the current back
+            tick(feedback, 0.0, slot=k, current=rest * np.sin(PHASE[k % ROWS]))
     assert known.stiffness == pytest.approx(0.2, abs=0.03)
     assert known.value_rad[0] == pytest.approx(0.1 * known.stiffness, abs=1e-3)
     assert unknown.stiffness == unknown.value_rad[0] == 0.0

@@ -45,7 +45,7 @@ def serve(capfd):
 
 @contextlib.contextmanager
 def subscribed(url):
-    """A connection that has asked for the ticks, and what the server said about them."""
+    """A connection that subscribed to the ticks, and the channel that the server offers."""
     with connect(url, subprotocols=["foxglove.sdk.v1"]) as viewer:
         assert json.loads(viewer.recv(PATIENCE_S))["name"] == "dropstitch"
         (channel,) = json.loads(viewer.recv(PATIENCE_S))["channels"]

@@ -102,8 +102,8 @@ def test_a_join_takes_as_long_as_its_distance_needs(stands, amplitude, slot, rat
     longest = max(1.0, 7.5 * (0.5 + abs(stands)) / rate) / EXACT_S
     assert ticks <= math.ceil(longest)
     assert ticks >= min(needed, longest) - 1
-    own = np.abs(np.diff(motion[: ticks + 1])).max()
-    assert np.abs(np.diff(goals)).max() <= own + 0.25 * rate * EXACT_S * 1.001
+    largest_step = np.abs(np.diff(motion[: ticks + 1])).max()
+    assert np.abs(np.diff(goals)).max() <= largest_step + 0.25 * rate * EXACT_S * 1.001
     assert abs(goals[1] - stands) < 1e-4
 
 
