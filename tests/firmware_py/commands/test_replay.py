@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.replay import compare, find_seams
 from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
@@ -14,7 +13,7 @@ from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import Recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
-from tests.firmware_py.simulated_loop import PluggedBus, StillPredictor, make
+from tests.firmware_py.simulated_loop import StillPredictor
 from tests.firmware_py.test_robot import motion, robot_config
 
 COUNT, GONE = 150, 60
@@ -70,19 +69,6 @@ def test_a_leap_of_the_clock_is_the_step_of_the_loop():
     compare(log_of(missed=missed), robot)
     assert taken[69:72] == pytest.approx([PERIOD_S, 5 * PERIOD_S, PERIOD_S])
     assert taken[80] == pytest.approx(LONGEST_STEP_SLOTS * PERIOD_S)
-
-
-def test_the_restart_of_a_run_is_found_in_its_records():
-    loop, bus, *_ = make(slots=300, bus=PluggedBus, replug_s=2.0)
-    bus.away = 3
-    bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
-    summary = loop.run()
-    assert summary.replugs == 1
-    records = summary.records
-    seams = find_seams(Recording({n: records[n] for n in records.dtype.names}, {}, True))
-    (row,) = np.flatnonzero(seams.restarted)
-    assert records["state"][row - 1 : row + 1].tolist() == [SafetyState.OFF, SafetyState.RUNNING]
-    assert (seams.missing, records["missed"].sum()) == (0, 0)
 
 
 def test_ticks_that_a_log_lacks_are_counted_and_slots_that_were_missed_are_not():

@@ -10,6 +10,7 @@ from firmware_py.core.documents import read_document
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_bytes, read_json, read_lines, read_text, read_toml
 from firmware_py.core.motion import read_motion_document
+from firmware_py.inference.bundle import read_manifest
 from firmware_py.summary import RunDocument
 from models.plan.paths import read_path
 from models.plant.plant import read_plant
@@ -21,6 +22,7 @@ READERS = {
     "plant.json": read_plant, "rig.toml": read_parameters, "map.toml": read_mapping,
     "run.timing.json": lambda path: read_document(path, RunDocument),
     "path.csv": lambda path: read_path(path, 2, 0.017),
+    "manifest.json": lambda path: read_manifest(path.parent),
 }  # fmt: skip
 HOSTILE = {
     "Latin-1": "schema = 'é'".encode("latin-1"), "zeros": bytes(100), "nothing": b"",

@@ -14,7 +14,6 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.config import BusConfig, RobotConfig, ServoConfig
-from firmware_py.core import input_files
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text
@@ -91,30 +90,6 @@ def test_a_file_that_runs_but_is_not_named_is_refused(bundle, estimator, name):
 def test_numbers_out_of_bounds_are_refused(bundle, changes, words):
     changed(bundle, **changes)
     with pytest.raises(InputError, match=words):
-        ModelBundle.load(bundle)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"\xe9", b'{"dof": 1e999}', b"[" * 100_000, b'{"dof": NaN}', b"\0" * 9],
-)
-def test_no_manifest_ends_in_a_traceback(bundle, content):
-    (bundle / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"manifest\.json"):
-        ModelBundle.load(bundle)
-
-
-def test_a_directory_a_pipe_and_a_huge_file_are_no_files(bundle, monkeypatch):
-    (bundle / "plant.json").unlink()
-    (bundle / "plant.json").mkdir()
-    with pytest.raises(InputError, match=r"plant\.json: (is no file|cannot be read)"):
-        ModelBundle.load(bundle)
-    (bundle / "plant.json").rmdir()
-    os.mkfifo(bundle / "plant.json")
-    with pytest.raises(InputError, match=r"plant\.json: is no file"):
-        ModelBundle.load(bundle)
-    monkeypatch.setattr(input_files, "LARGEST_BYTES", 10)
-    with pytest.raises(InputError, match="is larger than"):
         ModelBundle.load(bundle)
 
 
