@@ -107,6 +107,20 @@ def test_a_join_takes_as_long_as_its_distance_needs(stands, amplitude, slot, rat
     assert abs(goals[1] - stands) < 1e-4
 
 
+def test_a_join_takes_as_long_as_the_farthest_joint_needs():
+    at, desired = np.array([0.0, 0.45]), np.array([0.0, -0.5])
+    supervisor = SafetySupervisor(LIMITS, 2, EXACT_S)
+    supervisor.arm(at)
+    supervisor.start()
+    supervisor.rebase(at)
+    supervisor.resume()
+    goals = [at]
+    while not supervisor.following:
+        goals.append(supervisor.admit(desired).copy())
+    assert np.abs(np.diff(goals, axis=0)).max() <= 0.25 * EXACT_S * 1.001
+    assert goals[-1] == pytest.approx(desired, abs=1e-12)
+
+
 @pytest.mark.parametrize(("distance", "ticks"), [(0.1, 64), (0.4, 192)])
 def test_a_motion_that_waits_nearby_is_joined_sooner(distance, ticks):
     assert joining(-0.1, np.full(900, distance - 0.1))[1] == ticks
