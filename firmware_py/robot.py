@@ -99,17 +99,17 @@ def with_bundle_gains(config: RobotConfig, bundle: ModelBundle, path: Path) -> R
     """
     servos = list(config.servos)
     for j, identified in enumerate(bundle.manifest.servo_gains):
-        given = servos[j].gains or ServoGains()
+        declared = servos[j].gains or ServoGains()
         merged = {}
         for name in GAINS:
-            own, other = getattr(given, name), getattr(identified, name)
-            if None not in (own, other) and own != other:
+            configured, other = getattr(declared, name), getattr(identified, name)
+            if None not in (configured, other) and configured != other:
                 raise InputError(
-                    path, f"servo {servos[j].id} has gains with {name} = {own}, the bundle's plant "
-                    f"was identified with {other}",
+                    path, f"servo {servos[j].id} has gains with {name} = {configured}, the "
+                    f"bundle's plant was identified with {other}",
                     "set the servo to the bundle's, or identify with the servo's",
                 )  # fmt: skip
-            merged[name] = other if own is None else own
+            merged[name] = other if configured is None else configured
         servos[j] = msgspec.structs.replace(servos[j], gains=ServoGains(**merged))
     config = msgspec.structs.replace(config, servos=tuple(servos))
     check_config(config, path)

@@ -126,12 +126,12 @@ def plans(
     blocks = {False: table.feedback}
     if table.indirect.address < table.ram_start:
         blocks[True] = table.gathered
-    found = [
+    possible = [
         Plan(fast, indirect, block, servos, baud, return_delay_s)
         for fast in ((False, True) if table.fast_sync_read else (False,))
         for indirect, block in blocks.items()
     ]
-    return sorted(found, key=lambda plan: (plan.total_s, plan.fast, plan.indirect))
+    return sorted(possible, key=lambda plan: (plan.total_s, plan.fast, plan.indirect))
 
 
 def plain(candidates: list[Plan]) -> Plan:

@@ -158,9 +158,9 @@ class DynamixelBus:
                 "remove its cause, then switch the servo off and on",
             )
 
-    def found_settings(self) -> tuple[dict[str, int], ...]:
+    def read_settings(self) -> tuple[dict[str, int], ...]:
         """Return the servo settings that the plant depends on, without writing any."""
-        return tuple(map(self._preparation.found, self._servos))
+        return tuple(map(self._preparation.read_settings, self._servos))
 
     def _follow(self, plan: Plan) -> None:
         """Use a plan for all further reads."""

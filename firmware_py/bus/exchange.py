@@ -117,7 +117,7 @@ class FeedbackReader:
     def _take_each(self) -> BusStatus:
         bare = 1 + self._plan.block.size
         length, first_length = bare + self._extra_bytes, bare + self._first_extra_bytes
-        outcome, seen, replies = BusStatus.OK, 0, 0
+        outcome, answered, replies = BusStatus.OK, 0, 0
         while replies < len(self._ids):  # damaged answers count, those of other ids do not
             packet, status = self._port.receive()
             if status is BusStatus.TIMEOUT:
@@ -127,10 +127,10 @@ class FeedbackReader:
                 continue
             answer, joint = packet.parameters, self._joint_of.get(packet.id)
             refused = bool(answer[0] & ERROR_NUMBER)
-            if joint is None or seen >> joint & 1:
+            if joint is None or answered >> joint & 1:
                 continue
             if refused or len(answer) == length:
-                seen, replies = seen | 1 << joint, replies + 1
+                answered, replies = answered | 1 << joint, replies + 1
             elif len(answer) != first_length:
                 continue  # the answer to an instruction of an earlier tick
             if refused:

@@ -108,7 +108,7 @@ class ServoPreparation:
         self._remove_profile(servo)
         return self._get(servo, Register.FIRMWARE_VERSION)
 
-    def found(self, servo: ServoSetup) -> dict[str, int]:
+    def read_settings(self, servo: ServoSetup) -> dict[str, int]:
         """Return the settings that the plant depends on, as raw values by name of the register."""
         self._identify(servo)
         return {
@@ -128,9 +128,9 @@ class ServoPreparation:
         if number is None:
             raise self._silent(servo, f"read {Register.MODEL_NUMBER.value}")
         if number != servo.model.number:
-            found = MODELS[number].name if number in MODELS else f"model number {number}"
+            actual = MODELS[number].name if number in MODELS else f"model number {number}"
             raise self.unfit(
-                f"servo {servo.id} is {found}, not {servo.model.name}",
+                f"servo {servo.id} is {actual}, not {servo.model.name}",
                 "correct the model in the configuration",
             )
         if (level := self._get(servo, Register.STATUS_RETURN_LEVEL)) < ANSWERS_ALL:
@@ -145,9 +145,11 @@ class ServoPreparation:
         if Register.DRIVE_MODE in table:  # older firmware has no such register and refuses the read
             mode = self._registers.get(servo.id, table[Register.DRIVE_MODE]) or 0
         if mode != (DRIVE_REVERSE if assumed.reverse else 0):
-            found = "reverse" if mode == DRIVE_REVERSE else "not reverse" if mode == 0 else "other"
+            direction = (
+                "reverse" if mode == DRIVE_REVERSE else "not reverse" if mode == 0 else "other"
+            )
             raise self.unfit(
-                f"{name} has Drive Mode {mode} ({found})",
+                f"{name} has Drive Mode {mode} ({direction})",
                 f"set register Drive Mode to {int(assumed.reverse)}, or correct reverse in "
                 "[[servos]]",
             )

@@ -45,19 +45,19 @@ class JointTurn(NamedTuple):
     """Joint to turn, and the joint whose angle changed."""
 
     joint: int  # Number of the requested joint, from 1
-    found: int  # Number of the joint whose angle changed most
+    turned: int  # Number of the joint whose angle changed most
     change_rad: float
 
     def sentence(self, ids: Sequence[int]) -> str:
         change = ANGLE.text(self.change_rad)
-        if self.found == self.joint:
+        if self.turned == self.joint:
             return (
                 f"joint {self.joint} was turned: its angle changed by {change} "
                 f"(servo {ids[self.joint - 1]})"
             )
         return (
-            f"joint {self.joint} was turned, and the angle of joint {self.found} (servo "
-            f"{ids[self.found - 1]}) changed by {change}: the servos are exchanged; correct the "
+            f"joint {self.joint} was turned, and the angle of joint {self.turned} (servo "
+            f"{ids[self.turned - 1]}) changed by {change}: the servos are exchanged; correct the "
             "order of [[servos]]"
         )
 
@@ -72,8 +72,8 @@ def turn_joints(
         start_rad = watch.still()
         ask(f"turn joint {joint} by hand, by {ANGLE.text(LEAST_TURN_RAD, 0)} or more, no other")
         change_rad = watch.turned(start_rad)
-        found = int(np.argmax(np.abs(change_rad)))
-        turns.append(JointTurn(joint, found + 1, float(change_rad[found])))
+        most = int(np.argmax(np.abs(change_rad)))
+        turns.append(JointTurn(joint, most + 1, float(change_rad[most])))
     return tuple(turns)
 
 
@@ -178,7 +178,7 @@ def _joints(args: argparse.Namespace, config: RobotConfig) -> int:
             bus, clock, config.bus.reply_timeout_s,
             lambda request: print(f"dropstitch: {request}", file=sys.stderr),
         )  # fmt: skip
-    good = all(turn.found == turn.joint for turn in turns)
+    good = all(turn.turned == turn.joint for turn in turns)
     rows = [turn._asdict() for turn in turns]
     emit(args, {"good": good, "turns": rows}, "\n".join(turn.sentence(ids) for turn in turns))
     return DONE if good else NEGATIVE

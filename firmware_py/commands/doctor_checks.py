@@ -83,9 +83,9 @@ def _latency_timer(root: Path) -> Finding:
         if (text := _read(file)) and int(text) > _LATENCY_LIMIT_MS
     }
     if slow:
-        found = ", ".join(f"{device} {value} ms" for device, value in slow.items())
+        timers = ", ".join(f"{device} {value} ms" for device, value in slow.items())
         return Finding(
-            name, Severity.SPOILS, found,
+            name, Severity.SPOILS, timers,
             "run 'dropstitch install-service' for a udev rule, or at once: "
             f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{next(iter(slow))}/latency_timer",
         )  # fmt: skip

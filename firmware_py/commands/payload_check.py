@@ -89,16 +89,16 @@ def contradicted_payload(
         return ""
     try:
         ticks = _first_ticks(summary, log, math.ceil(LONGEST_S / period_s))
-        found = None if ticks is None else _estimate(bundle, ticks, period_s)
+        estimate = None if ticks is None else _estimate(bundle, ticks, period_s)
     except (Exception, KeyboardInterrupt) as error:
         reason = str(error) or type(error).__name__
         return f"payload_kg could not be compared with the currents of this run ({reason})"
-    if found is None or not found.contradicts(known_kg):
+    if estimate is None or not estimate.contradicts(known_kg):
         return ""
     return (
-        f"the currents of this run fit a payload of {found.payload_kg:.2f} kg, the robot was told "
-        f"{known_kg:g} kg (payload_kg): the predicted tip may be off by centimetres and be called "
-        "in range; weigh the load and correct payload_kg, or leave it out to have it estimated; "
+        f"the currents of this run fit a payload of {estimate.payload_kg:.2f} kg, payload_kg is "
+        f"{known_kg:g} kg: the predicted tip may be off by centimetres and be called in range; "
+        "weigh the load and correct payload_kg, or leave it out to have it estimated; "
         "if it is right, the link is no longer that of the bundle's plant"
     )
 

@@ -79,18 +79,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--plan", type=Path, metavar="PLAN",
-        help="plan of a path of the tip in place of the motion, see 'dropstitch plan'",
+        help="plan of a path of the tip instead of the motion, see 'dropstitch plan'",
     )  # fmt: skip
     parser.add_argument(
         "--goals", metavar="unix:PATH",
-        help="goals of another program, one message a tick, in place of the motion",
+        help="goals of another program, one message a tick, instead of the motion",
     )  # fmt: skip
     parser.add_argument(
         "--goal-map", type=Path, metavar="MAP",
         help="with --goals: goals at rest and modes, see 'dropstitch goalmap'",
     )  # fmt: skip
     parser.add_argument(
-        "--payload-kg", type=float, metavar="KG", help="mass at the tip, in place of payload_kg"
+        "--payload-kg", type=float, metavar="KG", help="mass at the tip, instead of payload_kg"
     )
     parser.add_argument(
         "--open-loop", action="store_true", help="run the plan without feedback of the tip"
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace) -> int:
             )
             note = outside.note
         bus = stack.enter_context(open_bus(config, clock))
-        settings = bus.found_settings()
+        settings = bus.read_settings()
         unused = unused_payload(bundle, config.payload_kg)
         unlike = [*_unlike(config, bundle), *_uncompared(config, settings)]
         _say("dropstitch", _origin(bundle), *unlike, unused, note)
@@ -162,9 +162,9 @@ def lacking_ticks(document: RunDocument) -> str:
     logged = document.logged_ticks
     if document.log is None or logged == document.ticks:
         return ""
-    held = "an unknown number" if logged is None else str(logged)
+    count = "an unknown number" if logged is None else str(logged)
     return (
-        f"the log {document.log} holds {held} of {document.ticks} ticks (exit code 1): look for a "
+        f"the log {document.log} holds {count} of {document.ticks} ticks (exit code 1): look for a "
         "full disk, or for a recorder that was killed or too slow"
     )
 
@@ -225,9 +225,9 @@ def _origin(bundle: ModelBundle) -> str:
     if bundle.signature:
         return f"the bundle {bundle.directory} is signed by {bundle.signature.key}"
     signed = (bundle.directory / SIGNATURE).exists()
-    found = "has a signature that is not checked" if signed else "is not signed"
+    state = "has a signature that is not checked" if signed else "is not signed"
     return (
-        f"the bundle {bundle.directory} {found}, and it holds code that runs here: add the key of "
+        f"the bundle {bundle.directory} {state}, and it holds code that runs here: add the key of "
         "its maker to [trust] keys to refuse any other"
     )
 
@@ -242,7 +242,7 @@ def _check_free(log: Path) -> None:
 def _free_log(directory: Path, name: str) -> Path:
     """Return the first unused log of a name, since robots may share a directory."""
     names = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
-    logs = (directory / f"{own}.mcap" for own in names)
+    logs = (directory / f"{stem}.mcap" for stem in names)
     return next(
         log for log in logs
         if not any(os.path.lexists(path) for path in (log, log.with_suffix(".timing.json")))
@@ -273,9 +273,9 @@ def _unlike(config: RobotConfig, bundle: ModelBundle) -> Iterator[str]:
 
 def _uncompared(config: RobotConfig, settings: Settings) -> Iterator[str]:
     """Yield a sentence for every servo whose gains are not in the configuration."""
-    for servo, found in zip(config.servos, settings, strict=True):
+    for servo, registers in zip(config.servos, settings, strict=True):
         if servo.gains is None:
-            gains = {name: found[r.value] for name, r in GAINS.items() if r.value in found}
+            gains = {name: registers[r.value] for name, r in GAINS.items() if r.value in registers}
             text = ", ".join(f"{name} = {raw}" for name, raw in gains.items())
             yield (
                 f"the gains of servo {servo.id} are compared with none; if the plant was "

@@ -163,8 +163,8 @@ def _overview(prog: str, rows: Sequence[Command]) -> dict[str, Any]:
     groups = itertools.groupby(rows, key=lambda row: row.group)
     lines = [
         line
-        for group, own in groups
-        for line in (f"{group}:", *(f"  {row.name:<{width}}  {row.summary}" for row in own))
+        for group, members in groups
+        for line in (f"{group}:", *(f"  {row.name:<{width}}  {row.summary}" for row in members))
     ]
     return {
         "usage": f"{prog} COMMAND ...",
@@ -259,9 +259,9 @@ def _interrupts_kept() -> Iterator[None]:
         interrupts.append(number)
         signal.default_int_handler(number, frame)
 
-    own = before is signal.default_int_handler
-    own = own and threading.current_thread() is threading.main_thread()
-    if own:
+    ours = before is signal.default_int_handler
+    ours = ours and threading.current_thread() is threading.main_thread()
+    if ours:
         signal.signal(signal.SIGINT, note)
     try:
         yield
@@ -270,7 +270,7 @@ def _interrupts_kept() -> Iterator[None]:
             raise KeyboardInterrupt from None
         raise
     finally:
-        if own:
+        if ours:
             signal.signal(signal.SIGINT, before)
 
 

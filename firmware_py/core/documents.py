@@ -54,8 +54,8 @@ def check_version(path: Path, raw: object, version: int, remedy: str) -> None:
     """Refuse a decoded document of another version; `remedy` names the command that makes it."""
     of_file = raw.get("schema") if isinstance(raw, dict) else None
     if of_file != version:
-        found = "has no schema version" if of_file is None else f"has schema version {of_file}"
-        raise InputError(path, f"{found}, this release reads version {version}", remedy)
+        what = "has no schema version" if of_file is None else f"has schema version {of_file}"
+        raise InputError(path, f"{what}, this release reads version {version}", remedy)
 
 
 def write_document(path: Path, document: Document) -> None:

@@ -65,13 +65,13 @@ def open_bounded(path: Path | str, remedy: str, most: int = MOST_BYTES) -> Binar
         raise InputError(path, what, remedy) from None
     except ValueError as error:  # a NUL in the name
         raise InputError(path, f"is no file name ({error})", remedy) from None
-    found = os.fstat(descriptor)
+    status = os.fstat(descriptor)
     wrong = ""
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         wrong = "is no file but a directory"
-    elif not stat.S_ISREG(found.st_mode):
+    elif not stat.S_ISREG(status.st_mode):
         wrong = "is no file but a device or a pipe"
-    if wrong or found.st_size > most:
+    if wrong or status.st_size > most:
         os.close(descriptor)
         if wrong:
             raise InputError(path, wrong, remedy)

@@ -36,8 +36,8 @@ def note_on_plant(where: str, plant_sha256: str, link: LinkFacts, bundle: ModelB
     theirs = bundle.manifest.plant_sha256
     if not theirs or plant_sha256 == theirs:
         return ""
-    own = facts_of_bundle(bundle.directory)
-    if own is not None and (fact := other_link(link, own)):
+    facts = facts_of_bundle(bundle.directory)
+    if facts is not None and (fact := other_link(link, facts)):
         raise InputError(
             where, f"was made for another link than that of {bundle.directory}: {fact}",
             "make it again with the plant of this link",

@@ -106,17 +106,17 @@ class SocketChannel:
         connection.setblocking(False)
 
     def receive(self, most: int) -> list[bytes]:
-        found: list[bytes] = []
+        messages: list[bytes] = []
         if self._asked and self._patience_s and not self.gone:
             self._connection.settimeout(self._patience_s)
-            self._take(found)
+            self._take(messages)
             self._connection.setblocking(False)
             self._asked = False
-        while len(found) < most and not self.gone and self._take(found):
+        while len(messages) < most and not self.gone and self._take(messages):
             pass
-        return found
+        return messages
 
-    def _take(self, found: list[bytes]) -> bool:
+    def _take(self, messages: list[bytes]) -> bool:
         try:
             data = self._connection.recv(MOST_BYTES + 1)
         except (BlockingIOError, TimeoutError):
@@ -124,7 +124,7 @@ class SocketChannel:
         except OSError:
             data = b""
         if data:
-            found.append(data)
+            messages.append(data)
         else:
             self.gone = True
         return bool(data)

@@ -142,13 +142,13 @@ class OutsideGoals:
 
     def _process_messages(self, slot: int, steps: int) -> None:
         """Receive and check the messages of this tick, and follow the newest goals."""
-        found = self._channel.receive(MOST_IN_A_TICK + 1)
-        if len(found) > MOST_IN_A_TICK:
+        messages = self._channel.receive(MOST_IN_A_TICK + 1)
+        if len(messages) > MOST_IN_A_TICK:
             self._refuse(f"sends more than {MOST_IN_A_TICK} goals in a tick")
             return
         newest: list[float] | None = None
         ends = False
-        for data in found:
+        for data in messages:
             message = decode_goal(data, self.dof)
             if isinstance(message, str):
                 self._refuse(f"sends a message that {message}")
@@ -200,12 +200,12 @@ class OutsideGoals:
             if self._rest is None:
                 self._refuse("sends places of the tip, but there is no map (--goal-map)")
                 return None
-            found = self._rest.goals_rad(message.tip_m, self._payload.kg)
-            if found is None:
+            at_rest = self._rest.goals_rad(message.tip_m, self._payload.kg)
+            if at_rest is None:
                 place = ", ".join(f"{v:g}" for v in message.tip_m)
                 self._refuse(f"wants the tip at ({place}) m, which is out of reach")
                 return None
-            goals = found
+            goals = at_rest
         low, high = self._limits.angle_rad
         for joint, value in enumerate(goals):
             if not low <= value <= high:

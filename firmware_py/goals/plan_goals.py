@@ -84,7 +84,8 @@ def check_plan_goals(plan: TipPlan, limits: Limits, where: str) -> None:
     goals, step_s = plan.goals_rad(), plan.period_s
     limits = _beside_corrections(plan, limits)
     probe = np.zeros((0, plan.dof)) if plan.probe is None else np.transpose(plan.probe.goals_rad)
-    tables = list(zip((f"{own.payload_kg:g} kg" for own in plan.payloads), goals, strict=True))
+    names = [f"{payload.payload_kg:g} kg" for payload in plan.payloads]
+    tables = list(zip(names, goals, strict=True))
     for whose, table in [("probing motion", goals[0, 0] + probe)] * bool(len(probe)) + tables:
         before, velocity = table[0], np.zeros(plan.dof)
         for row, goal in enumerate(table):
@@ -124,10 +125,10 @@ def _check_change_of_payload(plan: TipPlan, goals: Array, limits: Limits, where:
     rate = np.diff(goals, axis=1, prepend=goals[:, :1]) / step_s
     acceleration = np.diff(rate, axis=1, prepend=np.zeros_like(rate[:, :1])) / step_s
     mixed = np.abs(np.diff(rate, axis=0)) / np.diff(plan.grid_kg)[:, None, None]
-    own = change * np.abs(by_payload)
-    both = np.maximum(np.abs(rate[1:]), np.abs(rate[:-1])) + own
+    by_estimate = change * np.abs(by_payload)
+    both = np.maximum(np.abs(rate[1:]), np.abs(rate[:-1])) + by_estimate
     total = np.maximum(np.abs(acceleration[1:]), np.abs(acceleration[:-1]))
-    total = total + own / step_s + 2.0 * change * mixed
+    total = total + by_estimate / step_s + 2.0 * change * mixed
     for what, values, key, unit in (
         ("moves at", both, "rate_rad_s", "rad/s"),
         ("accelerates at", total, "acceleration_rad_s2", "rad/s2"),

@@ -78,8 +78,8 @@ def wrong_in_probe(probe: ProbeDesign | None, dof: int) -> str:
     if probe.stiffness[0] <= -1.0 or probe.payloads_kg[0] < 0.0:
         return "has a probe with a link without stiffness or a negative payload"
     if len(probe.expected) != sizes[0] or any(
-        len(own) != sizes[1] or any(len(f) != len(probe.weights) for f in own)
-        for own in probe.expected
+        len(row) != sizes[1] or any(len(f) != len(probe.weights) for f in row)
+        for row in probe.expected
     ):
         return "has a probe whose expected features do not fit its grid"
     values = (*tables, probe.stiffness, probe.payloads_kg, probe.expected)
@@ -108,7 +108,7 @@ ENOUGH: Final = 1e-4
 """Most Gauss–Newton steps, and the change of stiffness and payload at which they end."""
 
 
-class ProbeFinding(NamedTuple):
+class ProbeResult(NamedTuple):
     stiffness: float  # Relative stiffness, 0 for the plant's
     payload_kg: float
     deviation: float  # Standard deviation of the stiffness
@@ -133,7 +133,7 @@ class ProbeEstimate:
         self._features = np.zeros(len(design.weights))
         self._current_a = np.zeros(len(design.goals_rad))
         self._next, self._missing = 0, 0
-        self._found: ProbeFinding | None = None
+        self._result: ProbeResult | None = None
         self._fitted()  # warm-up: a first call in a tick took 12 ms
 
     def take(self, row: int, fresh: bool, current_a: Array) -> None:
@@ -150,17 +150,17 @@ class ProbeEstimate:
             self._features += self._weights[k] @ self._current_a
         self._next = max(self._next, row + 1)
         if row == self.rows - 1:  # the next tick restarts the observer
-            self._found = self._sought()
+            self._result = self._sought()
 
-    def found(self) -> ProbeFinding | None:
+    def result(self) -> ProbeResult | None:
         """Return the estimate; None if too many rows are missing or it is not finite."""
-        return self._found if self._next >= self.rows else self._sought()
+        return self._result if self._next >= self.rows else self._sought()
 
-    def _sought(self) -> ProbeFinding | None:
+    def _sought(self) -> ProbeResult | None:
         missing = self._missing + self.rows - min(self._next, self.rows)
         return None if missing > MOST_MISSING else self._fitted()
 
-    def _fitted(self) -> ProbeFinding | None:
+    def _fitted(self) -> ProbeResult | None:
         k, m = self._nearest_node()
         known, deviation = self._known_kg, KNOWN_DEVIATION_KG
         prior = np.array([0.0, m if known is None else known])
@@ -178,7 +178,7 @@ class ProbeEstimate:
         if not (math.isfinite(variance) and math.isfinite(misfit)):
             return None
         deviation = math.sqrt(max(variance, 0.0) * max(misfit, 1.0))
-        return ProbeFinding(float(at[0]), float(at[1]), deviation, misfit)
+        return ProbeResult(float(at[0]), float(at[1]), deviation, misfit)
 
     @property
     def _steps(self) -> Array:
@@ -266,7 +266,7 @@ class StiffnessEstimate:
                 continue
             a, b = by_stiffness[j], by_friction[j]  # regressors 0 and f; that of c is 1
             f, c = 1 + j, 1 + dof + j
-            gain = [a * own[0] + b * own[f] + own[c] for own in covariance]
+            gain = [a * row[0] + b * row[f] + row[c] for row in covariance]
             variance = CURRENT_DEVIATION_A**2 + w * (a * gain[0] + b * gain[f] + gain[c])
             innovation -= a * theta[0] + b * theta[f] + theta[c]
             limit, share = 3.0 * math.sqrt(variance), w / variance

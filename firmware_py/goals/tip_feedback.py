@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_py.goals.plan_goals import PlanGoals
-from firmware_py.goals.stiffness_estimate import ProbeEstimate, ProbeFinding, StiffnessEstimate
+from firmware_py.goals.stiffness_estimate import ProbeEstimate, ProbeResult, StiffnessEstimate
 from firmware_py.goals.tip_plan import RateFilter, StiffnessSlopes, TipPlan
 from firmware_py.inference.estimator import Estimate
 from firmware_py.inference.predictor import TRUSTED_M, Prediction
@@ -76,7 +76,7 @@ class TipFeedback(Correction):
         self._size_rad, self._rate_rad_s = design.size_rad, design.rate_rad_s
         self._most_innovation_a = design.innovation_a
         self._desired_m = np.ascontiguousarray(plan.desired_tip_m())
-        filters = [f for own in design.filters for f in own]
+        filters = [f for payload in design.filters for f in payload]
         self._a, self._b, self._c, self._d = _side_by_side(filters, plan.dof)
         self._x = np.zeros(len(self._a))
         self._tables = _tables(plan)
@@ -86,7 +86,7 @@ class TipFeedback(Correction):
             self._slopes = {n: goals.interpolated(table) for n, table in self._tables.items()}
         self._estimate = StiffnessEstimate(plan.dof)
         self.stiffness, self._assume_payload = 0.0, assume_payload
-        self.found: ProbeFinding | None = None
+        self.probe_result: ProbeResult | None = None
         self._known_kg = goals.known_kg
         self._probing: ProbeEstimate | None = None
         if plan.probe is not None and goals.lead and self._tables:
@@ -104,7 +104,7 @@ class TipFeedback(Correction):
             if slot < 0:
                 self._probing.take(slot + self._probing.rows, fresh, current_a)
             else:
-                self._conclude(self._probing.found())
+                self._conclude(self._probing.result())
             return self.value_rad
         trust = self._trust
         doubt = self._doubt(fresh, estimate, prediction)
@@ -115,7 +115,7 @@ class TipFeedback(Correction):
         if slot < 0:
             return self.value_rad
         row = slot % self._rows
-        if row == 0 and self.found is None:
+        if row == 0 and self.probe_result is None:
             self.stiffness = self._estimate.value
         if trust.state is TrustState.TRUSTED and not doubt and following:
             self._follow(row, step_s, current_a, prediction.tip_m)
@@ -130,13 +130,13 @@ class TipFeedback(Correction):
         self.value_rad = self.value_rad + step
         return self.value_rad
 
-    def _conclude(self, found: ProbeFinding | None) -> None:
+    def _conclude(self, result: ProbeResult | None) -> None:
         """Adopt the estimate of the probing motion if it is certain, and restart the observer."""
         self._probing, payload_kg = None, self._known_kg
-        if found is not None and found.certain:
-            self.found, self.stiffness = found, found.stiffness
+        if result is not None and result.certain:
+            self.probe_result, self.stiffness = result, result.stiffness
             if payload_kg is None:
-                payload_kg = found.payload_kg
+                payload_kg = result.payload_kg
                 interpolated = self._goals.interpolated
                 self._slopes = {
                     n: interpolated(table, payload_kg) for n, table in self._tables.items()
@@ -166,7 +166,7 @@ class TipFeedback(Correction):
         slopes, dof = self._slopes, self._dof
         error = self._desired_m[row] - tip_m[:dof]
         if slopes is not None:
-            if self.found is None:
+            if self.probe_result is None:
                 unmatched = slopes["unmatched_a"][row]
                 moved = slopes["current_a"][row] - unmatched
                 excess = current_a - slopes["planned_a"][row] - self.stiffness * moved
@@ -193,10 +193,10 @@ def _side_by_side(
     a, b = np.zeros((states, states)), np.zeros((states, dof))
     c, d = np.zeros((len(filters), states)), np.zeros((len(filters), dof))
     first = 0
-    for k, own in enumerate(filters):
-        here = slice(first, first := first + len(own.a))
-        a[here, here], c[k, here] = own.a, own.c[0]
-        b[here, k % dof], d[k, k % dof] = np.array(own.b)[:, 0], own.d[0][0]
+    for k, each in enumerate(filters):
+        here = slice(first, first := first + len(each.a))
+        a[here, here], c[k, here] = each.a, each.c[0]
+        b[here, k % dof], d[k, k % dof] = np.array(each.b)[:, 0], each.d[0][0]
     return a, b, c, d
 
 
@@ -207,12 +207,12 @@ def _within(values: Array, most: float) -> Array:
 
 def _tables(plan: TipPlan) -> dict[str, Array]:
     """Return slopes and currents by name, shape (payloads, rows, dof); empty without slopes."""
-    slopes = [own.stiffness for own in plan.payloads]
+    slopes = [payload.stiffness for payload in plan.payloads]
     if None in slopes:
         return {}
     tables = {
-        name: np.array([np.transpose(getattr(own, name)) for own in slopes])
+        name: np.array([np.transpose(getattr(slope, name)) for slope in slopes])
         for name in StiffnessSlopes.__struct_fields__
     }
-    currents = [np.transpose(own.current_a) for own in plan.payloads]
+    currents = [np.transpose(payload.current_a) for payload in plan.payloads]
     return tables | {"planned_a": np.array(currents)}

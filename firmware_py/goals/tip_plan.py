@@ -79,17 +79,17 @@ def wrong_in_feedback(
     """Return the first error in the feedback of a plan, as a sentence; empty for none."""
     if design is None:
         return ""
-    if len(design.filters) != len(slopes) or any(len(own) != dof for own in design.filters):
+    if len(design.filters) != len(slopes) or any(len(filters) != dof for filters in design.filters):
         return f"needs a filter for each of {len(slopes)} payloads and {dof} joints"
-    for own in (f for filters in design.filters for f in filters):
-        n = len(own.a)
-        shapes = ((own.a, n, n), (own.b, n, 1), (own.c, 1, n), (own.d, 1, 1))
+    for each in (f for filters in design.filters for f in filters):
+        n = len(each.a)
+        shapes = ((each.a, n, n), (each.b, n, 1), (each.c, 1, n), (each.d, 1, 1))
         if not 1 <= n <= MOST_STATES or any(
             len(m) != rows_ or any(len(row) != columns for row in m) or not np.isfinite(m).all()
             for m, rows_, columns in shapes
         ):
             return "has a filter whose matrices do not fit together"
-        if np.max(np.abs(np.linalg.eigvals(np.array(own.a)))) >= 1.0:
+        if np.max(np.abs(np.linalg.eigvals(np.array(each.a)))) >= 1.0:
             return "has a filter that is not stable"
     bounds = design.size_rad, design.rate_rad_s, design.innovation_a
     if not (0 <= bounds[0] <= 0.2 and 0 < bounds[1] <= 10 and bounds[2] > 0):
@@ -204,7 +204,7 @@ class TipPlan(Document, frozen=True):
     @property
     def grid_kg(self) -> Array:
         """Payloads in rising order, shape (p,)."""
-        return np.array([own.payload_kg for own in self.payloads])
+        return np.array([payload.payload_kg for payload in self.payloads])
 
     @property
     def payloads_in_words(self) -> str:
@@ -223,7 +223,7 @@ class TipPlan(Document, frozen=True):
 
     def goals_rad(self) -> Array:
         """Goals for each payload, shape (p, n, dof)."""
-        return np.array([np.transpose(own.goals_rad) for own in self.payloads])
+        return np.array([np.transpose(payload.goals_rad) for payload in self.payloads])
 
     def desired_tip_m(self) -> Array:
         """Desired tip, shape (n, dof)."""
@@ -266,11 +266,11 @@ def _wrong_in(plan: TipPlan) -> str:
     grid = plan.grid_kg
     if not (np.isfinite(grid).all() and grid[0] >= 0 and (np.diff(grid) > 0).all()):
         return "has payloads that are negative or do not rise"
-    for own in plan.payloads:
+    for payload in plan.payloads:
         for name in ("goals_rad", "tip_m", "current_a"):
-            if wrong := _wrong_in_columns(getattr(own, name), name, plan.dof, plan.rows):
+            if wrong := _wrong_in_columns(getattr(payload, name), name, plan.dof, plan.rows):
                 return wrong
-    slopes = tuple(own.stiffness for own in plan.payloads)
+    slopes = tuple(payload.stiffness for payload in plan.payloads)
     if plan.probe is not None and (plan.feedback is None or None in slopes):
         return "has a probe without feedback"
     return (

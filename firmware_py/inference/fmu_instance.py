@@ -240,13 +240,13 @@ class FmuInstance:
             raise FmuRefusal(f"{self.path}: {self._message or name + ' failed.'}")
 
     def variable(self, name: str, kind: str | None = None) -> InstanceVariable:
-        found = self.variables.get(name)
-        if found is None or kind not in (None, found.type):
-            what = f"has no variable {name}" if found is None else f"{name} is no {kind}"
+        variable = self.variables.get(name)
+        if variable is None or kind not in (None, variable.type):
+            what = f"has no variable {name}" if variable is None else f"{name} is no {kind}"
             raise InputError(
                 self.path, what, "its variables are: " + ", ".join(self.variables)
             ) from None
-        return found
+        return variable
 
     def channel(self, names: Sequence[str]) -> Channel:
         return Channel(self, names)

@@ -123,14 +123,14 @@ def _decoded(data: bytes, path: Path) -> Manifest:
     """Decode a manifest; refuse a damaged one and one of another version."""
     try:
         document = msgspec.json.decode(data)
-        own = content_sha256(document) if isinstance(document, dict) else ""
+        actual = content_sha256(document) if isinstance(document, dict) else ""
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
         raise InputError(path, f"is damaged ({error})", "copy the bundle again") from None
     if isinstance(document, dict):
         check_version(path, document, SCHEMA, _MAKE)
         if _OWN_HASH not in document:
             raise InputError(path, f"has no {_OWN_HASH}, as every bundle of this release", _MAKE)
-        if document[_OWN_HASH] != own:
+        if document[_OWN_HASH] != actual:
             raise InputError(
                 path, f"does not match the hash of its own content ({_OWN_HASH})",
                 "copy the bundle again",
@@ -198,6 +198,6 @@ def write_manifest(directory: Path, manifest: Manifest) -> None:
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """Return the content of `manifest.json`, with the hash of its other fields."""
-    own = content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
-    manifest = msgspec.structs.replace(manifest, content_sha256=own)
+    digest = content_sha256(msgspec.json.decode(msgspec.json.encode(manifest)))
+    manifest = msgspec.structs.replace(manifest, content_sha256=digest)
     return msgspec.json.format(msgspec.json.encode(manifest), indent=1)

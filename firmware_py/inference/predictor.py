@@ -100,17 +100,17 @@ class OnnxGraph:
             raise
         except Exception:  # onnxruntime raises its own types, which differ between versions
             raise InputError(path, "is not a graph that onnxruntime can load", remedy) from None
-        found = [
+        actual = [
             (o.name, (o.shape or [0])[-1], o.type)
             for o in (*session.get_inputs(), *session.get_outputs())
         ]
-        name, width = found[0][:2]
+        name, width = actual[0][:2]
         inputs = width if inputs is None and isinstance(width, int) else inputs or 0
         expected = [(name, inputs), *outputs]
-        fitting = found == [(*pair, "tensor(double)") for pair in expected]
+        fitting = actual == [(*pair, "tensor(double)") for pair in expected]
         if not fitting or not 0 < inputs <= MOST_INPUTS:
             raise InputError(
-                path, f"has the inputs and outputs {found}, not {expected} in float64",
+                path, f"has the inputs and outputs {actual}, not {expected} in float64",
                 "train the bundle again with this version",
             )  # fmt: skip
         self.row: Array = np.zeros(inputs)

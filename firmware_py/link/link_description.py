@@ -152,17 +152,17 @@ class LinkDescription(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     def conditions(self) -> dict[str, Any]:
         """Return the conditions of a trial of this link, by key of its TOML file."""
-        own: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "base_offset_m": self.base_offset_m,
             "link_length_m": self.length_m,
             "link_width_m": self.width_m,
             "pressure_pa": self.pressure_pa,
         }
         if self.layout != square_layout(self.length_m, self.width_m):
-            own["markers"] = msgspec.to_builtins(self.layout)
+            facts["markers"] = msgspec.to_builtins(self.layout)
         if self.gravity.vector_m_s2 != STUDY_LINK.gravity.vector_m_s2:
-            own["gravity_m_s2"] = list(self.gravity.vector_m_s2)
-        return own
+            facts["gravity_m_s2"] = list(self.gravity.vector_m_s2)
+        return facts
 
 
 STUDY_LINK: Final = LinkDescription(name="drop-stitch link of the study")

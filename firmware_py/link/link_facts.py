@@ -69,12 +69,12 @@ def facts_of_bundle(directory: Path) -> LinkFacts | None:
     return facts_of_plant(plant) if isinstance(plant, dict) else None
 
 
-def other_link(own: LinkFacts, there: LinkFacts) -> str:
+def other_link(link: LinkFacts, there: LinkFacts) -> str:
     """Return the first fact in which two links differ, with both values; empty for none."""
     for field in msgspec.structs.fields(LinkFacts):
-        one, other = getattr(own, field.name), getattr(there, field.name)
+        one, other = getattr(link, field.name), getattr(there, field.name)
         if not _same(one, other):
-            return f"{field.name} {_text(one)} in place of {_text(other)}"
+            return f"{field.name} {_text(one)} instead of {_text(other)}"
     return ""
 
 

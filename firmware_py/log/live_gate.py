@@ -93,8 +93,8 @@ class LiveGate:
         """Whether a request names no origin or a permitted one."""
         lines = head.decode("latin-1").replace("\r", "\n").split("\n")[1:]  # servers take both
         headers = [line.partition(":")[::2] for line in lines]
-        found = [value.strip() for name, value in headers if name.strip().lower() == "origin"]
-        return not found or (len(found) == 1 and found[0] in self._origins)
+        origins = [value.strip() for name, value in headers if name.strip().lower() == "origin"]
+        return not origins or (len(origins) == 1 and origins[0] in self._origins)
 
     async def _pass_on(
         self, head: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter

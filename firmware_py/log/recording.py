@@ -170,8 +170,8 @@ def read_recording(path: Path | str, first: int | None = None) -> Recording:
     data = read_bytes(path, "name a log that 'dropstitch run' has written")
     metadata: dict[str, str] = {}
     with contextlib.suppress(*_damage()):
-        for found in _metadata(data):
-            metadata = found
+        for record in _metadata(data):
+            metadata = record  # the last one counts
     columns = _columns_of(metadata)
     if not columns:
         raise InputError(

@@ -59,13 +59,15 @@ class LinkPose(msgspec.Struct, frozen=True):
 def pose_link(shape: LinkShape, angle_rad: Array, tip_m: Array) -> LinkPose:
     """Return the pose of the link for joint angles of shape (dof,) and a tip of shape (3,)."""
     turn = _base_rotation(angle_rad)
-    own = turn.T @ tip_m - (0.0, 0.0, shape.base_offset_m)
-    sideways_m = float(np.hypot(own[0], own[1]))
-    towards = own[:2] / sideways_m if sideways_m > 0 else np.array([1.0, 0.0])
+    local_m = turn.T @ tip_m - (0.0, 0.0, shape.base_offset_m)
+    sideways_m = float(np.hypot(local_m[0], local_m[1]))
+    towards = local_m[:2] / sideways_m if sideways_m > 0 else np.array([1.0, 0.0])
     root_rad = _root_bend(shape, sideways_m)
     stations = np.linspace(0.0, 1.0, STATIONS)
     rows = np.array(shape.rows_m) / shape.rows_m[-1]
-    centre, sections = _sections(shape, root_rad, towards, own, np.concatenate([stations, rows]))
+    centre, sections = _sections(
+        shape, root_rad, towards, local_m, np.concatenate([stations, rows])
+    )
     corners = np.array([(x, y, 0.0) for x, y in shape.corners_m])
     placed = centre[:, None] + np.einsum("nij,cj->nci", sections, corners)
     lift = np.array([0.0, 0.0, shape.base_offset_m])

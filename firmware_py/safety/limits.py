@@ -214,12 +214,12 @@ def limits_of_link(link: LinkDescription, limits: Limits, given: Collection[str]
     Current and rate are only lowered, to the limits of the servo.
     """
     reach_m = round(BOX_MARGIN * (link.base_offset_m + link.length_m), 3)
-    own = {
+    of_link = {
         "tip_min_m": (-reach_m, -reach_m, -reach_m),
         "tip_max_m": (reach_m, reach_m, reach_m),
         "current_a": min(limits.current_a, link.preset.current_limit_a),
         "rate_rad_s": min(limits.rate_rad_s, link.preset.speed_limit_rad_s),
     }
     return msgspec.structs.replace(
-        limits, **{key: value for key, value in own.items() if key not in given}
+        limits, **{key: value for key, value in of_link.items() if key not in given}
     )

@@ -15,6 +15,7 @@ from collections import Counter
 
 import dynamixel_sdk as sdk
 import msgspec
+import numpy as np
 import pytest
 
 from firmware_py.bus.registers import Register
@@ -32,20 +33,63 @@ AMPLITUDE_RAD = math.radians(3.0)
 RATE_RAD_S = 0.2
 
 
-class Witness:
-    """Looks at the servos through the SDK as it comes, past everything of ours."""
+class StopAt:
+    """Telemetry that asks for a stop after some ticks, as SIGTERM would."""
+
+    drops = 0
+
+    def __init__(self, ticks):
+        self.countdown, self.loop = ticks, None
+
+    def put(self, record):
+        self.countdown -= 1
+        if self.countdown == 0:
+            self.loop.stop("SIGTERM")
+
+
+class Hardware:
+    """What a test may do with the servos; it counts what goes wrong."""
 
     def __init__(self, config):
-        self.config = config
-        self.table = model_named(config.servos[0].model).table
+        self.config, self.clock = config, DeadlineClock()
+        self.faults = Counter()
+
+    def bus(self):
+        """The servos, for a with statement; torque off at its end."""
+        return open_bus(self.config, self.clock)
+
+    def deadline_ns(self):
+        return self.clock.now_ns() + round(self.config.period_s * 1e9)
+
+    def read(self, bus):
+        """Measure once, with a whole period to answer in."""
+        status = bus.read(self.deadline_ns())
+        self.faults[status.name] += 1
+        return status
+
+    def run(self, limits=None, stop_at=0):
+        """Summary of the robot's own loop over the motion."""
+        config, goals = self.config, GoalTable(self.config.goals_rad())
+        if limits is not None:
+            config = msgspec.structs.replace(config, limits=limits)
+        stop = StopAt(stop_at)
+        with self.bus() as bus, real_time(config.real_time):
+            stop.loop = build_loop(config, NoModels(), bus, self.clock, goals=goals, telemetry=stop)
+            summary = stop.loop.run()
+        self.faults.update(summary.bus_faults)
+        return summary
+
+    def column(self, summary, name):
+        joints = range(1, self.config.dof + 1)
+        return np.column_stack([summary.records[f"{name}_{j}_rad"] for j in joints])
 
     def registers(self, register, value=None):
-        """Read a register of every servo, or write it."""
+        """Read a register of every servo, or write it, by the SDK as it comes."""
         port, packets = sdk.PortHandler(self.config.bus.port), sdk.PacketHandler(2.0)
+        cell = model_named(self.config.servos[0].model).table[register]
         assert port.openPort() and port.setBaudRate(self.config.bus.baud)
         try:
-            return [self._ask(packets, port, s.id, self.table[register], value)
-                    for s in self.config.servos]  # fmt: skip
+            return [self._ask(packets, port, s.id, cell, value) for s in self.config.servos]
         finally:
             port.closePort()
 
@@ -59,42 +103,6 @@ class Witness:
             if result == sdk.COMM_SUCCESS:
                 return cell.decode(bytes(data), 0)
         raise AssertionError(f"servo {id_} does not answer")
-
-
-class Hardware:
-    """What a test may do with the servos; it counts what goes wrong."""
-
-    def __init__(self, config):
-        self.config, self.clock = config, DeadlineClock()
-        self.witness = Witness(config)
-        self.faults = Counter()
-
-    def bus(self):
-        """The servos, for a with statement; torque off at its end."""
-        return open_bus(self.config, self.clock)
-
-    def read(self, bus):
-        """Measure once, with a whole period to answer in."""
-        status = bus.read(self.clock.now_ns() + round(self.config.period_s * 1e9))
-        self.faults[status.name] += 1
-        return status
-
-    def loop(self, bus, limits=None, telemetry=None):
-        """The robot's own loop over the motion."""
-        config = self.config
-        goals_rad = config.goals_rad()
-        if limits is not None:
-            config = msgspec.structs.replace(config, limits=limits)
-        return build_loop(
-            config, NoModels(), bus, self.clock, goals=GoalTable(goals_rad), telemetry=telemetry
-        )
-
-    def run(self, loop):
-        """Run it as the robot does; return its summary."""
-        with real_time(self.config.real_time):
-            summary = loop.run()
-        self.faults.update(summary.bus_faults)
-        return summary
 
 
 def configured():
@@ -126,15 +134,12 @@ def configured():
 def hardware():
     """The servos; every test must end without an error and without torque."""
     hardware = Hardware(configured())
-    assert hardware.witness.registers(Register.TORQUE_ENABLE) == [0] * hardware.config.dof, (
-        "released before"
-    )
+    assert not any(hardware.registers(Register.TORQUE_ENABLE)), "release them first"
     yield hardware
-    driven = hardware.witness.registers(Register.TORQUE_ENABLE)
-    if any(driven):
-        hardware.witness.registers(Register.TORQUE_ENABLE, 0)
-    assert driven == [0] * hardware.config.dof, "torque is off"
-    assert hardware.witness.registers(Register.HARDWARE_ERROR) == [0] * hardware.config.dof
-    assert {name: n for name, n in hardware.faults.items() if name != "OK"} == {}, (
-        "no error was counted"
-    )
+    driven = any(hardware.registers(Register.TORQUE_ENABLE))
+    if driven:
+        hardware.registers(Register.TORQUE_ENABLE, 0)
+    assert not driven, "torque is off"
+    assert not any(hardware.registers(Register.HARDWARE_ERROR))
+    hardware.faults.pop("OK", None)
+    assert not hardware.faults

@@ -37,7 +37,7 @@ SUBJECTS = (
         ("firmware_py/safety/*.py", "firmware_py/system/stop_signals.py",
          "!firmware_py/safety/estimate_trust.py"),
         ("tests/firmware_py/safety", "tests/firmware_py/system/test_stop_signals.py",
-         "tests/firmware_py/test_loop.py", "tests/firmware_py/test_loop_ends.py"),
+         "tests/firmware_py/test_loop.py", "tests/firmware_py/link"),
     ),
     Subject(
         "estimator",

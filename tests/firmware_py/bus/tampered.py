@@ -61,20 +61,17 @@ class TamperedTransport(LoopbackTransport):
             raise OSError(5, "Input/output error")
 
 
-def make(*numbers, period_s=0.017, limits=(-0.6, 0.6), **options):
+def make(*numbers, period_s=0.017, limits=(-0.6, 0.6), transport_type=TamperedTransport, **options):
+    """A bus of servos in memory that is not connected yet, its transport and its clock."""
     clock = SimClock()
     models = {id_: MODELS[number] for id_, number in enumerate(numbers, start=1)}
-    transport = TamperedTransport(models, clock)
+    transport = transport_type(models, clock)
     setups = [ServoSetup(id_, model, *limits) for id_, model in models.items()]
     return DynamixelBus(transport, setups, clock, period_s=period_s, **options), transport, clock
 
 
 def read(bus, clock):
     return bus.read(clock.now_ns() + BUDGET_NS)
-
-
-def drop_second(data):
-    return data[: len(data) // 2]
 
 
 def flip_payload(data):
@@ -85,10 +82,6 @@ def with_error(frame, error):
     """A whole packet with another error byte."""
     frame = frame[:8] + bytes([error]) + frame[9:-2]
     return frame + codec.crc16(frame).to_bytes(2, "little")
-
-
-def cut(data):
-    return data[:-3]
 
 
 class PacedTransport(TamperedTransport):
@@ -110,9 +103,6 @@ class PacedTransport(TamperedTransport):
 
 
 def paced():
-    clock, models = SimClock(), {1: MODELS[LEGACY], 2: MODELS[LEGACY]}
-    transport = PacedTransport(models, clock)
-    setups = [ServoSetup(id_, model, -0.6, 0.6) for id_, model in models.items()]
-    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
+    bus, transport, clock = make(LEGACY, LEGACY, transport_type=PacedTransport)
     bus.connect()
     return bus, transport, clock

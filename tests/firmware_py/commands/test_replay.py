@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from firmware_py.bus.servo_bus import BusStatus
 from firmware_py.commands.replay import compare, find_seams
 from firmware_py.core.signals import PERIOD_S, tip_names
 from firmware_py.inference.bundle import ModelBundle
@@ -14,7 +13,7 @@ from firmware_py.inference.estimator import Estimate, NoEstimator
 from firmware_py.log.recording import Recording
 from firmware_py.safety.states import SafetyState
 from firmware_py.tick_log import LONGEST_STEP_SLOTS
-from tests.firmware_py.simulated_loop import PluggedBus, StillPredictor, make
+from tests.firmware_py.simulated_loop import StillPredictor
 from tests.firmware_py.test_robot import motion, robot_config
 
 COUNT, GONE = 150, 60
@@ -39,17 +38,17 @@ def log_of(**changes):
 
 def test_the_past_before_a_port_that_came_back_is_discarded_as_in_the_run(toy_bundle):
     bundle, log = ModelBundle.load(toy_bundle), log_of()
-    said, tips_m = [], []
+    di, tips_m = [], []
     for k in range(COUNT):
         if k in (0, GONE):
             bundle.estimator.reset()
         sample = log.columns["angle_1_rad"][k : k + 1], log.columns["current_1_a"][k : k + 1]
-        said.append(bundle.estimator.update(*sample, PERIOD_S).di)
-        tips_m.append(bundle.predictor.predict(*sample, said[-1]).tip_m)
-    told = {"di": np.array(said)}
-    told |= dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
-    assert set(compare(log_of(**told), bundle).values()) == {0.0}
-    through = log_of(**told, state=np.full(COUNT, int(SafetyState.RUNNING)))
+        di.append(bundle.estimator.update(*sample, PERIOD_S).di)
+        tips_m.append(bundle.predictor.predict(*sample, di[-1]).tip_m)
+    answers = {"di": np.array(di)}
+    answers |= dict(zip(tip_names("predicted_"), np.transpose(tips_m), strict=True))
+    assert set(compare(log_of(**answers), bundle).values()) == {0.0}
+    through = log_of(**answers, state=np.full(COUNT, int(SafetyState.RUNNING)))
     assert compare(through, bundle)["di"] > 1e-6, "the past counts"
 
 
@@ -72,24 +71,11 @@ def test_a_leap_of_the_clock_is_the_step_of_the_loop():
     assert taken[80] == pytest.approx(LONGEST_STEP_SLOTS * PERIOD_S)
 
 
-def test_the_restart_of_a_run_is_found_in_its_records():
-    loop, bus, *_ = make(slots=300, bus=PluggedBus, replug_s=2.0)
-    bus.away = 3
-    bus.script = dict.fromkeys(range(100, 1000), BusStatus.PORT_GONE)
-    summary = loop.run()
-    assert summary.replugs == 1
-    records = summary.records
-    seams = find_seams(Recording({n: records[n] for n in records.dtype.names}, {}, True))
-    (row,) = np.flatnonzero(seams.restarted)
-    assert records["state"][row - 1 : row + 1].tolist() == [SafetyState.OFF, SafetyState.RUNNING]
-    assert (seams.missing, records["missed"].sum()) == (0, 0)
-
-
 def test_ticks_that_a_log_lacks_are_counted_and_slots_that_were_missed_are_not():
-    kept = np.delete(np.arange(COUNT), [20, 21, 90])
+    logged = np.delete(np.arange(COUNT), [20, 21, 90])
     log = log_of()
     assert find_seams(log).missing == 0
-    lacking = Recording({n: c[kept] for n, c in log.columns.items()}, log.metadata, True)
+    lacking = Recording({n: c[logged] for n, c in log.columns.items()}, log.metadata, True)
     assert find_seams(lacking).missing == 3
     missed = np.zeros(COUNT - 3, int)
     missed[20] = 2

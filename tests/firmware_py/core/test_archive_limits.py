@@ -23,7 +23,9 @@ def archive(path, members, compression=zipfile.ZIP_DEFLATED):
 
 
 @pytest.mark.parametrize("read", [open_fmu, FmuArchive], ids=["robot", "FMPy"])
-def test_an_fmu_that_unpacks_to_too_much_is_refused_before_it_is(tmp_path, read, monkeypatch):
+def test_an_fmu_that_is_no_sound_archive_is_refused_before_it_is_unpacked(
+    tmp_path, read, monkeypatch
+):
     bomb = bytes(input_files.MOST_TEXT_BYTES + 1)  # 4 kB as a file
     path = archive(tmp_path / "a.fmu", [("modelDescription.xml", bomb)])
     with pytest.raises(InputError, match="holds an XML file of more than 4 MB"):
@@ -37,22 +39,9 @@ def test_an_fmu_that_unpacks_to_too_much_is_refused_before_it_is(tmp_path, read,
         read(archive(tmp_path / "a.fmu", many))
     with pytest.raises(InputError, match=r"path outside the archive \(\.\./a\)"):
         read(archive(tmp_path / "a.fmu", [("../a", b"")]))
-
-
-@pytest.mark.filterwarnings("ignore:Duplicate name")
-def test_two_files_of_one_name_are_refused(tmp_path):
-    path = archive(tmp_path / "a.fmu", [("modelDescription.xml", XML)] * 2)
+    with pytest.warns(match="Duplicate name"):
+        path = archive(tmp_path / "a.fmu", [("modelDescription.xml", XML)] * 2)
     with pytest.raises(InputError, match="two files of one name"):
-        open_fmu(path)
-
-
-def test_damaged_lzma_is_refused(tmp_path):
-    path = archive(tmp_path / "a.fmu", [("modelDescription.xml", XML * 9)], zipfile.ZIP_LZMA)
-    data = bytearray(path.read_bytes())
-    at = data.index(b"modelDescription.xml") + 40
-    data[at : at + 20] = bytes(range(200, 220))
-    path.write_bytes(data)
-    with pytest.raises(InputError, match="is no FMU"):
         open_fmu(path)
 
 
@@ -62,10 +51,18 @@ def test_damaged_lzma_is_refused(tmp_path):
     ids=["huge", "open", "negative", "deep"],
 )
 def test_a_huge_or_damaged_header_of_an_array_is_refused(tmp_path, header):
+    assert_no_golden_ticks(tmp_path, npy(header))
+
+
+def npy(header):
+    """An array file whose header has a shape that NumPy would not write."""
     text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {header}, }}".encode()
     text += b" " * (-(10 + len(text) + 1) % 64) + b"\n"
-    array = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
-    path = archive(tmp_path / "golden.npz", [(f"{n}.npy", array) for n in Golden._fields])
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+def assert_no_golden_ticks(directory, array):
+    path = archive(directory / "golden.npz", [(f"{n}.npy", array) for n in Golden._fields])
     with pytest.raises(InputError, match="golden"):
         read_golden(path, 1)
 
@@ -73,7 +70,4 @@ def test_a_huge_or_damaged_header_of_an_array_is_refused(tmp_path, header):
 def test_a_pickled_array_is_refused(tmp_path):
     stream = io.BytesIO()
     np.save(stream, np.array([{}], dtype=object), allow_pickle=True)
-    members = [(f"{n}.npy", stream.getvalue()) for n in Golden._fields]
-    path = archive(tmp_path / "golden.npz", members)
-    with pytest.raises(InputError, match="golden"):
-        read_golden(path, 1)
+    assert_no_golden_ticks(tmp_path, stream.getvalue())

@@ -1,13 +1,18 @@
-"""Documents: round trip, and refusals of files that do not fit."""
+"""Documents, output files and units: round trip, refusals, whole or as they were."""
 
-from __future__ import annotations
-
+import errno
 import json
+import math
+import os
+import stat
+from pathlib import Path
 
 import pytest
 
+from firmware_py.core import units
 from firmware_py.core.documents import Document, read_document, write_document
 from firmware_py.core.errors import InputError
+from firmware_py.core.output_files import replacing, write_whole
 
 
 class Sample(Document, frozen=True, kw_only=True):
@@ -18,7 +23,7 @@ class Sample(Document, frozen=True, kw_only=True):
     note: str | None = None
 
 
-def test_what_is_written_is_read_back(tmp_path):
+def test_a_document_is_read_as_it_was_written(tmp_path):
     path, sample = tmp_path / "sample.json", Sample(schema=2, tip_x_m=0.1 + 0.2)
     write_document(path, sample)
     assert read_document(path, Sample) == sample
@@ -37,10 +42,54 @@ def test_what_is_written_is_read_back(tmp_path):
         ("[]", "no schema version"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_file_reason_and_remedy(tmp_path, text, reason):
+def test_a_document_that_does_not_fit_is_refused_with_file_reason_and_remedy(
+    tmp_path, text, reason
+):
     path = tmp_path / "sample.json"
     path.write_text(text)
     with pytest.raises(InputError) as refused:
         read_document(path, Sample)
     message = str(refused.value)
     assert str(path) in message and reason in message and "dropstitch gap" in message
+
+
+def test_a_full_disk_leaves_the_old_file_and_names_it(tmp_path):
+    """The system names no file when a write fails, as Linux does for a full disk."""
+    path = tmp_path / "plant.json"
+    for content in (b"older and longer", b"old"):
+        write_whole(path, content)
+    with pytest.raises(OSError, match="plant") as refused, replacing(path) as scratch:
+        scratch.write_bytes(b"ne")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert refused.value.filename == str(path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path], "no scratch file stays beside it"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need a privilege, and devices differ")
+def test_a_link_stays_a_link_and_a_device_a_device(tmp_path):
+    path, link = tmp_path / "plant_3.json", tmp_path / "plant.json"
+    path.write_bytes(b"old")
+    link.symlink_to(path)
+    write_whole(link, b"new")
+    assert link.is_symlink()
+    assert path.read_bytes() == b"new"
+    write_whole(Path(os.devnull), b"x")
+    assert stat.S_ISCHR(Path(os.devnull).stat().st_mode)
+    if Path("/dev/full").exists():
+        with pytest.raises(OSError, match="/dev/full"):
+            write_whole(Path("/dev/full"), b"x")
+
+
+# --- units --------------------------------------------------------------------------------------
+
+
+def test_numbers_are_shown_in_the_unit_with_its_decimals():
+    assert units.LENGTH.text(0.01234) == "12.3\u00a0mm"
+    assert units.LENGTH.text(0.01234, 2) == "12.34\u00a0mm"
+    assert units.FRACTION.text(0.951) == "95\u00a0%"
+    assert units.TICK_TIME.number(17_000_000) == "17.000"
+    assert units.ANGLE.significant(math.pi / 6) == "30\u00a0deg"
+    assert units.LENGTH.label("tip x") == "tip x in mm"
+    assert units.signal_words("angle_1_rad") == "angle 1"
+    assert units.signal_unit("current_1_a").name == "A"

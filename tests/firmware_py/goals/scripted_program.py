@@ -51,7 +51,7 @@ def linear_map(dof=1, half_period_s=0.17, slope=1.0, gap=False):
     places = tuple(np.linspace(-0.5, 0.5, 11).tolist())
     grid = np.stack(np.meshgrid(*[places] * dof, indexing="ij"), axis=-1).reshape(-1, dof)
 
-    def own(payload_kg):
+    def payload_map(payload_kg):
         columns = (slope * (1.0 + 0.5 * payload_kg) * grid).T.tolist()
         if gap:
             columns = [[None if v > 0.45 else v for v in column] for column in columns]
@@ -61,7 +61,8 @@ def linear_map(dof=1, half_period_s=0.17, slope=1.0, gap=False):
         )  # fmt: skip
 
     return GoalMap(
-        schema=1, dof=dof, period_s=PERIOD_S, places_m=places, payloads=(own(0.0), own(2.0)),
+        schema=1, dof=dof, period_s=PERIOD_S, places_m=places,
+        payloads=(payload_map(0.0), payload_map(2.0)),
         plant_sha256="", link=STUDY_FACTS,
     )  # fmt: skip
 

@@ -1,5 +1,6 @@
 """Socket between robot and program, the example client, the map's document."""
 
+import contextlib
 import socket
 import subprocess
 import sys
@@ -11,11 +12,7 @@ import pytest
 
 from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
-from firmware_py.goals.goal_channel import (
-    SocketChannel,
-    accepted_program,
-    connect,
-)
+from firmware_py.goals.goal_channel import SocketChannel, accepted_program, connect
 from firmware_py.goals.goal_map import RestGoals, read_goal_map
 from firmware_py.goals.outside_goals import ZeroVibration
 from firmware_py.summary import Ended
@@ -44,7 +41,7 @@ def test_messages_stay_apart_and_a_closed_side_is_seen(pair):
     channel.send(b"nobody")
 
 
-def test_a_program_that_does_not_read_holds_nothing_up(pair):
+def test_a_program_that_does_not_read_blocks_nothing(pair):
     channel = SocketChannel(pair[0])
     for _ in range(5000):
         channel.send(b"x" * 200)
@@ -53,14 +50,12 @@ def test_a_program_that_does_not_read_holds_nothing_up(pair):
 
 def test_one_program_connects_and_the_path_is_gone_afterwards(tmp_path):
     address, path = f"unix:{tmp_path}/goals", tmp_path / "goals"
-    found = {}
+    ends = []
 
     def program():
-        while "end" not in found:
-            try:
-                found["end"] = connect(address)
-            except InputError:
-                continue
+        while not ends:
+            with contextlib.suppress(InputError):
+                ends.append(connect(address))
 
     thread = threading.Thread(target=program)
     thread.start()
@@ -69,10 +64,10 @@ def test_one_program_connects_and_the_path_is_gone_afterwards(tmp_path):
         assert not path.exists()
         with pytest.raises(InputError, match="no robot listens there"):
             connect(address)
-        found["end"].send(b"hello")
+        ends[0].send(b"hello")
         assert channel.receive(1) == [b"hello"]
-    assert found["end"].recv(10) == b""
-    found["end"].close()
+    assert ends[0].recv(10) == b""
+    ends[0].close()
 
 
 def test_addresses_that_cannot_be_are_refused(tmp_path):
@@ -112,10 +107,10 @@ def test_the_example_client_leads_the_tip_once_around(tmp_path):
 
 
 def test_a_map_is_interpolated_and_read_as_it_was_written(tmp_path):
-    found = linear_map(2)
-    write_document(tmp_path / "map.json", found)
-    assert read_goal_map(tmp_path / "map.json") == found
-    rest = RestGoals(found)
+    goal_map = linear_map(2)
+    write_document(tmp_path / "map.json", goal_map)
+    assert read_goal_map(tmp_path / "map.json") == goal_map
+    rest = RestGoals(goal_map)
     assert rest.goals_rad((0.13, -0.21), 0.0) == pytest.approx([0.13, -0.21])
     assert rest.goals_rad((0.13, -0.21), 1.0) == pytest.approx([0.195, -0.315])
     assert rest.goals_rad((0.5, 0.5), 9.0) == pytest.approx([1.0, 1.0])
@@ -147,5 +142,4 @@ def test_the_shaper_cancels_the_mode_also_between_two_ticks():
     pole = complex(np.log(decay) / half_s, np.pi / half_s)
     at_s = period_s * np.arange(900)
     steps = np.diff(sent, prepend=0.0)
-    left = abs(np.sum(steps * np.exp(-pole * at_s)))
-    assert left < 1e-3
+    assert abs(np.sum(steps * np.exp(-pole * at_s))) < 1e-3

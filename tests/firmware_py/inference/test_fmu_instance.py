@@ -1,6 +1,5 @@
 """FMU instance of the robot, against FMPy on the same FMU; and refusals."""
 
-import os
 import platform
 import tracemalloc
 import zipfile
@@ -10,7 +9,6 @@ import pytest
 
 from firmware_py.core.errors import FmuRefusal, InputError
 from firmware_py.core.signals import PERIOD_S
-from firmware_py.inference import fmu_instance
 from firmware_py.inference.fmu_instance import FmuInstance
 from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_builder import build_fmu
@@ -54,13 +52,10 @@ def test_what_is_set_before_the_first_step_shapes_the_first_state(fmu):
     fmu.set(["parameters.rest_rad", "parameters.length_m"], [0.5, 1.0])
     fmu.set(["payload_kg"], [0.0])
     assert fmu.get(["tip_x_m"])[0] == pytest.approx(np.sin(0.5), abs=1e-12)
-
-
-def test_a_truth_is_read_as_one_or_zero(fmu):
     fmu.set(["parameters.rest_rad"], [0.1])
     assert fmu.get(["in_range", "parameters.rest_rad"]).tolist() == [1.0, 0.1]
     fmu.set(["parameters.rest_rad"], [1.5])
-    assert fmu.get(["in_range"])[0] == 0.0
+    assert fmu.get(["in_range"])[0] == 0.0, "a Boolean is read as 1 or 0"
 
 
 def test_reset_begins_anew(fmu):
@@ -76,7 +71,7 @@ def test_reset_begins_anew(fmu):
     np.testing.assert_array_equal(run(), first)
 
 
-def test_a_refused_call_tells_why_and_the_fmu_goes_on(fmu):
+def test_a_refused_call_names_the_cause_and_the_fmu_goes_on(fmu):
     with pytest.raises(FmuRefusal, match=r"torque_nm .* not a finite number"):
         fmu.set(["torque_nm"], [np.nan])
     with pytest.raises(FmuRefusal, match="length_m = 9 lies outside"):
@@ -84,16 +79,13 @@ def test_a_refused_call_tells_why_and_the_fmu_goes_on(fmu):
     with pytest.raises(FmuRefusal, match="step of 0 s"):
         fmu.step(0.0)
     fmu.step(PERIOD_S)
-
-
-def test_unknown_names_are_refused(fmu):
     with pytest.raises(InputError, match="no variable torque_2_nm"):
         fmu.channel(["torque_2_nm"])
     with pytest.raises(InputError, match="in_range is no Float64"):
         fmu.channel(["in_range"])
 
 
-def test_a_tick_allocates_nothing_that_stays(fmu):
+def test_a_tick_leaves_nothing_allocated(fmu):
     inputs, outputs = fmu.channel(INPUTS), fmu.channel(["tip_x_m", "steps"])
 
     def ticks(count):
@@ -147,7 +139,6 @@ def _lacking(files):
         (_edit(b"<CoSimulation", b"<ModelExchange"), "not for Co-Simulation"),
         (_edit(b"<ModelVariables>", b"<ModelVariables"), "is no FMU"),
         (lambda files: files.pop("modelDescription.xml"), "is no FMU"),
-        (lambda files: files.update({"../../evil.so": b""}), "path outside the archive"),
         (_edit(b'valueReference="1"', b'valueReference="one"'), "is no FMU"),
         (_no_elf, "does not load"),
         (_lacking, "lacks fmi3DoStep"),
@@ -162,23 +153,3 @@ def test_a_machine_without_a_binary_is_named(path, monkeypatch):
     monkeypatch.setattr(platform, "machine", lambda: "riscv64")
     with pytest.raises(InputError, match=r"no binary for riscv64-linux, only for x86_64-linux"):
         FmuInstance(path)
-
-
-def test_nothing_is_left_behind(path, tmp_path, monkeypatch):
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    with FmuInstance(path) as fmu:
-        assert list(tmp_path.iterdir()) == []
-        fmu.step(PERIOD_S)
-
-
-def test_a_library_that_stays_mapped_may_stay_on_the_disk(tmp_path, monkeypatch):
-    """Windows refuses to delete it; that must not pass for a library that does not load."""
-
-    def unlink(name, **options):
-        raise PermissionError(13, "is mapped", str(name))
-
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr(fmu_instance.ctypes, "PyDLL", lambda name: "loaded")
-    monkeypatch.setattr(os, "unlink", unlink)
-    assert fmu_instance._loaded(b"only in this test", "unit.dll") == "loaded"

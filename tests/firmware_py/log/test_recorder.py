@@ -10,11 +10,13 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -32,7 +34,7 @@ MAGIC, CHUNK = b"\x89MCAP0\r\n", 6
 
 
 def ticks(count, dof=2):
-    """Records with every bit pattern that a log must keep, from a fixed seed."""
+    """Records with every bit pattern that a log must preserve, from a fixed seed."""
     rng = np.random.default_rng(7)
     records = np.zeros(count, tick_dtype(dof))
     for name in records.dtype.names:
@@ -70,7 +72,7 @@ def assert_same(columns, records):
 
 
 @pytest.mark.parametrize("dof", [1, 2])
-def test_what_the_loop_sends_is_read_back_to_the_bit(tmp_path, dof):
+def test_the_ticks_of_the_loop_are_read_back_to_the_bit(tmp_path, dof):
     records, path = ticks(300, dof), tmp_path / "new" / "run.mcap"
     with recording(path, dof, 10**18, {"config": "{}"}) as telemetry:
         put_all(telemetry, records)
@@ -81,17 +83,10 @@ def test_what_the_loop_sends_is_read_back_to_the_bit(tmp_path, dof):
     assert (telemetry.drops, telemetry.logged) == (0, len(records))
 
 
-def test_only_the_first_ticks_are_read_where_that_is_asked(tmp_path):
-    records = ticks(100)
-    write(tmp_path / "run.mcap", records)
-    assert_same(read_recording(tmp_path / "run.mcap", 30).columns, records[:30])
-    assert_same(read_recording(tmp_path / "run.mcap", 500).columns, records)
-
-
 def test_the_file_declares_every_column_with_its_unit(tmp_path):
-    from mcap.reader import make_reader
-
-    write(tmp_path / "run.mcap", ticks(3))
+    records = ticks(3)
+    write(tmp_path / "run.mcap", records)
+    assert_same(read_recording(tmp_path / "run.mcap", 2).columns, records[:2])
     with open(tmp_path / "run.mcap", "rb") as stream:
         (schema, channel, message), *_ = make_reader(stream).iter_messages()
     assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
@@ -101,11 +96,12 @@ def test_the_file_declares_every_column_with_its_unit(tmp_path):
     assert json.loads(schema.data) == tick_schema(2)
 
 
-class Whole:
-    """A log of several chunks: its ticks, its bytes, and where each chunk ends with how many."""
+class Whole(NamedTuple):
+    """A log of several chunks."""
 
-    def __init__(self, records, data, ends):
-        self.records, self.data, self.ends = records, data, ends
+    records: np.ndarray
+    data: bytes
+    ends: list  # where each chunk ends, and the ticks up to there
 
 
 @pytest.fixture(scope="module")
@@ -150,34 +146,26 @@ TAILS = {"nothing": b"", "zeros": bytes(4096), "litter": bytes(range(256)) * 4}
 """What a file system may leave behind the cut."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("tail", TAILS.values(), ids=TAILS)
-def test_a_log_cut_off_at_a_seam_is_read_up_to_its_last_whole_chunk(tmp_path, whole, tail):
-    size = len(whole.data)
-    seams = [0, len(MAGIC), *(end for end, _ in whole.ends), size - len(MAGIC)]
-    for cut in {seam + offset for seam in seams for offset in (-1, 0, 1, 8, 9, 10)} & {
-        *range(size)
-    }:
-        assert_cut_is_read(tmp_path, whole, cut, tail)
-
-
 @given(data=st.data())
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_log_cut_off_at_any_byte_is_read_up_to_its_last_whole_chunk(tmp_path, whole, data):
-    cut = data.draw(st.integers(0, len(whole.data) - 1))
+    size = len(whole.data)
+    seams = [0, len(MAGIC), *(end for end, _ in whole.ends), size - len(MAGIC)]
+    near_seam = st.tuples(st.sampled_from(seams), st.sampled_from([-1, 0, 1, 8, 9, 10])).map(sum)
+    cut = data.draw(st.integers(0, size - 1) | near_seam.filter(lambda at: 0 <= at < size))
     tail = data.draw(st.one_of(st.sampled_from(list(TAILS.values())), st.binary(max_size=64)))
     assert_cut_is_read(tmp_path, whole, cut, tail)
 
 
 def test_a_log_writes_neither_over_a_file_nor_through_a_link(tmp_path):
-    (tmp_path / "kept").write_text("kept")
-    (tmp_path / "link").symlink_to(tmp_path / "kept")
-    for name in ("kept", "link"):
+    (tmp_path / "file").write_text("precious")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    for name in ("file", "link"):
         with pytest.raises(InputError, match="cannot be written"):
             McapSink(str(tmp_path / name), 1, {"dof": "1"})
-    assert (tmp_path / "kept").read_text() == "kept"
+    assert (tmp_path / "file").read_text() == "precious"
 
 
 def test_two_robots_that_share_a_directory_overwrite_no_log(tmp_path):
@@ -185,7 +173,7 @@ def test_two_robots_that_share_a_directory_overwrite_no_log(tmp_path):
     for _ in range(3):
         names.append(_free_log(tmp_path, "20261122T090000Z_sinusoid").name)
         (tmp_path / names[-1]).symlink_to(tmp_path / "elsewhere")
-    (tmp_path / "20261122T090000Z_sinusoid_4.timing.json").write_text("kept")
+    (tmp_path / "20261122T090000Z_sinusoid_4.timing.json").write_text("")
     names.append(_free_log(tmp_path, "20261122T090000Z_sinusoid").name)
     assert [name.partition("_sinusoid")[2] for name in names] == [
         ".mcap", "_2.mcap", "_3.mcap", "_5.mcap",
@@ -205,7 +193,7 @@ def test_a_recorder_that_dies_takes_half_a_second_with_it_at_most(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_file_is_complete_though_the_loop_was_killed(tmp_path):
+def test_the_file_is_complete_after_the_loop_was_killed(tmp_path):
     path = tmp_path / "run.mcap"
     code = f"""
 import os, signal
@@ -265,25 +253,21 @@ except InputError as error:
 """
 
 
-def limited(path, most):
-    """What a log comes to where no file may be larger: as on a full disk, a write fails."""
-    code = LIMITED.format(path=str(path), most=most)
-    return subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-
-
 @pytest.mark.slow
-def test_a_disk_that_is_full_at_the_start_is_told_and_keeps_no_empty_file(tmp_path):
-    ended = limited(tmp_path / "run.mcap", 0)
-    assert str(tmp_path / "run.mcap") in ended.stdout and "File too large" in ended.stdout
-    assert ended.stdout.endswith("False\n"), "the name is free again"
+def test_a_full_disk_is_reported_with_the_number_of_ticks_that_the_log_holds(tmp_path):
+    """No file may be larger than a limit: as on a full disk, a write fails."""
+
+    def limited(path, most):
+        code = LIMITED.format(path=str(path), most=most)
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+        )
+
+    ended = limited(tmp_path / "a.mcap", 0)
+    assert str(tmp_path / "a.mcap") in ended.stdout and "File too large" in ended.stdout
+    assert ended.stdout.endswith("False\n"), "no empty file stays"
     assert ended.stderr == "", "no traceback of the recorder"
-
-
-@pytest.mark.slow
-def test_a_disk_that_fills_during_the_run_leaves_a_count_of_what_the_log_holds(tmp_path):
-    ended = limited(tmp_path / "run.mcap", 60_000)
+    ended = limited(tmp_path / "b.mcap", 60_000)
     logged, readable = map(int, ended.stdout.split())
     assert 0 < logged == readable < 200
     assert "File too large" in ended.stderr and ended.stderr.count("\n") == 1
@@ -302,34 +286,24 @@ def spawned(monkeypatch):
     return processes
 
 
-def test_a_recorder_that_was_killed_says_no_number(tmp_path, spawned):
-    with recording(tmp_path / "run.mcap", 2, 10**18, {}) as telemetry:
-        spawned[0].kill()
-        spawned[0].wait()
-    assert telemetry.logged is None
-
-
-def test_a_stopped_recorder_ends_its_file_with_the_run(tmp_path, spawned):
-    path = tmp_path / "run.mcap"
+def test_a_stopped_recorder_is_resumed_and_one_that_hangs_is_killed(tmp_path, spawned, monkeypatch):
+    path = tmp_path / "stopped.mcap"
     with recording(path, 2, 10**18, {}) as telemetry:
         put_all(telemetry, ticks(5))
         spawned[0].send_signal(signal.SIGSTOP)
     assert spawned[0].returncode == 0
     assert telemetry.logged == len(read_recording(path).columns["tick"]) == 5
-
-
-def test_a_recorder_that_hangs_is_killed_at_the_end_of_the_run(tmp_path, spawned, monkeypatch):
     monkeypatch.setattr("firmware_py.log.recorder._STOP_TIMEOUT_S", 0.1)
     monkeypatch.setattr("firmware_py.log.recorder._EXIT_TIMEOUT_S", 0.1)
     monkeypatch.setattr(signal, "SIGCONT", signal.SIGSTOP)  # nothing resumes it
     with recording(tmp_path / "run.mcap", 2, 10**18, {}) as telemetry:
         pass
-    spawned[0].wait()
-    assert (spawned[0].returncode, telemetry.logged) == (-signal.SIGKILL, None)
+    spawned[1].wait()
+    assert (spawned[1].returncode, telemetry.logged) == (-signal.SIGKILL, None)
 
 
 @pytest.mark.parametrize("package", ["mcap", "lz4"])
-def test_without_the_extra_one_sentence_says_what_to_do(tmp_path, monkeypatch, package):
+def test_without_the_extra_one_sentence_names_the_remedy(tmp_path, monkeypatch, package):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == package else name)
     with (
         pytest.raises(
@@ -338,14 +312,6 @@ def test_without_the_extra_one_sentence_says_what_to_do(tmp_path, monkeypatch, p
         recording(tmp_path / "run.mcap", 1, 0, {}),
     ):
         pytest.fail("the loop must not start")
-
-
-@pytest.mark.parametrize("content", [b"", b"time_s,angle\n", bytes(1000)])
-def test_a_file_that_is_no_log_is_refused(tmp_path, content):
-    path = tmp_path / "other.mcap"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match="log"):
-        read_recording(path)
 
 
 def test_the_loops_process_never_imports_the_writer():

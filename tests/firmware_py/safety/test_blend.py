@@ -33,16 +33,6 @@ def test_goals_start_where_the_arm_stands_and_end_in_the_motion(stands, desired,
         assert ticks <= math.ceil(64 * max(1.0, 7.5 * abs(stands - desired) / limit))
 
 
-def test_a_motion_that_starts_where_the_arm_stands_is_followed_to_the_bit():
-    goals = Motion(dof=2).table_rad()
-    supervisor = SafetySupervisor(Limits(), 2)
-    supervisor.arm(np.zeros(2))
-    supervisor.start()
-    supervisor.rebase(goals[0])
-    for row in goals:
-        assert supervisor.admit(row).tolist() == row.tolist()
-
-
 @given(st.integers(1, 2), st.integers(20, 200))
 def test_skipped_slots_make_no_jump_in_goal_or_speed(missed, slot):
     goals = Motion().table_rad()
@@ -112,17 +102,31 @@ def test_a_join_takes_as_long_as_its_distance_needs(stands, amplitude, slot, rat
     longest = max(1.0, 7.5 * (0.5 + abs(stands)) / rate) / EXACT_S
     assert ticks <= math.ceil(longest)
     assert ticks >= min(needed, longest) - 1
-    own = np.abs(np.diff(motion[: ticks + 1])).max()
-    assert np.abs(np.diff(goals)).max() <= own + 0.25 * rate * EXACT_S * 1.001
+    largest_step = np.abs(np.diff(motion[: ticks + 1])).max()
+    assert np.abs(np.diff(goals)).max() <= largest_step + 0.25 * rate * EXACT_S * 1.001
     assert abs(goals[1] - stands) < 1e-4
 
 
-@pytest.mark.parametrize(("distance", "ticks"), [(0.0, 64), (0.1, 64), (0.2, 96), (0.4, 192)])
+def test_a_join_takes_as_long_as_the_farthest_joint_needs():
+    at, desired = np.array([0.0, 0.45]), np.array([0.0, -0.5])
+    supervisor = SafetySupervisor(LIMITS, 2, EXACT_S)
+    supervisor.arm(at)
+    supervisor.start()
+    supervisor.rebase(at)
+    supervisor.resume()
+    goals = [at]
+    while not supervisor.following:
+        goals.append(supervisor.admit(desired).copy())
+    assert np.abs(np.diff(goals, axis=0)).max() <= 0.25 * EXACT_S * 1.001
+    assert goals[-1] == pytest.approx(desired, abs=1e-12)
+
+
+@pytest.mark.parametrize(("distance", "ticks"), [(0.1, 64), (0.4, 192)])
 def test_a_motion_that_waits_nearby_is_joined_sooner(distance, ticks):
     assert joining(-0.1, np.full(900, distance - 0.1))[1] == ticks
 
 
-@pytest.mark.parametrize("slot", [16, 64, 144])
+@pytest.mark.parametrize("slot", [16, 144])
 def test_a_join_leaves_room_beside_a_motion_that_is_almost_at_the_limit(slot):
     """Blend and motion add up; where a slower blend leaves room for both, it is taken."""
     limits = msgspec.structs.replace(LIMITS, angle_rad=(-1.0, 1.0))
@@ -130,20 +134,6 @@ def test_a_join_leaves_room_beside_a_motion_that_is_almost_at_the_limit(slot):
     goals, ticks = joining(0.0, motion[slot:], limits)
     longest = 480  # 7.5 rad over 1 rad/s
     assert ticks == longest or np.abs(np.diff(goals)).max() <= 0.9 * EXACT_S * (1 + 1e-9)
-
-
-def test_a_join_into_a_steady_motion_takes_no_longer_where_acceleration_is_scarce():
-    """A motion at a steady rate does not accelerate, however fast it is."""
-    motion = np.minimum(0.4 * EXACT_S * np.arange(3000), 0.5)
-    scarce = msgspec.structs.replace(LIMITS, acceleration_rad_s2=20.0)
-    assert scarce.acceleration_rad_s2 < 0.4 / EXACT_S
-    assert joining(0.2, motion, scarce)[1] == joining(0.2, motion)[1] < 480
-
-
-def test_the_last_tick_of_a_join_counts_for_its_distance():
-    motion = np.full(900, 0.129)
-    motion[63:] += 0.008
-    assert joining(0.0, motion)[1] == math.ceil(7.5 * 0.137 * 64)
 
 
 def test_once_a_motion_is_taken_up_a_missed_slot_keeps_its_speed():
@@ -155,16 +145,6 @@ def test_once_a_motion_is_taken_up_a_missed_slot_keeps_its_speed():
     first_goal_after(supervisor, goal + step)
     supervisor.rebase(np.array([goal + 2 * step]))
     assert first_goal_after(supervisor, goal + 3 * step) == pytest.approx(goal + 2 * step, abs=1e-5)
-
-
-@pytest.mark.parametrize("tick", [1, 2, 32, 63, 64])
-def test_an_offset_fades_along_a_quintic_from_the_first_tick_to_the_last(tick):
-    supervisor = started(at=0.01, desired=0.0)  # blend_s is 64 ticks
-    for _ in range(tick):
-        goal = first_goal_after(supervisor, 0.0)
-    x = tick / 64
-    share = 1 - (6 * x**5 - 15 * x**4 + 10 * x**3)
-    assert goal == pytest.approx(0.01 * share, abs=1e-15)
 
 
 def test_without_a_time_to_blend_a_small_offset_is_gone_at_once():
@@ -208,7 +188,7 @@ def test_a_motion_within_the_limits_is_run_from_wherever_the_arm_stands(
         assert supervisor.admit(row).tolist() == row.tolist(), supervisor.reason
 
 
-@pytest.mark.parametrize("stands", [-0.5, -0.5 + 1e-6, -0.2, 1e-9, 0.2, 0.5 - 1e-6, 0.5])
+@pytest.mark.parametrize("stands", [-0.5, -0.5 + 1e-6, 1e-9, 0.2, 0.5])
 def test_an_approach_starts_at_rest_where_the_arm_stands_and_ends_at_rest(stands):
     goals = approached(started(at=stands), 0.0)
     steps = np.diff(goals)
@@ -216,10 +196,7 @@ def test_an_approach_starts_at_rest_where_the_arm_stands_and_ends_at_rest(stands
     assert len(steps) * EXACT_S >= LIMITS.blend_s
     assert np.all(steps * -np.sign(stands) >= 0), "never back"
     assert abs(steps[0]) + abs(steps[-1]) <= 2e-4 * abs(stands)
-
-
-def test_where_the_arm_stands_at_the_beginning_there_is_no_approach():
-    assert started(at=0.25).approach(np.array([0.25])) == 0
+    assert started(at=0.25).approach(np.array([0.25])) == 0, "there is nowhere to go"
 
 
 @pytest.mark.parametrize(

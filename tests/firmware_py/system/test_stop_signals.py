@@ -14,11 +14,9 @@ from firmware_py.system.clock import DeadlineClock
 from firmware_py.system.stop_signals import STOP_SIGNALS, signals_to
 from tests.firmware_py.simulated_loop import Bus, make
 
-NAMED = ("HUP", "INT", "QUIT", "TERM", "USR1", "USR2", "PIPE", "TSTP", "ALRM", "XCPU")
-
 
 def run_with(number):
-    """A run that gets a signal in its read 100, and the time at which the torque went off."""
+    """A run that gets a signal in its read 100, and its bus."""
 
     class SignallingBus(Bus):
         def read(self, deadline_ns):
@@ -30,7 +28,9 @@ def run_with(number):
     return loop.run(), bus
 
 
-@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize(
+    "name", ["HUP", "INT", "QUIT", "TERM", "USR1", "USR2", "PIPE", "TSTP", "ALRM", "XCPU"]
+)
 def test_a_signal_brings_a_controlled_stop(name):
     number = signal.Signals[f"SIG{name}"]
     before = signal.getsignal(number)
@@ -53,17 +53,17 @@ def test_every_signal_that_ends_or_halts_a_process_is_handled_but_kill_stop_and_
 
 
 def test_a_hangup_that_nohup_ignores_stays_ignored():
-    before, said = signal.signal(signal.SIGHUP, signal.SIG_IGN), []
+    before, raised = signal.signal(signal.SIGHUP, signal.SIG_IGN), []
     try:
-        with signals_to(said.append):
+        with signals_to(raised.append):
             signal.raise_signal(signal.SIGHUP)
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)
-    assert said == []
+    assert raised == []
 
 
-def test_an_impatient_second_signal_does_not_leave_the_torque_on():
+def test_a_second_signal_does_not_prevent_torque_off():
     loop, bus, *_ = make(slots=10)
     torque = bus.torque
 
@@ -78,7 +78,7 @@ def test_an_impatient_second_signal_does_not_leave_the_torque_on():
 
 
 def test_neither_a_dead_recorder_nor_a_lost_port_raises_a_signal(tmp_path):
-    said = []
+    raised = []
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(tmp_path / "line"))
@@ -87,10 +87,10 @@ def test_neither_a_dead_recorder_nor_a_lost_port_raises_a_signal(tmp_path):
     transport = SocketTransport(str(tmp_path / "line"), DeadlineClock())
     listener.accept()[0].close()
     theirs.close()
-    with signals_to(said.append):
+    with signals_to(raised.append):
         telemetry.put(memoryview(b"record"))
         with pytest.raises(OSError):
             transport.write(b"goals")
-    assert (said, telemetry.drops) == ([], 1)
+    assert (raised, telemetry.drops) == ([], 1)
     for end in (ours, listener, transport):
         end.close()

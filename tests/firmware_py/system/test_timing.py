@@ -1,6 +1,14 @@
-"""Percentiles, histograms, causes of misses and the bound on their rate."""
+"""Timing: percentiles, causes of misses, the bound on their rate; clocks, counters, `bench`."""
 
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
 import math
+import os
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -8,6 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binomtest
 
+from firmware_py.system.clock import RealTimeOptions, real_time
+from firmware_py.system.kernel_counters import KernelCounters
 from firmware_py.system.timing import (
     Cause,
     Histogram,
@@ -31,17 +41,14 @@ def test_percentiles_of_a_histogram_are_exact_within_a_bucket(values, fraction):
     assert (summary.n, summary.max_ns) == (len(values), max(values))
 
 
-def test_durations_outside_the_buckets_are_counted():
+def test_durations_outside_the_buckets_count_and_no_durations_are_zero():
+    zeros = Percentiles(n=0, p50_ns=0, p99_ns=0, p99_9_ns=0, max_ns=0)
     histogram = Histogram()
+    assert histogram.summary() == Percentiles.of(np.zeros(0, np.int64)) == zeros
     histogram.add(-5)
     histogram.add(2**60)
     assert histogram.count == sum(histogram.counts) == 2
     assert histogram.max_ns == 2**60
-
-
-def test_the_percentiles_of_nothing_are_zero():
-    zeros = Percentiles(n=0, p50_ns=0, p99_ns=0, p99_9_ns=0, max_ns=0)
-    assert Histogram().summary() == Percentiles.of(np.zeros(0, np.int64)) == zeros
 
 
 @given(durations)
@@ -86,11 +93,88 @@ def test_the_bound_is_clopper_and_pearsons(slots, data):
     assert miss_rate_bound(misses, slots) == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.parametrize("misses", [0, 40, 999_999])
+@pytest.mark.parametrize("misses", [0, 999_999])
 def test_the_bound_of_long_runs_is_a_quantile_of_the_beta_distribution(misses):
     exact = beta.ppf(0.95, misses + 1, 1_000_000 - misses)
     assert miss_rate_bound(misses, 1_000_000) == pytest.approx(exact, rel=1e-8)
-
-
-def test_the_bound_is_one_without_slots_or_with_all_of_them_missed():
     assert miss_rate_bound(0, 0) == miss_rate_bound(1000, 1000) == 1.0
+
+
+# --- clocks, and a thread that is made real-time and restored -----------------------------------
+
+
+@pytest.mark.parametrize("collecting", [True, False])
+def test_a_thread_is_restored_as_it_was(collecting):
+    before = os.sched_getscheduler(0), os.sched_getaffinity(0)
+    cpu = min(before[1])
+    (gc.enable if collecting else gc.disable)()
+    try:
+        with real_time(RealTimeOptions(priority=1, lock_memory=False, cpu=cpu)) as refused:
+            assert not gc.isenabled()
+            assert os.sched_getaffinity(0) == {cpu}
+            fifo = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+            assert fifo is not any("SCHED_FIFO" in sentence for sentence in refused)
+        assert gc.isenabled() is collecting
+        assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
+    finally:
+        gc.enable()
+
+
+def test_each_refusal_of_the_system_is_named(monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr("firmware_py.system.clock._has_capability", lambda _: False)
+    monkeypatch.setattr("resource.getrlimit", lambda _: (65536, 65536))
+    with real_time(RealTimeOptions(cpu=10_000)) as refused:
+        assert [s.split()[0] for s in refused] == ["memory", "processor", "SCHED_FIFO"]
+
+
+# --- counters of the kernel for the thread that computes ----------------------------------------
+
+
+def test_the_kernel_counts_for_this_thread():
+    with contextlib.closing(KernelCounters()) as counters:
+        before_ns = counters.run_delay_ns()
+        counters.start_computing()
+        start_ns, ran_ns = time.monotonic_ns(), time.thread_time_ns()
+        assert sum(k * k for k in range(100_000)) > 0
+        ran_ns = time.thread_time_ns() - ran_ns
+        delayed_ns, stolen_ns = counters.delays_ns()
+        assert 0 <= stolen_ns <= time.monotonic_ns() - start_ns - ran_ns + 100_000
+        assert before_ns <= delayed_ns <= counters.run_delay_ns()
+
+
+def test_time_asleep_is_not_counted_as_stolen():
+    with contextlib.closing(KernelCounters()) as counters:
+        other = threading.Thread(target=sum, args=(range(1_000_000),))
+        counters.start_computing()
+        other.start()
+        other.join()
+        assert counters.delays_ns()[1] == 0
+
+
+# --- the command `dropstitch bench` -------------------------------------------------------------
+
+
+def test_bench_measures_every_stage_and_judges_its_own_cost(toy_bundle, call):
+    code, output = call("bench", "--bundle", toy_bundle, "--seconds", "0.2", "--json")
+    result = json.loads(output.out)
+    assert code == (0 if result["good"] else 1)
+    stages = result["timing"]["stages"]
+    assert result["good"] is (stages["own"]["p99_ns"] <= result["limit_own_p99_ns"])
+    assert {stage["n"] for stage in stages.values()} == {result["ticks"]}
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--seconds", "-5"], "--seconds: is -5 s; give"),
+        (["--seconds", "nan"], "--seconds: is nan s; give"),
+        (["--dof", "2"], "has 1; leave --dof out"),
+    ],
+)
+def test_bench_refuses_what_it_would_not_measure(toy_bundle, call, options, sentence):
+    code, output = call("bench", "--bundle", toy_bundle, *options)
+    assert (code, sentence in output.err) == (2, True), output.err

@@ -33,7 +33,7 @@ def estimated(probe, table, known_kg=None):
     estimate = ProbeEstimate(probe, known_kg)
     for row, current in enumerate(table):
         estimate.take(row, True, current)
-    return estimate.found()
+    return estimate.result()
 
 
 def sag(stiffness, payload_kg):
