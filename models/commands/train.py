@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = (
     "dropstitch train build/trials --dof 1 --plant build/plant.json "
-    "--out build/bundle_1dof --unseen build/unseen_20deg"
+    "--out build/bundle_1dof --motions build/unseen_multisine"
 )
 LARGEST_ASKEW_DEG: Final = 0.8
 """Largest angle of a link mounted askew: 14 mm at the tip; with 15 mm nothing would be in range."""

@@ -160,9 +160,8 @@ def _compile(
         sys.executable, "-m", "ziglang", "cc", *options,
         *(f"-I{directory}" for directory in include), *map(str, sources), "-o", str(output), "-lm",
     ]  # fmt: skip
-    environment = dict(os.environ)
-    if not environment.get("HOME"):  # Zig's cache is in the home directory by default
-        environment.setdefault("ZIG_GLOBAL_CACHE_DIR", str(CACHE / "zig"))
+    # Zig caches its C library, 45 MB; by default it fills a directory of the user's home.
+    environment = {"ZIG_GLOBAL_CACHE_DIR": str(CACHE / "zig"), **os.environ}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise DropstitchError(f"the C compiler refused {sources[0].name}:\n{done.stderr.strip()}")
