@@ -22,7 +22,7 @@ export SOURCE_DATE_EPOCH
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-# Compiled Python is always written, and to build/. Compiling anew takes each command 7 seconds.
+# Compiled Python is always written, and to build/: compiling it anew costs each command seconds.
 unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(CURDIR)/build/cache/python
 
@@ -45,11 +45,11 @@ judge = $(call run,$(1)) || case $$? in 1|3) ;; *) exit 2 ;; esac
 
 help:
 	@echo "make demo       from trials to the report; 4 minutes, 1.2 GB for .venv the first time"
-	@echo "make study      the paper's study: five payloads, two phases, all predictors; 7 minutes"
+	@echo "make study      the paper's study: five payloads, two phases, all predictors; 6 minutes"
 	@echo "make gap-demo HIDE=$(HIDE)   hides an effect, finds it, improves plant and robot; 5 minutes more"
 	@echo "make tip-demo   leads the tip along a line and a circle; 5 minutes after the demo"
 	@echo "make sil        the robot's loop in real time for 10 s, with a timing verdict; 1 minute"
-	@echo "make setup      .venv with what tests and documents need, 1.8 GB; 2 minutes"
+	@echo "make setup      .venv with what tests and documents need, 1.9 GB; 2 minutes"
 	@echo "make test       lint, types and the quick tests; 5 minutes"
 	@echo "make figures    measures docs/figures.md; 45 minutes. ONLY='tip loop' measures parts"
 	@echo "make docs       the documentation as a site; 3 minutes"
@@ -159,7 +159,7 @@ build/report.html: $(foreach dof,1 2,build/check_twin_$(dof)dof.json build/sil_$
 STUDY := build/study
 
 study: | $(READY)
-	@echo "The paper's study on simulated trials: about 7 minutes on two idle cores."
+	@echo "The paper's study on simulated trials: about 6 minutes on two idle cores."
 	@$(BIN)/python -m bench.demo study
 	@echo
 	@echo "open $(CURDIR)/$(STUDY)/report.html"

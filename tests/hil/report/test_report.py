@@ -166,7 +166,7 @@ def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     assert text.count("Not shown") == 6
     for command in ("evaluate", "fmu check build/twin_1dof.fmu", "sil"):
         assert f"To create them, run dropstitch {command} " in text
-    assert "To create them, run make study." in text
+    assert "To create them, run make study " in text
 
 
 @pytest.mark.parametrize(
