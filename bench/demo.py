@@ -73,8 +73,8 @@ def loop_error(*runs: str) -> str:
 def timing_verdict(run: str) -> str:
     timing = read(f"{run}/timing.json")
     p99_ms = 1e-6 * timing["own_cost"]["p99_ns"]
-    missed = timing["own_misses"]
-    return f"verdict {timing['verdict']}: {missed} deadlines missed, {p99_ms:.1f} ms of 17 ms used"
+    reason = timing["reason"].partition(";")[0]
+    return f"{timing['verdict']}: {reason}; {p99_ms:.1f} ms of 17 ms used"
 
 
 def page_size(page: str) -> str:
