@@ -84,7 +84,8 @@ UV = uv pip install --quiet --no-deps --python $(BIN)/python
 PIP = $(BIN)/python -m pip install --quiet --no-deps --no-compile --disable-pip-version-check
 
 define install
-@export PATH="$$PATH:$(CURDIR)/$(BIN)"; $(UV) $(1) || { $(BIN)/python -m pip --version >/dev/null 2>&1 && $(PIP) $(1); }
+@export PATH="$$PATH:$(CURDIR)/$(BIN)"; $(UV) $(1) || \
+  { $(BIN)/python -m pip --version >/dev/null 2>&1 && $(PIP) $(1); }
 endef
 
 # What the demos need.
@@ -459,7 +460,7 @@ figures: $(COMPLETE)
 
 # --- packages ------------------------------------------------------------------------------------
 
-# Wheels of the robot's packages and of the project; WHEELS names another platform and Python.
+# Wheels of the project and of the robot's packages; WHEELS names another platform and Python.
 wheelhouse: $(READY)
 	rm -rf dist/wheelhouse
 	$(BIN)/python -m pip download --quiet --require-hashes --only-binary :all: --no-deps $(WHEELS) \
@@ -467,14 +468,14 @@ wheelhouse: $(READY)
 	$(BIN)/python -m pip wheel --quiet --no-deps -w dist/wheelhouse .
 	@ls dist/wheelhouse
 
+LOCK = PATH="$$PATH:$(CURDIR)/$(BIN)" uv pip compile --quiet --universal --python-version 3.11 \
+  --generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make lock"
+
 lock:
-	for extras in "--fork-strategy fewest --extra record --extra trust:robot" "--extra test --group build:test" \
-	  "--extra workshop --group build --constraint requirements/test.txt:workshop"; do \
-	  uv pip compile pyproject.toml --quiet --universal --python-version 3.11 --generate-hashes \
-	    --no-emit-index-url --no-annotate --custom-compile-command "make lock" \
-	    $${extras%%:*} --output-file requirements/$${extras##*:}.txt; done
-	uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-	  --no-annotate --custom-compile-command "make lock" --group setup --output-file requirements/uv.txt
+	$(LOCK) pyproject.toml --fork-strategy fewest --extra record --extra trust --output-file requirements/robot.txt
+	$(LOCK) pyproject.toml --extra test --group build --output-file requirements/test.txt
+	$(LOCK) pyproject.toml --extra workshop --group build --constraint requirements/test.txt --output-file requirements/workshop.txt
+	$(LOCK) --group setup --output-file requirements/uv.txt
 
 clean:
 	rm -rf build
