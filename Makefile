@@ -52,7 +52,7 @@ help:
 	@echo "make setup      .venv with what tests and documents need, 1.9 GB; 2 minutes"
 	@echo "make test       lint, types and the quick tests; 5 minutes"
 	@echo "make figures    measures docs/figures.md; 45 minutes. ONLY='tip loop' measures parts"
-	@echo "make docs       the documentation as a site; 3 minutes"
+	@echo "make docs       the documentation as a site"
 	@echo "make help-all   the other targets"
 
 help-all: help
@@ -445,7 +445,7 @@ fuzz-fmu: $(COMPLETE)
 
 # --- documents -----------------------------------------------------------------------------------
 
-# The site of docs/, its notebooks run; a warning is an error.
+# The site of docs/; a warning is an error.
 docs: $(COMPLETE)
 	PYTHONPATH="$(CURDIR)" $(BIN)/python -m sphinx -b html -c docs/site -W --keep-going -q docs build/guides
 	@echo

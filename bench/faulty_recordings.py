@@ -94,20 +94,20 @@ def diagnose_faulty(
     """Diagnose the logs of some position gains with a fault, by a plant of the others."""
     known = read_plant(plant)
     change, effects = FAULTS[fault]
-    changed = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
-    diagnosis = diagnose(known, TrialSet(tuple(changed)))
-    alike = {e for fits in diagnosis.look_alikes.values() for fit in fits for e in fit.candidates}
-    alike -= set(diagnosis.named)
-    right = bool(effects & set(diagnosis.named)) if effects else not diagnosis.named
+    own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
+    found = diagnose(known, TrialSet(tuple(own)))
+    alike = {e for own in found.look_alikes.values() for fit in own for e in fit.candidates}
+    alike -= set(found.named)
+    right = bool(effects & set(found.named)) if effects else not found.named
     return {
         "gains": list(gains),
         "fault": fault,
-        "named": list(diagnosis.named),
+        "named": list(found.named),
         "alike": sorted(alike),
         "right": right,
-        "class_right": right or bool(diagnosis.named and effects & alike),
-        "verdict": diagnosis.verdict,
-        "gap_left_fraction": diagnosis.gap_left_fraction,
+        "class_right": right or bool(found.named and effects & alike),
+        "verdict": found.verdict,
+        "gap_left_fraction": found.gap_left_fraction,
     }
 
 

@@ -3,7 +3,7 @@
     python -m bench.gap --rigs drawn_1200 drawn_1201 --out build/bench_gap
 
 Each rig has its own structure and equations, and a plant that is identified on it first. Effects
-are hidden in it at random, in the rig's formulation, and its trials are diagnosed: with the
+are hidden in it at random, in the rig's own formulation, and its trials are diagnosed: with the
 link changed since (default) or the same (--same-link). Rigs from drawn_900 on, test_a and test_b
 are for testing: no number of the workflow was set on them.
 

@@ -2,7 +2,7 @@
 
 A line (1DOF) or a circle (2DOF) of 0.45 m, with the plan's feedback: payload known, and estimated
 in the second run. Behind the servos is the rig that the plant was identified on, or one with a
-fifth more stiffness or damping than in the plant. Prints and writes OUT/plans.json.
+fifth more stiffness or damping than the plant believes. Prints and writes OUT/plans.json.
 
     python -m bench.plans --build build --out build/bench
 """
@@ -92,7 +92,7 @@ def rig_file(name: str, directory: Path) -> str:
     for parameter, unit in RIGS[name].items():
         lines += [
             f"[{parameter}]", f"value = {LARGER * values[parameter]!r}", f'unit = "{unit}"',
-            'source = "assumed: a fifth more than in the plant"',
+            'source = "assumed: a fifth more than the plant believes"',
         ]  # fmt: skip
     path = directory / f"{name.replace(' ', '_')}.toml"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

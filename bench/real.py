@@ -62,7 +62,7 @@ class MeasuredSystem:
     pattern: str
     signal: str  # Signal that is compared, and its error: "mae" or "rms"
     measure: str
-    # Effects beside viscous friction of the plant that the named one is compared with
+    # Effects beside viscous friction of the plant that the found one is compared with
     reference: tuple[str, ...]
     left_out: str  # What is left out in turn, and its value in a trial
     value_of: Callable[[Trial], float | str]
@@ -135,20 +135,20 @@ def error_left_out(
     errors, counts = [], []
     for value in values:
         rest = TrialSet(tuple(t for t in trials if system.value_of(t) != value))
-        judged = TrialSet(tuple(t for t in trials if system.value_of(t) == value))
-        errors.append(mean_error(identify(plant, rest).plant, judged, system))
-        counts.append(len(judged))
+        own = TrialSet(tuple(t for t in trials if system.value_of(t) == value))
+        errors.append(mean_error(identify(plant, rest).plant, own, system))
+        counts.append(len(own))
         step(f"{system.name}, {system.left_out} {value}")
     return float(np.average(errors, weights=counts))
 
 
 def run_system(name: str, data: Path, out: Path) -> dict[str, Any]:
     """Import, name, identify, and compare with the reference on what is left out."""
-    system, scratch = SYSTEMS[name], out / name
-    scratch.mkdir(parents=True, exist_ok=True)
-    trials = import_recordings(system, data, scratch / "trials")
-    path, rounds = name_and_identify(system, scratch / "trials", scratch)
-    nominal, plant = read_plant(EXAMPLES / f"{name}.toml"), read_plant(path)
+    system, own = SYSTEMS[name], out / name
+    own.mkdir(parents=True, exist_ok=True)
+    trials = import_recordings(system, data, own / "trials")
+    found, rounds = name_and_identify(system, own / "trials", own)
+    nominal, plant = read_plant(EXAMPLES / f"{name}.toml"), read_plant(found)
     progress = Progress(name, 0)
     step = lambda text: progress.step(text, further=1)  # noqa: E731
     named = nominal.with_effects(*(e for e in plant.effects if e not in nominal.effects))
@@ -170,8 +170,8 @@ def run_systems(names: Sequence[str], data: Path, out: Path) -> dict[str, dict[s
     """The systems, two at a time."""
     with worker_pool(2) as pool:
         begun = {pool.submit(run_system, name, data, out): name for name in names}
-        results = {begun[done]: done.result() for done in as_completed(begun)}
-    return {name: results[name] for name in names}
+        found = {begun[done]: done.result() for done in as_completed(begun)}
+    return {name: found[name] for name in names}
 
 
 def _identify(trials: Path, plant: Path, out: Path) -> None:

@@ -136,21 +136,20 @@ class Contenders:
         measured = np.column_stack([run.angle_rad, run.current_a])
         y = self._observer.simulate(measured, run.step_s, model.parameter_values(changes))[1:]
         signals = dict(zip(names(model.outputs), y.T, strict=True))
-        answers = {}
+        found = {}
         for name, graph in self._graphs.items():
             rows = np.array([signals[signal] for signal in graph.wanted]).reshape(-1, len(y)).T
             columns = zip(run.angle_rad, run.current_a, signals["di"], rows, strict=True)
-            predictions = [graph.predict(a, i, float(di), row) for a, i, di, row in columns]
-            answers[name] = Answer(
-                np.array([p.tip_m for p in predictions]),
-                np.array([p.half_width_m for p in predictions]),
-                np.array([p.in_range for p in predictions]),
+            told = [graph.predict(a, i, float(di), row) for a, i, di, row in columns]
+            found[name] = Answer(
+                np.array([t.tip_m for t in told]), np.array([t.half_width_m for t in told]),
+                np.array([t.in_range for t in told]),
             )  # fmt: skip
         tip_m = np.column_stack([signals[f"tip_{axis}_m"] for axis in "xyz"])
-        answers["observer's tip"] = Answer(
+        found["observer's tip"] = Answer(
             tip_m, np.full_like(tip_m, np.nan), np.ones(len(tip_m), dtype=bool)
         )
-        return answers
+        return found
 
 
 def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
@@ -158,7 +157,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
 
     Coverage is counted on the axes along which the tip moves: mean over them, and the worst.
     """
-    by_part = {}
+    found = {}
     known = np.isfinite(run.tip_m).all(axis=1)
     error_m = run.tip_m - answer.tip_m
     distance_m = np.linalg.norm(error_m, axis=1)
@@ -168,7 +167,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
         if not rows.any():
             continue
         covered = axis_coverage(inside[rows], run.angle_rad.shape[1])
-        by_part[part] = {
+        found[part] = {
             "rows": int(rows.sum()),
             "mean_m": float(distance_m[rows].mean()),
             "max_m": float(distance_m[rows].max()),
@@ -176,7 +175,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
             "coverage_least": covered.least,
             "in_range": float(answer.in_range[rows].mean()),
         }
-    return by_part
+    return found
 
 
 def measure(bundle: Path, motions: Sequence[str], wrong: bool, rig: str) -> dict[str, Any]:
@@ -189,8 +188,8 @@ def measure(bundle: Path, motions: Sequence[str], wrong: bool, rig: str) -> dict
         if motion == "decay":
             runs.append(run_free_decay(dof, rig))
         elif motion == "stopped":
-            run = run_behind_servos(loaded, "multisine", STOPPED_S, rig=rig)
-            runs.append(replace(run, name="stopped"))
+            own = run_behind_servos(loaded, "multisine", STOPPED_S, rig=rig)
+            runs.append(replace(own, name="stopped"))
         else:
             runs.append(run_behind_servos(loaded, motion, SECONDS[motion], rig=rig))
         progress.step(motion)

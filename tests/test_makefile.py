@@ -1,4 +1,4 @@
-"""Commands that the demos would run; a hidden effect reaches the rig and nothing else."""
+"""Commands that `make gap-demo` would run: a hidden effect reaches the rig and nothing else."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.skipif(shutil.which("make") is None, reason="no make")
 
 
-def planned(*targets):
-    """Commands of `dropstitch` that targets would run, with nothing built."""
+def planned(target, *options):
+    """Commands of ours that a target would run, with nothing built, whatever make runs the test."""
     done = subprocess.run(
-        ["make", "--dry-run", "--always-make", "--directory", ROOT, *targets],
+        ["make", "--dry-run", "--always-make", "--directory", ROOT, target, *options],
         capture_output=True, text=True, check=True,
         env={k: v for k, v in os.environ.items() if k != "MAKEFLAGS"},
     )  # fmt: skip
@@ -32,23 +32,18 @@ def commands():
     return planned("gap-demo", "HIDE=dead_time=0.03 creep=0.2")
 
 
-def test_every_trial_and_run_of_the_workflow_has_what_is_hidden(commands):
-    commands = [c for c in commands if "build/gap_demo/" in c and "_without" not in c]
+def test_trials_and_runs_of_the_workflow_hide_the_effects_and_nothing_else_does(commands):
+    hidden = "--hide dead_time=0.03 --hide creep=0.2"
+    workflow = [c for c in commands if "build/gap_demo/" in c and "_without" not in c]
     for what in ("dropstitch simulate", "dropstitch sil", "report gap"):
-        with_effects = [c for c in commands if what in c]
-        assert with_effects
-        assert all("--hide dead_time=0.03 --hide creep=0.2" in c for c in with_effects)
-
-
-def test_nothing_else_knows_what_is_hidden(commands):
+        runs = [c for c in workflow if what in c]
+        assert runs
+        assert all(hidden in c for c in runs)
     blind = [
         c for c in commands if re.search(r"dropstitch (gap|train|identify|fmu )|sil_without", c)
     ]
     assert len(blind) > 10
-    assert not any("--hide" in c for c in blind)
-
-
-def test_every_choice_has_a_directory_of_its_own(commands):
+    assert not any("--hide" in c for c in [*blind, *planned("demo")])
     (report,) = [c for c in commands if "report gap" in c]
     assert "--out build/gap_demo/dead_time_0.03+creep_0.2/report.html" in report
 

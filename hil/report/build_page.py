@@ -138,7 +138,7 @@ def fault_page(document: FaultsDocument) -> str:
 def results_table(inputs: BuildInputs) -> Table:
     """Return the results with their targets; a missing measurement is not judged."""
     rows = [_tip_row(inputs.evaluations.get(t), t) for t in inputs.evaluations or ("trials",)]
-    for test, least in DI_GAIN_FRACTION.items() if inputs.studies else ():
+    for test, least in DI_GAIN_FRACTION.items():
         name = (
             f"Fraction of true DI's gain recovered by estimated DI, degree {DI_GAIN_DEGREE}, "
             f"{motion_words(test)}"
@@ -223,6 +223,8 @@ def _power(value: float, decimals: int) -> str:
 
 def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
     """Cards with the findings of all studies, equal texts once; a link of one's own has none."""
+    if not studies:
+        return [missing_inputs("dropstitch train --study")]
     badges = study_badges(studies)
     claims: dict[str, dict[tuple[bool | None, str], list[str]]] = {}
     depends_on: dict[str, list[str]] = {}
@@ -248,7 +250,7 @@ def _findings(studies: Mapping[str, StudyDocument]) -> list[Part]:
 
 def _study(inputs: BuildInputs) -> list[Part]:
     if not inputs.studies:
-        return [missing_inputs("make study")]
+        return [missing_inputs("dropstitch train --study")]
     intro = (
         "Figures 7 to 15 of the paper, drawn from the trials of this build. The paper does not "
         "state the phase by which joint 2 leads joint 1: at 0° both joints move together, at 90° "
@@ -263,7 +265,7 @@ def _study(inputs: BuildInputs) -> list[Part]:
 def _estimators(inputs: BuildInputs) -> list[Part]:
     candidates = [candidate_table(inputs.predictors)] if inputs.predictors else []
     if not inputs.studies:
-        return [*candidates]
+        return [*candidates, missing_inputs("dropstitch train --study")]
     intro = (
         "On the robot DI is not measured. The plant observer estimates it from angle and current. "
         "It is compared with a lagged regressor and with no DI, on trial 2 and on a motion that "

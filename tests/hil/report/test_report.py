@@ -163,10 +163,9 @@ def test_an_empty_directory_gives_a_page_of_instructions(tmp_path, capsys):
     result = json.loads(output.out)
     text = Page((tmp_path / "report.html").read_text()).text
     assert result["bytes"] == (tmp_path / "report.html").stat().st_size
-    assert text.count("Not shown") == 6
-    for command in ("evaluate", "fmu check build/twin_1dof.fmu", "sil"):
+    assert text.count("Not shown") == 8
+    for command in ("train --study", "evaluate", "fmu check build/twin_1dof.fmu", "sil"):
         assert f"To create them, run dropstitch {command} " in text
-    assert "To create them, run make study " in text
 
 
 @pytest.mark.parametrize(
