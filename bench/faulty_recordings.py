@@ -84,7 +84,7 @@ def plant_without(gains: Sequence[float], trials: TrialSet, out: Path) -> Path:
     if not path.exists():
         start = read_plant(EXAMPLES / f"{SYSTEM.name}.toml").with_effects(*EFFECTS)
         rest = TrialSet(tuple(t for t in trials if gain_of(t) not in gains))
-        identify(start, rest).plant.write(path)
+        identify(start, rest, noise_floor=False).plant.write(path)
     return path
 
 
@@ -95,19 +95,19 @@ def diagnose_faulty(
     known = read_plant(plant)
     change, effects = FAULTS[fault]
     own = [change(t) for t in read_trials(trials, known.signals) if gain_of(t) in gains]
-    found = diagnose(known, TrialSet(tuple(own)))
-    alike = {e for own in found.look_alikes.values() for fit in own for e in fit.candidates}
-    alike -= set(found.named)
-    right = bool(effects & set(found.named)) if effects else not found.named
+    diagnosis = diagnose(known, TrialSet(tuple(own)))
+    alike = {e for own in diagnosis.look_alikes.values() for fit in own for e in fit.candidates}
+    alike -= set(diagnosis.named)
+    right = bool(effects & set(diagnosis.named)) if effects else not diagnosis.named
     return {
         "gains": list(gains),
         "fault": fault,
-        "named": list(found.named),
+        "named": list(diagnosis.named),
         "alike": sorted(alike),
         "right": right,
-        "class_right": right or bool(found.named and effects & alike),
-        "verdict": found.verdict,
-        "gap_left_fraction": found.gap_left_fraction,
+        "class_right": right or bool(diagnosis.named and effects & alike),
+        "verdict": diagnosis.verdict,
+        "gap_left_fraction": diagnosis.gap_left_fraction,
     }
 
 

@@ -107,10 +107,10 @@ def tip(out: Path) -> list[Figure]:
 
     rows = []
     for dof in (1, 2):
-        found = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], False, "default")
-        own = found["multisine"]["deployed"]["all"]
-        paper_mm = 1e3 * found["multisine"]["paper's polynomial"]["all"]["mean_m"]
-        mean_mm, percent = 1e3 * own["mean_m"], 100 * own["coverage"]
+        measured = bench.measure(BUILD / f"bundle_{dof}dof", ["multisine"], False, "default")
+        errors = measured["multisine"]["deployed"]["all"]
+        paper_mm = 1e3 * measured["multisine"]["paper's polynomial"]["all"]["mean_m"]
+        mean_mm, percent = 1e3 * errors["mean_m"], 100 * errors["coverage"]
         on, command = SIMULATION, f"python -m bench.tip build/bundle_{dof}dof"
         rows += [
             Figure(
@@ -123,7 +123,7 @@ def tip(out: Path) -> list[Figure]:
             Figure(
                 f"tip-coverage-{dof}dof",
                 f"samples of that run inside the 95 % prediction interval, {dof}DOF",
-                percent, f"{percent:.1f} %", f"n = {own['rows']} ticks of one run", on, command,
+                percent, f"{percent:.1f} %", f"n = {errors['rows']} ticks of one run", on, command,
             ),
         ]  # fmt: skip
     return rows
@@ -214,16 +214,16 @@ def fmu(out: Path) -> list[Figure]:
 
     hosted = {dof: measure(BUILD / "plant.json", dof) for dof in (1, 2)}
     rows = []
-    for dof, own in hosted.items():
+    for dof, result in hosted.items():
         checked = _quietly(main, "fmu", "check", str(BUILD / f"twin_{dof}dof.fmu"), "--json")
         step_us = json.loads(checked)["step_us"]["bare"]
         rows.append(Figure(
             f"fmu-step-{dof}dof", f"a step of 17 ms of the twin FMU in FMPy, {dof}DOF", step_us,
             f"{step_us:.0f} µs",
-            f"in a C host, inputs and outputs included: {own['step_us']:.1f} µs", MACHINE,
+            f"in a C host, inputs and outputs included: {result['step_us']:.1f} µs", MACHINE,
             f"python -m bench.fmu_host --dof {dof}",
         ))  # fmt: skip
-    exchange_nm = 1e9 * max(own["exchange_m"] for own in hosted.values())
+    exchange_nm = 1e9 * max(result["exchange_m"] for result in hosted.values())
     rows.append(Figure(
         "fmu-exchange",
         "tip in Model Exchange (CVode, 1e-9) beside Co-Simulation, largest distance",
@@ -245,14 +245,14 @@ def real(out: Path) -> list[Figure]:
                  "the published friction and offset"),
         "flexible_link": ("real-flexible", "flexible link (Quanser)", "no further effect"),
     }  # fmt: skip
-    for system, found in run_systems(list(words), DATA, out).items():
+    for system, result in run_systems(list(words), DATA, out).items():
         name, machine, reference = words[system]
-        named = " + ".join(e for round_ in found["rounds"] for e in round_)
+        named = " + ".join(e for round_ in result["rounds"] for e in round_)
         rows.append(Figure(
             name, f"{machine}: error on held-out recordings with the effects named by `gap`, "
             "relative to " + reference,
-            found["ratio"], f"{found['ratio']:.2f}", f"named: {named}",
-            f"{found['recordings']} recordings", f"python -m bench.real DATA --only {system}",
+            result["ratio"], f"{result['ratio']:.2f}", f"named: {named}",
+            f"{result['recordings']} recordings", f"python -m bench.real DATA --only {system}",
         ))  # fmt: skip
     return rows
 
@@ -269,7 +269,7 @@ def gap(out: Path) -> list[Figure]:
         for case in hidden_cases(rig, 3, 0, 1, 0, 0, 65, same)
     ]  # fmt: skip
     failed = run_cases(cases, out)
-    found = figures_by_link(records_of(cases, out))
+    by_link = figures_by_link(records_of(cases, out))
     on = f"simulation, {len(GAP_RIGS)} rigs for testing"
     command = "python -m bench.gap --rigs " + " ".join(GAP_RIGS)
     rows = []
@@ -281,14 +281,14 @@ def gap(out: Path) -> list[Figure]:
             ("class", f"hidden effects named correctly, or by a declared look-alike, {words}"),
             ("false", f"false alarms: a gap is reported where nothing is hidden, {words}"),
         ):
-            own = found[link]["class_right" if rate == "class" else "false_alarms"]
-            if not own["of"]:
+            counts = by_link[link]["class_right" if rate == "class" else "false_alarms"]
+            if not counts["of"]:
                 continue
-            percent = 100 * own["fraction"]
-            low, high = (100 * x for x in own["interval"])
+            percent = 100 * counts["fraction"]
+            low, high = (100 * x for x in counts["interval"])
             rows.append(Figure(
                 f"gap-{rate}-{name}", what, percent,
-                f"{round(own['fraction'] * own['of'])} of {own['of']}",
+                f"{round(counts['fraction'] * counts['of'])} of {counts['of']}",
                 f"{percent:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
                 + (f"; {failed} data sets failed" if failed else ""), on, command,
             ))  # fmt: skip
@@ -399,7 +399,7 @@ READING: Final = ("plant", "estimator", "tip", "plans", "gap", "real", "link", "
 def measure_parts(names: Sequence[str]) -> list[dict[str, Any]]:
     """Rows of each part, or the error that ended it."""
     _make([need for name in names for need in PARTS[name].needs])
-    found, progress = [], Progress("figures", len(names))
+    figures, progress = [], Progress("figures", len(names))
     for name in names:
         out, start_s = OUT / name, time.monotonic()
         shutil.rmtree(out, ignore_errors=True)
@@ -411,9 +411,9 @@ def measure_parts(names: Sequence[str]) -> list[dict[str, Any]]:
         except (Exception, SystemExit) as error:
             traceback.print_exc()
             row["error"] = f"{type(error).__name__}: {error}".splitlines()[0]
-        found.append(row | {"seconds": round(time.monotonic() - start_s, 1)})
+        figures.append(row | {"seconds": round(time.monotonic() - start_s, 1)})
         progress.step(name)
-    return sorted(found, key=lambda row: READING.index(row["part"]))
+    return sorted(figures, key=lambda row: READING.index(row["part"]))
 
 
 def measured_by() -> dict[str, Any]:
@@ -464,12 +464,15 @@ def page_text(document: dict[str, Any]) -> str:
 def readme_block(document: dict[str, Any]) -> str:
     """Table that README shows: five of the figures."""
     rows = {f["name"]: f for part in document["parts"] for f in part["figures"]}
-    lines = ["| figure | value |", "|---|---|"]
+    by = document["measured_by"]
+    machine = f"{by['cpu']}, {by['cores']} cores"
+    lines = ["| figure | value | measured on |", "|---|---|---|"]
     for name in README_FIGURES:
         if name in rows:
             f = rows[name]
             beside = f" ({f['beside']})" if f["beside"] else ""
-            lines.append(f"| {f['what']} | {f['shown']}{beside} |")
+            on = machine if f["measured_on"] == MACHINE else f["measured_on"]
+            lines.append(f"| {f['what']} | {f['shown']}{beside} | {on} |")
     return "\n".join(lines) + "\n"
 
 

@@ -61,9 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{inputs:6d} {degree:6d}{cells}   {case['largest_difference_m']:.0e} m")
     for fast in ("bare", "deployed"):
         for slow in ("default", "sklearn"):
-            found = ratio(cases, slow, fast)
-            print(f"{fast} against {slow}: {found['mean']:.1f} times, "
-                  f"{found['least']:.1f} to {found['most']:.1f}")  # fmt: skip
+            speed_up = ratio(cases, slow, fast)
+            print(f"{fast} against {slow}: {speed_up['mean']:.1f} times, "
+                  f"{speed_up['least']:.1f} to {speed_up['most']:.1f}")  # fmt: skip
     args.out.mkdir(parents=True, exist_ok=True)
     rows = [{"inputs": n, "degree": d, **case} for (n, d), case in cases.items()]
     (args.out / "onnx.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

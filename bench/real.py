@@ -135,19 +135,19 @@ def error_left_out(
     errors, counts = [], []
     for value in values:
         rest = TrialSet(tuple(t for t in trials if system.value_of(t) != value))
-        own = TrialSet(tuple(t for t in trials if system.value_of(t) == value))
-        errors.append(mean_error(identify(plant, rest).plant, own, system))
-        counts.append(len(own))
+        left_out = TrialSet(tuple(t for t in trials if system.value_of(t) == value))
+        errors.append(mean_error(identify(plant, rest, noise_floor=False).plant, left_out, system))
+        counts.append(len(left_out))
         step(f"{system.name}, {system.left_out} {value}")
     return float(np.average(errors, weights=counts))
 
 
 def run_system(name: str, data: Path, out: Path) -> dict[str, Any]:
     """Import, name, identify, and compare with the reference on what is left out."""
-    system, own = SYSTEMS[name], out / name
-    own.mkdir(parents=True, exist_ok=True)
-    trials = import_recordings(system, data, own / "trials")
-    found, rounds = name_and_identify(system, own / "trials", own)
+    system, work = SYSTEMS[name], out / name
+    work.mkdir(parents=True, exist_ok=True)
+    trials = import_recordings(system, data, work / "trials")
+    found, rounds = name_and_identify(system, work / "trials", work)
     nominal, plant = read_plant(EXAMPLES / f"{name}.toml"), read_plant(found)
     progress = Progress(name, 0)
     step = lambda text: progress.step(text, further=1)  # noqa: E731
@@ -170,8 +170,8 @@ def run_systems(names: Sequence[str], data: Path, out: Path) -> dict[str, dict[s
     """The systems, two at a time."""
     with worker_pool(2) as pool:
         begun = {pool.submit(run_system, name, data, out): name for name in names}
-        found = {begun[done]: done.result() for done in as_completed(begun)}
-    return {name: found[name] for name in names}
+        results = {begun[done]: done.result() for done in as_completed(begun)}
+    return {name: results[name] for name in names}
 
 
 def _identify(trials: Path, plant: Path, out: Path) -> None:

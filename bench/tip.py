@@ -136,20 +136,21 @@ class Contenders:
         measured = np.column_stack([run.angle_rad, run.current_a])
         y = self._observer.simulate(measured, run.step_s, model.parameter_values(changes))[1:]
         signals = dict(zip(names(model.outputs), y.T, strict=True))
-        found = {}
+        tips = {}
         for name, graph in self._graphs.items():
             rows = np.array([signals[signal] for signal in graph.wanted]).reshape(-1, len(y)).T
             columns = zip(run.angle_rad, run.current_a, signals["di"], rows, strict=True)
-            told = [graph.predict(a, i, float(di), row) for a, i, di, row in columns]
-            found[name] = Answer(
-                np.array([t.tip_m for t in told]), np.array([t.half_width_m for t in told]),
-                np.array([t.in_range for t in told]),
+            with_payload = [graph.predict(a, i, float(di), row) for a, i, di, row in columns]
+            tips[name] = Answer(
+                np.array([t.tip_m for t in with_payload]),
+                np.array([t.half_width_m for t in with_payload]),
+                np.array([t.in_range for t in with_payload]),
             )  # fmt: skip
         tip_m = np.column_stack([signals[f"tip_{axis}_m"] for axis in "xyz"])
-        found["observer's tip"] = Answer(
+        tips["observer's tip"] = Answer(
             tip_m, np.full_like(tip_m, np.nan), np.ones(len(tip_m), dtype=bool)
         )
-        return found
+        return tips
 
 
 def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
@@ -157,7 +158,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
 
     Coverage is counted on the axes along which the tip moves: mean over them, and the worst.
     """
-    found = {}
+    result = {}
     known = np.isfinite(run.tip_m).all(axis=1)
     error_m = run.tip_m - answer.tip_m
     distance_m = np.linalg.norm(error_m, axis=1)
@@ -167,7 +168,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
         if not rows.any():
             continue
         covered = axis_coverage(inside[rows], run.angle_rad.shape[1])
-        found[part] = {
+        result[part] = {
             "rows": int(rows.sum()),
             "mean_m": float(distance_m[rows].mean()),
             "max_m": float(distance_m[rows].max()),
@@ -175,7 +176,7 @@ def figures(run: TipRun, answer: Answer) -> dict[str, dict[str, float]]:
             "coverage_least": covered.least,
             "in_range": float(answer.in_range[rows].mean()),
         }
-    return found
+    return result
 
 
 def measure(bundle: Path, motions: Sequence[str], wrong: bool, rig: str) -> dict[str, Any]:
@@ -217,11 +218,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         prog="python -m bench.tip", description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
-    every = [*SECONDS, "stopped", "decay"]
+    motions = [*SECONDS, "stopped", "decay"]
     parser.add_argument("bundle", type=Path, help="complete bundle with a chosen predictor")
     parser.add_argument("--out", type=Path, default=Path("build/bench"), help="build/bench")
     parser.add_argument("--rig", default="default", help="structure behind the servos (default)")
-    parser.add_argument("--motions", nargs="+", default=every, choices=every)
+    parser.add_argument("--motions", nargs="+", default=motions, choices=motions)
     parser.add_argument("--wrong", action="store_true", help="wrong observers and hidden effects")
     args = parser.parse_args(argv)
     document = measure(args.bundle, args.motions, args.wrong, args.rig)

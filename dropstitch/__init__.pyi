@@ -15,6 +15,8 @@ from models.trials.trial import TrialSet as TrialSet
 from models.trials.files import read_trial as read_trial
 from models.trials.files import read_trials as read_trials
 from models.trials.files import write_trial as write_trial
+from models.trials.importing import ImportedTake as ImportedTake
+from models.trials.importing import import_recordings as import_recordings
 from models.trials.data_frames import as_data_frame as as_data_frame
 from models.trials.data_frames import trial_frame as trial_frame
 from models.trials.data_frames import trial_from_frame as trial_from_frame
@@ -26,6 +28,7 @@ from models.rig.protocol import TrialCase as TrialCase
 from models.rig.protocol import run_case as run_case
 from models.plant.plant import Plant as Plant
 from models.plant.plant import read_plant as read_plant
+from models.plant.document import Evaluation as Evaluation
 from models.plant.simulation.runner import simulate_plant as simulate_plant
 from models.plant.identification.identify import Identification as Identification
 from models.plant.identification.identify import identify as identify
@@ -40,6 +43,12 @@ from models.gap.report.gap_json import GapDocument as GapDocument
 from models.gap.report.gap_results import gap_document as gap_document
 from models.gap.report.gap_words import gap_in_words as gap_in_words
 
+from models.bundle.train import Training as Training
+from models.bundle.train import train as train
+from models.plan.plan import PathPlan as PathPlan
+from models.plan.plan import plan as plan
+
+from fmu.bundle_observer import add_observer as add_observer
 from fmu.fmu_builder import build_fmu as build_fmu
 from fmu.fmu_checker import FmuReport as FmuReport
 from fmu.fmu_checker import check_fmu as check_fmu

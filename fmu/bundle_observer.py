@@ -24,10 +24,12 @@ from firmware_py.inference.golden import (
     verify_equal,
     write_golden,
 )
-from firmware_py.inference.manifest import Manifest, write_manifest
+from firmware_py.inference.manifest import Manifest, read_bundle_files, write_manifest
 from firmware_py.inference.predictor import OnnxPredictor, Predictor
 from fmu.fmu_builder import build_fmu
-from fmu.fmu_models import PLANT, PREDICTOR, FmuParts
+from fmu.fmu_models import PLANT, PREDICTOR, read_parts
+from fmu.packaging import HOST
+from models.bundle.plant import compare_with_bundle
 from models.plant.step_model import StepModel, names
 from models.predictor.document import Latency, measure_latency, read_predictors, write_predictors
 
@@ -72,22 +74,51 @@ class ModelEstimator:
 
 
 def add_observer(
-    bundle: Path,
-    manifest: Manifest,
-    parts: FmuParts,
-    platforms: Sequence[str],
-    report: Callable[[str], None],
+    bundle: Path | str,
+    *,
+    plant: Path | str | None = None,
+    platforms: Sequence[str] = (HOST,),
+    report: Callable[[str], None] = lambda text: None,
 ) -> None:
     """Build the observer FMU into a bundle and make it the bundle's estimator.
 
     The golden ticks keep their motion. The interpreted model recomputes their expected outputs, so
     the replay on the robot tests the binary. The manifest is replaced last, atomically.
 
-    `platforms` and `report`: see `build_fmu`. The former must include this machine's, because the
-    golden ticks run here.
+    Parameters
+    ----------
+    bundle : Path or str
+        Directory of the bundle.
+    plant : Path or str, optional
+        Plant of the observer; by default the bundle's.
+    platforms : sequence of str
+        Platforms to compile for. They include this machine's, because the golden ticks run here.
+    report : callable
+        Called with a phrase when the next part of the work begins.
+
+    Raises
+    ------
+    InputError
+        If the bundle or the plant cannot be read, or they are of different links.
+
+    Examples
+    --------
+    >>> import dropstitch, shutil
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as scratch:
+    ...     bundle = shutil.copytree("docs/notebooks/bundle_1dof", f"{scratch}/bundle")
+    ...     dropstitch.add_observer(bundle)
+    ...     dropstitch.ModelBundle.load(bundle).manifest.estimator
+    'observer'
     """
-    plant = parts.required_plant().for_robot()
-    if manifest.plant_sha256 != plant.sha256():
+    bundle = Path(bundle)
+    known = read_bundle_files(bundle)
+    manifest = known.manifest
+    parts = read_parts("observer", manifest.dof, bundle, Path(plant) if plant else None)
+    if plant:
+        compare_with_bundle(parts.required_plant(), plant, known, "this FMU")
+    robot_plant = parts.required_plant().for_robot()
+    if manifest.plant_sha256 != robot_plant.sha256():
         print(
             f"{bundle}: the predictor was trained with the observer of another plant; train it "
             "again with this plant for the best accuracy",
@@ -95,6 +126,7 @@ def add_observer(
         )
     predictor = OnnxPredictor(bundle / PREDICTOR, parts.dof)
     motion = read_golden(bundle / GOLDEN, parts.dof)
+    report("composing the model")
     model = parts.model()
     report("computing the golden ticks")
     golden = record_golden(
@@ -113,11 +145,11 @@ def add_observer(
     runtimes = _verify(golden, scratch, predictor)
     scratch.replace(bundle / OBSERVER)
     write_golden(bundle / GOLDEN, golden)
-    plant.write(bundle / PLANT)
+    robot_plant.write(bundle / PLANT)
     _add_runtimes(bundle, manifest, runtimes)
     renewed = {
-        "estimator": "observer", "plant_sha256": plant.sha256(),
-        "servo_gains": plant.provenance.servo_gains[: parts.dof],
+        "estimator": "observer", "plant_sha256": robot_plant.sha256(),
+        "servo_gains": robot_plant.provenance.servo_gains[: parts.dof],
     }  # fmt: skip
     write_manifest(bundle, msgspec.structs.replace(manifest, **renewed))
 

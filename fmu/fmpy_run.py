@@ -7,7 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
@@ -27,14 +28,17 @@ from models.shared.palette import SERIES
 from models.trials.deformation import deformation_index
 from models.trials.trial import Trial
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["FmuRun", "simulate_fmu"]
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FmuRun:
-    """Inputs and outputs of a simulated FMU.
+    """Inputs and outputs of a simulated FMU; `simulate_fmu` makes it.
 
     Attributes
     ----------
@@ -48,6 +52,19 @@ class FmuRun:
         SI unit of each column.
     measured : dict of str to ndarray, shape (n,)
         Measured values of the outputs by name, if the inputs come from a trial.
+    inputs : tuple of str
+        Names of the columns that are inputs.
+
+    Examples
+    --------
+    >>> time_s = 0.1 * np.arange(3)
+    >>> columns = {"goal_1_rad": np.zeros(3), "angle_1_rad": np.full(3, 0.01)}
+    >>> units = {"goal_1_rad": "rad", "angle_1_rad": "rad"}
+    >>> run = FmuRun("toy", time_s, columns, units, {"angle_1_rad": np.zeros(3)}, ("goal_1_rad",))
+    >>> run
+    <FmuRun toy: 3 rows of 100 ms, 1 input, 1 output>
+    >>> run.rms_against_trial()
+    {'angle_1_rad': 0.01}
     """
 
     title: str
@@ -55,6 +72,24 @@ class FmuRun:
     columns: dict[str, Array]
     units: dict[str, str]
     measured: dict[str, Array]
+    inputs: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        inputs, outputs = len(self.inputs), len(self.columns) - len(self.inputs)
+        step_ms = 1e3 * float(self.time_s[1] - self.time_s[0])
+        return (
+            f"<FmuRun {self.title}: {len(self.time_s)} rows of {step_ms:.3g} ms, "
+            f"{inputs} input{'s' * (inputs != 1)}, {outputs} output{'s' * (outputs != 1)}>"
+        )
+
+    def plot(self) -> Figure:
+        """Draw inputs and outputs over time; what a trial measured is dashed."""
+        return plot_run(self)
+
+    def write(self, path: Path | str) -> Path:
+        """Write time, inputs and outputs as CSV in SI units, one row per step."""
+        write_fmu_run(self, Path(path))
+        return Path(path)
 
     def rms_against_trial(self) -> dict[str, float]:
         """Return the RMS error against the trial by output, in the unit of each.
@@ -71,22 +106,22 @@ class FmuRun:
 
 
 def simulate_fmu(
-    archive: FmuArchive,
-    source: Motion | Trial,
-    payload_kg: float | None,
-    step_s: float,
-    parameters: Mapping[str, float],
+    file: Path | str | FmuArchive,
+    source: Motion | Trial | None = None,
+    payload_kg: float | None = None,
+    step_s: float = PERIOD_S,
+    parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> FmuRun:
-    """Simulate an FMU in FMPy.
+    """Simulate an FMU of `build_fmu` in FMPy.
 
     Parameters
     ----------
-    archive : FmuArchive
-        Unpacked FMU.
-    source : Motion or Trial
-        Source of the inputs.
-    payload_kg : float or None
-        Payload at the tip for a motion; None for half of the link's largest. For a trial, the
+    file : Path, str or FmuArchive
+        The .fmu file, or an unpacked one.
+    source : Motion or Trial, optional
+        Source of the inputs; by default the study's sinusoid.
+    payload_kg : float, optional
+        Payload at the tip for a motion; by default half of the link's largest. For a trial, the
         trial's payload is used.
     step_s : float
         Communication step for a motion. For a trial, the trial's time step is used.
@@ -103,7 +138,31 @@ def simulate_fmu(
     InputError
         If `dropstitch` did not build the FMU, if the FMU refuses a parameter, an input or a step,
         or if the trial is of another link.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     twin = dropstitch.build_fmu(dropstitch.read_plant(), f"{directory}/twin.fmu")
+    ...     light = dropstitch.simulate_fmu(twin, payload_kg=0.0)
+    ...     heavy = dropstitch.simulate_fmu(twin, payload_kg=2.0)
+    >>> bool(heavy.columns["tip_x_m"].max() > light.columns["tip_x_m"].max())
+    True
     """
+    if isinstance(file, FmuArchive):
+        return _simulated(file, source or Motion(), payload_kg, step_s, parameters)
+    with FmuArchive(file) as archive:
+        return _simulated(archive, source or Motion(), payload_kg, step_s, parameters)
+
+
+def _simulated(
+    archive: FmuArchive,
+    source: Motion | Trial,
+    payload_kg: float | None,
+    step_s: float,
+    parameters: Mapping[str, float],
+) -> FmuRun:
     parts = embedded_parts(archive.directory / "resources")
     if parts is None:
         raise InputError(
@@ -134,6 +193,7 @@ def simulate_fmu(
         columns=dict(zip([*inputs, *outputs], [*u.T, *y.T], strict=True)),
         units={v.name: v.unit for v in (*model.inputs, *model.outputs)},
         measured=_measured(source, outputs) if isinstance(source, Trial) else {},
+        inputs=tuple(inputs),
     )
 
 
@@ -295,11 +355,23 @@ def write_fmu_run(run: FmuRun, path: Path) -> None:
 
 
 def draw_run(run: FmuRun, path: Path) -> None:
-    """Plot a run as SVG, one panel per quantity; trial dashed, predictions dotted."""
+    """Write the figure of `plot_run` as SVG."""
+    import matplotlib.pyplot as plt
+
+    from models.shared.drawing import FILE_STYLE
+
+    figure = plot_run(run)
+    with plt.rc_context(FILE_STYLE):
+        figure.savefig(path, format="svg", metadata={"Date": None})
+
+
+def plot_run(run: FmuRun) -> Figure:
+    """Plot a run, one panel per quantity; trial dashed, predictions dotted."""
     import matplotlib.pyplot as plt  # a campaign's cases draw nothing
 
     from models.shared.drawing import FILE_STYLE
 
+    figure: Figure
     panels = panels_by_quantity(run.columns, run.units)
     with plt.rc_context(FILE_STYLE):
         figure, axes = plt.subplots(
@@ -313,8 +385,8 @@ def draw_run(run: FmuRun, path: Path) -> None:
             ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes[0, 0].set_title(run.title)
         axes[-1, 0].set_xlabel(display_units.TIME.label("time"))
-        figure.savefig(path, format="svg", metadata={"Date": None})
         plt.close(figure)
+    return figure
 
 
 def panels_by_quantity(

@@ -17,7 +17,11 @@ from typing import Final
 
 import fmpy
 
-from fmu.documents import documentation_page
+from firmware_py.core.errors import InputError
+from firmware_py.inference.bundle import ModelBundle
+from firmware_py.inference.manifest import read_bundle_files
+from fmu.documents import documentation_page, fmu_documents
+from fmu.fmu_models import FmuParts, Kind, read_parts
 from fmu.interface import (
     FmiVersion,
     Interface,
@@ -37,6 +41,8 @@ from fmu.packaging import (
     write_zip,
 )
 from fmu.relations import Derivatives
+from models.bundle.plant import compare_with_bundle
+from models.plant.plant import Plant, read_plant
 from models.plant.step_model import StepModel
 from models.shared.c_compiler import compile_library
 from models.shared.pages import Section
@@ -50,48 +56,80 @@ HEADERS: Final = Path(fmpy.__file__).parent / "c-code"
 
 
 def build_fmu(
-    model: StepModel,
-    output: Path,
+    source: ModelBundle | Plant | StepModel | Path | str,
+    output: Path | str,
     *,
+    kind: Kind = "twin",
+    plant: Plant | Path | str | None = None,
+    dof: int = 1,
     fmi: FmiVersion = 3,
-    description: str = "",
-    derivatives: bool = True,
     platforms: Sequence[str] = (HOST,),
+    derivatives: bool = True,
+    report: Callable[[str], None] = lambda text: None,
+    description: str = "",
     files: Mapping[str, bytes] = MappingProxyType({}),
     sections: Sequence[Section] = (),
     example: Sequence[float] = (),
-    report: Callable[[str], None] = lambda text: None,
 ) -> Path:
-    """Build an FMU from a step model.
+    """Build an FMU from a bundle, from a plant alone, or from your step model.
 
     Parameters
     ----------
-    model : StepModel
-        Model that the FMU steps.
-    output : Path
+    source : ModelBundle, Plant, StepModel, Path or str
+        Bundle or its directory; or a plant, for an FMU without a predictor; or any model.
+    output : Path or str
         The .fmu file; it is replaced atomically when the FMU is complete.
+    kind : {"twin", "predictor", "observer"}
+        `twin`: servo and link in closed loop, driven by goals. `predictor`: the polynomial alone.
+        `observer`: estimator of Deformation Index and payload. A step model has no kind.
+    plant : Plant, Path or str, optional
+        Plant of the FMU; by default the bundle's.
+    dof : int
+        Number of joints of a plant; a bundle has its own.
     fmi : {2, 3}
         Major version of FMI.
-    description : str
-        Description in one sentence.
-    derivatives : bool
-        Whether the FMU offers directional derivatives and, in FMI 3.0, adjoint ones.
     platforms : sequence of str
         Platforms to compile for, keys of `fmu.packaging.PLATFORMS`; `SOURCE_CODE` adds the sources.
-    files : mapping of str to bytes, optional
-        Further files, by path in the FMU.
-    sections : sequence of Section
-        Further sections of the documentation.
-    example : sequence of float
-        Amplitude of the example motion for each input (`fmu/c/fmu_example.c`); empty for none.
+    derivatives : bool
+        Whether the FMU offers directional derivatives and, in FMI 3.0, adjoint ones.
     report : callable
         Called with a phrase when the next part of the work begins.
+    description, files, sections, example
+        For a step model: one sentence; further files by path in the FMU; further sections of the
+        documentation; amplitude of the example motion for each input (`fmu/c/fmu_example.c`).
 
     Returns
     -------
     Path
         The .fmu file.
+
+    Raises
+    ------
+    InputError
+        If the bundle or the plant cannot be read, they are of different links, or the kind needs a
+        predictor and there is none.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     path = dropstitch.build_fmu(dropstitch.read_plant(), f"{directory}/twin.fmu")
+    ...     run = dropstitch.simulate_fmu(path, payload_kg=1.0)
+    >>> run
+    <FmuRun twin.fmu: sinusoid: 512 rows of 17 ms, 2 inputs, 6 outputs>
     """
+    output = Path(output)
+    if isinstance(source, StepModel):
+        model = source
+    else:
+        parts = _parts(source, kind, dof, plant)
+        report("composing the model")
+        model = parts.model()
+        report("simulating the reference run")
+        documents = fmu_documents(parts, model, fmi)
+        files, sections = documents.files | parts.resources(), documents.sections
+        description, example = parts.description(), documents.example
     offered: Derivatives = "none" if not derivatives else "both" if fmi == 3 else "forward"
     epoch_s = build_time_s()
     report("writing the equations in C")
@@ -127,6 +165,25 @@ def build_fmu(
         content |= binary_files(interface.name, libraries, fmi)
     write_zip(content, output, epoch_s)
     return output
+
+
+def _parts(
+    source: ModelBundle | Plant | Path | str, kind: Kind, dof: int, plant: Plant | Path | str | None
+) -> FmuParts:
+    """Parts of an FMU of a bundle, or of a plant alone."""
+    if isinstance(source, Plant):
+        if kind == "predictor":
+            raise InputError("kind", "is predictor, and a plant has none", "give a bundle")
+        return FmuParts(kind, dof, source, None)
+    bundle = read_bundle_files(source.directory if isinstance(source, ModelBundle) else source)
+    where: Path | str | None = None
+    if plant is not None and not isinstance(plant, Plant):
+        where = Path(plant)
+        plant = read_plant(where)
+    parts = read_parts(kind, bundle.manifest.dof, bundle.directory, plant)
+    if plant is not None and parts.plant is not None:
+        compare_with_bundle(parts.plant, where or f"plant {plant.name!r}", bundle, "this FMU")
+    return parts
 
 
 def core_sources(fmi: FmiVersion) -> list[Path]:

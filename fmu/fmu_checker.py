@@ -22,6 +22,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
+from firmware_py.core.errors import InputError
 from firmware_py.core.motion import Motion
 from firmware_py.core.signals import AGE, IN_RANGE, PERIOD_S, feature_names, tip_names
 from firmware_py.inference.predictor import OnnxPredictor, Prediction
@@ -30,7 +31,7 @@ from fmu.documents import ReferenceRun, read_reference_run
 from fmu.fmpy_instance import FmpyInstance, FmuArchive
 from fmu.fmpy_run import inputs_from_motion, usual_payload_kg
 from fmu.fmu_builder import HEADERS
-from fmu.fmu_models import FmuParts
+from fmu.fmu_models import FmuParts, embedded_parts
 from models.plant.step_model import StepModel, names
 
 __all__ = ["FmuReport", "check_fmu"]
@@ -51,9 +52,9 @@ class FmuCheck(NamedTuple):
     detail: str
 
 
-@dataclass
+@dataclass(repr=False)
 class FmuReport:
-    """Result of the checks of an FMU.
+    """Result of `check_fmu`.
 
     Attributes
     ----------
@@ -69,6 +70,15 @@ class FmuReport:
     step_us : dict of str to float
         Median time of a step in FMPy in µs: "bare" is the step alone,
         "with_sets_and_gets" includes setting all inputs and getting all outputs.
+
+    Examples
+    --------
+    >>> report = FmuReport(Path("twin.fmu"), 3, [FmuCheck("units", True, "every number has one")])
+    >>> report
+    <FmuReport twin.fmu, FMI 3: 1 of 1 checks passed>
+    >>> print(report.text())
+    ok   units: every number has one
+    twin.fmu: sound
     """
 
     path: Path
@@ -76,6 +86,17 @@ class FmuReport:
     checks: list[FmuCheck] = field(default_factory=list)
     parity: dict[str, float] = field(default_factory=dict)
     step_us: dict[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        passed = sum(check.passed for check in self.checks)
+        name = self.path.name
+        return f"<FmuReport {name}, FMI {self.fmi}: {passed} of {len(self.checks)} checks passed>"
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        rows = [(c.name, "passed" if c.passed else "FAILED", c.detail) for c in self.checks]
+        return html_table(repr(self)[1:-1], ("check", "result", "detail"), rows)
 
     @property
     def passed(self) -> bool:
@@ -106,21 +127,52 @@ class FmuReport:
         return "\n".join([*lines, f"{self.path}: {'sound' if self.passed else 'NOT sound'}"])
 
 
-def check_fmu(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
-    """Check an unpacked FMU.
+def check_fmu(
+    file: Path | str, plant: Path | str | None = None, bundle: Path | str | None = None
+) -> FmuReport:
+    """Check an FMU: validate it, and compare it with the plant from which it was built.
+
+    An FMU of `build_fmu` contains its plant and predictor, so you need no other file. One of
+    another tool is validated only.
 
     Parameters
     ----------
-    archive : FmuArchive
-        Unpacked FMU.
-    parts : FmuParts or None
-        Parts from which it was built; without them the parity checks are skipped.
+    file : Path or str
+        The .fmu file.
+    plant, bundle : Path or str, optional
+        Plant or bundle to compare with, instead of those in the FMU.
 
     Returns
     -------
     FmuReport
         Results of the checks.
+
+    Raises
+    ------
+    InputError
+        If the file is not an FMU, or contains nothing to compare a plant or bundle with.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     twin = dropstitch.build_fmu(dropstitch.read_plant(), f"{directory}/twin.fmu")
+    ...     report = dropstitch.check_fmu(twin)
+    >>> report.passed, report.fmi
+    (True, 3)
     """
+    with FmuArchive(file) as archive:
+        parts = embedded_parts(archive.directory / "resources")
+        if plant or bundle:
+            if parts is None:
+                raise InputError(file, "carries no parts of ours", "omit the plant and the bundle")
+            parts = parts.replaced_by(plant, bundle)
+        return _checked(archive, parts)
+
+
+def _checked(archive: FmuArchive, parts: FmuParts | None) -> FmuReport:
+    """Report on an unpacked FMU; without its parts, parity is not tested."""
     report = FmuReport(archive.path, archive.fmi)
     report.checks.append(_validation(archive.path))
     report.checks.append(_units(archive))

@@ -55,7 +55,7 @@ class FmuParts(NamedTuple):
     kind: Kind  # See the table of this module
     dof: int
     plant: Plant | None  # None for a predictor
-    predictor: Path | None  # ONNX file; may be None for an observer
+    predictor: Path | None  # ONNX file; may be None beside a plant
 
     def model(self) -> StepModel:
         """Compose the FMU's model."""
@@ -82,11 +82,11 @@ class FmuParts(NamedTuple):
             raise InputError(f"{self.kind} FMU", "has no predictor", "build it from a bundle")
         return self.predictor
 
-    def replaced_by(self, plant: Path | None, bundle: Path | None) -> FmuParts:
+    def replaced_by(self, plant: Path | str | None, bundle: Path | str | None) -> FmuParts:
         """Return the parts with another plant, or with the predictor of another bundle."""
         return self._replace(
             plant=read_plant(plant) if plant and self.plant else self.plant,
-            predictor=bundle / PREDICTOR if bundle and self.predictor else self.predictor,
+            predictor=Path(bundle) / PREDICTOR if bundle and self.predictor else self.predictor,
         )
 
     def description(self) -> str:
@@ -110,17 +110,19 @@ class FmuParts(NamedTuple):
         return {f"resources/{name}": data for name, data in files.items()}
 
 
-def read_parts(kind: Kind, dof: int, directory: Path, plant: Path | None = None) -> FmuParts:
+def read_parts(
+    kind: Kind, dof: int, directory: Path, plant: Plant | Path | None = None
+) -> FmuParts:
     """Read the parts of an FMU from a bundle, or from the resources of an FMU.
 
-    A document `plant` replaces the plant.json of that directory.
+    `plant`, or its file, replaces the plant.json of that directory.
     """
-    return FmuParts(
-        kind,
-        dof,
-        None if kind == "predictor" else read_plant(plant or directory / PLANT),
-        directory / PREDICTOR if kind != "observer" or (directory / PREDICTOR).is_file() else None,
-    )
+    predictor: Path | None = directory / PREDICTOR
+    if kind == "predictor":
+        return FmuParts(kind, dof, None, predictor)
+    if not isinstance(plant, Plant):
+        plant = read_plant(plant or directory / PLANT)
+    return FmuParts(kind, dof, plant, predictor if (directory / PREDICTOR).is_file() else None)
 
 
 def embedded_parts(resources: Path) -> FmuParts | None:

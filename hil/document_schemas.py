@@ -57,6 +57,8 @@ DOCUMENTS: Final[dict[str, type[Document]]] = {
 """Every document that a command writes, by the name of its schema file. A command that writes
 several has a folder."""
 
+SECTION: Final = r"\n\n *(?:Attributes|Examples)\n"
+"""Where the sections of a docstring begin, which explain a class in Python."""
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
 
 
@@ -66,6 +68,9 @@ def schema_files() -> dict[str, str]:
     files = {}
     for name, document in DOCUMENTS.items():
         schema = {"$schema": DIALECT} | msgspec.json.schema(document)
+        for definition in schema["$defs"].values():
+            if text := definition.get("description"):
+                definition["description"] = re.split(SECTION, text)[0]
         for struct in schema["$defs"].keys() & structs.keys():
             properties = schema["$defs"][struct]["properties"]
             comments = _comments(structs[struct])
@@ -84,7 +89,7 @@ def _structs(base: type[msgspec.Struct]) -> Iterator[type[msgspec.Struct]]:
 
 def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
     """Comment of each field, including the fields of base classes."""
-    found: dict[str, str] = {}
+    comments: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if base.__module__.startswith("msgspec") or not issubclass(base, msgspec.Struct):
             continue
@@ -93,10 +98,10 @@ def _comments(kind: type[msgspec.Struct]) -> dict[str, str]:
             if match := re.match(r"    (\w+): [^#]*(?:# (.*))?$", line):
                 field, beside = match.groups()
                 if text := beside or " ".join(above):
-                    found[field] = text
+                    comments[field] = text
             comment = re.match(r"    # (.*)", line)
             above = [*above, comment[1]] if comment else []
-    return found
+    return comments
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -171,7 +171,7 @@ def toy_fallback(toy_trials, toy_observer):
 @pytest.fixture(scope="session")
 def toy_study(toy_trials, toy_fallback):
     """A study of the 1DOF toy, trial 2 and the 20 degree motion held out."""
-    from models.commands.train import name_tests
+    from models.bundle.train import name_tests
     from models.study.study import run_study
 
     training, held_out = toy_trials(1).split()

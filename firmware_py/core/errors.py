@@ -20,7 +20,17 @@ _LONGEST: Final = 800
 
 
 class DropstitchError(Exception):
-    """Root of every error that this project raises on purpose."""
+    """Root of every error that this project raises on purpose.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> try:
+    ...     dropstitch.read_plant("no.toml")
+    ... except dropstitch.DropstitchError as error:
+    ...     print(error)
+    no.toml: is missing; name a plant or a link.
+    """
 
 
 class InputError(DropstitchError):
@@ -34,6 +44,11 @@ class InputError(DropstitchError):
         What is wrong, with the row, column or key.
     remedy : str
         What the user can do, as an imperative.
+
+    Examples
+    --------
+    >>> print(InputError("robot.toml", "bus.baud is 9600", "choose 57600 or more"))
+    robot.toml: bus.baud is 9600; choose 57600 or more.
     """
 
     def __init__(self, where: str | Path, what: str, remedy: str) -> None:

@@ -189,6 +189,13 @@ class Motion:
     ------
     InputError
         If a parameter is out of range.
+
+    Examples
+    --------
+    >>> motion = Motion(period_s=2.0)
+    >>> goals_rad = motion.table_rad(rest_samples=60)  # one row every 17 ms
+    >>> goals_rad.shape[1], round(float(goals_rad.max()), 2)
+    (1, 0.52)
     """
 
     kind: Kind | Literal["designed"] = "sinusoid"

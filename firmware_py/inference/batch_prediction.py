@@ -31,6 +31,14 @@ class Predictions(NamedTuple):
         Deformation Index used for the prediction, dimensionless.
     payload_kg : ndarray, shape (n,)
         Estimated mass at the tip in kg; NaN if it is not estimated.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> bundle = dropstitch.ModelBundle.load("docs/notebooks/bundle_1dof")
+    >>> predictions = bundle.predict_many([0.0, 0.1], [0.0, 0.2])
+    >>> predictions.tip_m.shape, list(predictions.columns())[:2]
+    ((2, 3), ['predicted_tip_x_m', 'predicted_tip_y_m'])
     """
 
     tip_m: Array
@@ -38,6 +46,16 @@ class Predictions(NamedTuple):
     in_range: NDArray[np.bool_]
     di: Array
     payload_kg: Array
+
+    def __repr__(self) -> str:
+        if not len(self.tip_m):
+            return "<Predictions of 0 samples>"
+        tip_x_m = self.tip_m[:, 0]
+        return (
+            f"<Predictions of {len(tip_x_m)} samples: tip x {tip_x_m.min():.2f} to "
+            f"{tip_x_m.max():.2f} m ± {1e3 * np.mean(self.half_width_m[:, 0]):.0f} mm, "
+            f"{np.mean(self.in_range):.0%} in range>"
+        )
 
     def columns(self) -> dict[str, Array | NDArray[np.bool_]]:
         """Return the arrays by their names in the robot's log, for example for `pandas.DataFrame`.

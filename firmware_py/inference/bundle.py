@@ -74,7 +74,7 @@ def load_predictor(files: BundleFiles) -> OnnxPredictor:
     return OnnxPredictor(files.file(POLYNOMIAL), manifest.dof)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ModelBundle:
     """Verified bundle, ready to predict; load one with `ModelBundle.load`.
 
@@ -97,6 +97,15 @@ class ModelBundle:
         Graph that predicts from angle, current and DI alone; None if the bundle has none.
     ranges : tuple of InputRange
         Ranges of the predictor's inputs, from its graph.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> bundle = dropstitch.ModelBundle.load("docs/notebooks/bundle_1dof")
+    >>> bundle
+    <ModelBundle docs/notebooks/bundle_1dof: 1 joint, every 17 ms, lagged estimator, onnx runtime>
+    >>> bundle.predict_many([0.0, 0.1], [0.0, 0.2]).tip_m.shape
+    (2, 3)
     """
 
     directory: Path
@@ -107,6 +116,14 @@ class ModelBundle:
     signature: BundleSignature | None = None
     memoryless: FileContent | None = None
     ranges: tuple[InputRange, ...] = ()
+
+    def __repr__(self) -> str:
+        manifest = self.manifest
+        return (
+            f"<ModelBundle {self.directory}: {manifest.dof} joint{'s' * (manifest.dof > 1)}, "
+            f"every {1e3 * manifest.period_s:g} ms, {manifest.estimator} estimator, "
+            f"{self.runtime} runtime>"
+        )
 
     @property
     def runtime(self) -> Runtime:

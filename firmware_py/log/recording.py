@@ -41,7 +41,7 @@ MOST_TICKS: Final = 500_000
 """Most ticks of a log: 180 MB with two joints, 2.4 hours at 17 ms."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Contents of a log file.
 
@@ -56,6 +56,12 @@ class Recording:
         False if the file is truncated.
     path : Path
         The file, for messages.
+
+    Examples
+    --------
+    >>> columns = {"time_s": np.arange(3) * 0.017, "angle_1_rad": np.zeros(3)}
+    >>> Recording(columns, {"dof": "1"}, complete=True)
+    <Recording log: 3 ticks, 1 joint>
     """
 
     columns: dict[str, NDArray[Any]]
@@ -63,8 +69,16 @@ class Recording:
     complete: bool
     path: Path = Path("log")
 
+    def __repr__(self) -> str:
+        ticks = len(next(iter(self.columns.values()), ()))
+        cut = "" if self.complete else ", truncated"
+        return (
+            f"<Recording {self.path}: {ticks} ticks, {self.dof} joint{'s' * (self.dof > 1)}{cut}>"
+        )
+
     @property
     def dof(self) -> int:
+        """Number of joints."""
         return int(self.metadata["dof"])
 
 
@@ -138,6 +152,18 @@ def read_recording(path: Path | str, first: int | None = None) -> Recording:
     InputError
         If a package or the file is missing, or the file is not a log of this project or has no
         tick.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as out:
+    ...     run = dropstitch.run_sil(
+    ...         "docs/notebooks/bundle_1dof", out, line="virtual", seconds=2.0
+    ...     )
+    ...     log = read_recording(f"{out}/ticks.mcap")
+    >>> log.dof, len(log.columns["angle_1_rad"]) >= 117
+    (1, True)
     """
     require_packages()
     path = Path(path)

@@ -13,7 +13,7 @@
         │                                ▼
         └─────────────────────────────  OFF: the loop ends and switches the torque off
 
-`TRANSITIONS` holds this drawing as data; the drawing in docs/safety.md is generated from it.
+`TRANSITIONS` holds this drawing as data; the table in docs/safety.md is generated from it.
 """
 
 from __future__ import annotations

@@ -42,13 +42,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from firmware_py.inference.manifest import read_bundle_files
+    from firmware_py.inference.bundle import read_manifest
     from fmu.bundle_observer import add_observer
-    from fmu.documents import fmu_documents
     from fmu.fmu_builder import build_fmu
-    from fmu.fmu_models import read_parts
     from fmu.packaging import SOURCE_CODE, platform_names
-    from models.bundle.plant import compare_with_bundle
 
     kind: Kind = args.kind
     output = _output(args)
@@ -56,39 +53,30 @@ def run(args: argparse.Namespace) -> int:
     if for_robot and args.fmi != 3:
         raise InputError("--fmi 2", "cannot run on the robot (FMI 3.0)", "omit --fmi or give --out")
     platforms = platform_names(args.platforms)
-    files = read_bundle_files(args.bundle)
-    manifest = files.manifest
-    parts = read_parts(kind, manifest.dof, args.bundle, args.plant)
-    if args.plant and parts.plant:
-        compare_with_bundle(parts.plant, args.plant, files, "this FMU")
+    dof = read_manifest(args.bundle).dof
     progress = Progress(f"fmu {kind}", 3 + sum(name != SOURCE_CODE for name in platforms))
 
     def report(phase: str) -> None:
-        progress.done += 1
         progress.begin(phase)  # always shown, because each phase may take many seconds
+        progress.done += 1
 
-    progress.begin("composing the model")
     if for_robot:
-        add_observer(args.bundle, manifest, parts, platforms, report)
+        add_observer(args.bundle, plant=args.plant, platforms=platforms, report=report)
     else:
-        model = parts.model()
-        report("simulating the reference run")
-        documents = fmu_documents(parts, model, args.fmi)
         build_fmu(
-            model, output, fmi=args.fmi, description=parts.description(), platforms=platforms,
-            files=documents.files | parts.resources(), sections=documents.sections,
-            example=documents.example, report=report,
+            args.bundle, output, kind=kind, plant=args.plant, fmi=args.fmi, platforms=platforms,
+            report=report,
         )  # fmt: skip
     report("packed")
     size = output.stat().st_size
     data = {
-        "unit": kind, "fmi": args.fmi, "dof": manifest.dof, "path": str(output), "bytes": size,
+        "unit": kind, "fmi": args.fmi, "dof": dof, "path": str(output), "bytes": size,
         "platforms": list(platforms),
     }  # fmt: skip
     emit(
         args,
         data,
-        f"{output}: {kind}, {manifest.dof}DOF, FMI {args.fmi}.0, {FILE_SIZE.number(size)} kB",
+        f"{output}: {kind}, {dof}DOF, FMI {args.fmi}.0, {FILE_SIZE.number(size)} kB",
     )
     return DONE
 

@@ -10,7 +10,6 @@ import argparse
 from pathlib import Path
 
 from firmware_py.core.console import DONE, NEGATIVE, emit
-from firmware_py.core.errors import InputError
 
 EXAMPLE = "dropstitch fmu check build/twin_1dof.fmu"
 
@@ -23,16 +22,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    from fmu.fmpy_instance import FmuArchive
     from fmu.fmu_checker import check_fmu
-    from fmu.fmu_models import embedded_parts
 
-    with FmuArchive(args.file) as archive:
-        parts = embedded_parts(archive.directory / "resources")
-        if args.plant or args.bundle:
-            if parts is None:
-                raise InputError(args.file, "carries no parts of ours", "omit --plant and --bundle")
-            parts = parts.replaced_by(args.plant, args.bundle)
-        report = check_fmu(archive, parts)
+    report = check_fmu(args.file, args.plant, args.bundle)
     emit(args, report.data(), report.text())
     return DONE if report.passed else NEGATIVE

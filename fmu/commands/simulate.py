@@ -43,20 +43,18 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             f"--step {args.step}", "is not a step size", "choose more than 0, at most 1 s"
         )
-    from fmu.fmpy_instance import FmuArchive
-    from fmu.fmpy_run import draw_run, simulate_fmu, write_fmu_run
+    from fmu.fmpy_run import draw_run, simulate_fmu
     from models.trials.files import read_trial
 
     trial = read_trial(args.trial) if args.trial else None
     motion = Motion(
         args.motion, math.radians(args.amplitude_deg), args.period, math.radians(args.phase_deg)
     )
-    with FmuArchive(args.file) as archive:
-        result = simulate_fmu(
-            archive, trial or motion, args.payload_kg, args.step, _assignments(args.set)
-        )
+    result = simulate_fmu(
+        args.file, trial or motion, args.payload_kg, args.step, _assignments(args.set)
+    )
     args.out.mkdir(parents=True, exist_ok=True)
-    write_fmu_run(result, args.out / "result.csv")
+    result.write(args.out / "result.csv")
     draw_run(result, args.out / "result.svg")
     rms = result.rms_against_trial()
     data = {"rows": len(result.time_s), "out": str(args.out), "rms": rms, "units": result.units}

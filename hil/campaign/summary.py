@@ -110,8 +110,8 @@ def campaign_document(
 
 
 def describe_campaign(document: CampaignDocument, out: Path) -> str:
-    done, kept = document.states.get("done", 0), document.last_run["kept"]
-    before = f", {kept} of them before" if kept else ""
+    done, reused = document.states.get("done", 0), document.last_run["kept"]
+    before = f", {reused} of them before" if reused else ""
     lines = [f"{done} of {document.cases} cases have a result{before}"]
     lines += [f"{f.cases} {f.state}: {f.sentence}" for f in document.failures[:5]]
     if document.failures:

@@ -61,7 +61,9 @@ def run(args: argparse.Namespace) -> int:
     seeds = range(args.seed, args.seed + args.seeds)
     cases = cases_of(bundle.manifest.dof, args.line, seeds, rows)
     if not cases:
-        raise InputError("--only", f"'{args.only}' leaves no fault", "see docs/safety.md for names")
+        raise InputError(
+            "--only", f"'{args.only}' leaves no fault", "see docs/safety/faults.md for names"
+        )
     try:
         args.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -25,19 +25,17 @@ from firmware_py.bus.servo_models import model_named
 from firmware_py.core.console import emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, MotionConfig
-from firmware_py.core.units import LENGTH, TIME
 from firmware_py.goals.for_robot import outside_goals
 from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.bundle import ModelBundle
 from hil.commands.emulate import add_line_arguments
 from hil.emulator.line_faults import parse_rates
 from hil.emulator.physics import RigSource
-from hil.sil import LineKind, SilOptions, run_sil, write_results
+from hil.sil import LineKind, SilOptions, run_sil
 from hil.sil.sil_options import DERIVED, sil_config
-from hil.sil.tick_budget import describe_budget
-from hil.sil.timing_document import PredictionError, TimingDocument
+from hil.sil.sil_results import timing_in_words
+from hil.sil.timing_document import TimingDocument
 from hil.sil.timing_verdict import MISS_RATE
-from models.predictor.validation import coverage_text
 from models.shared.catalogue import parse_strengths
 
 EXAMPLE = (
@@ -102,7 +100,9 @@ def run(args: argparse.Namespace) -> int:
             options = replace(options, goals=goals)
         if options.goals_note:
             print(f"dropstitch: {options.goals_note}", file=sys.stderr)
-        timing = write_results(run_sil(options), options)
+        result = run_sil(options)
+    result.write()
+    timing = result.timing
     emit(args, msgspec.to_builtins(timing), describe_sil(timing, args.out))
     return timing.verdict.exit_code
 
@@ -144,63 +144,4 @@ def _options(args: argparse.Namespace) -> SilOptions:
 
 
 def describe_sil(timing: TimingDocument, out: Path) -> str:
-    environment = timing.environment
-    lines = [
-        f"{timing.verdict}: {timing.reason}",
-        f"{timing.run.ended}: {timing.run.reason}; {timing.ticks} ticks in "
-        f"{timing.run.wall_s:.1f} s on the {environment.line} line",
-    ]
-    if environment.speed_up is not None:
-        lines.append(
-            f"{environment.speed_up:.0f} times real time, "
-            f"{environment.speed_up_by_processor_time:.0f} times by processor time"
-        )
-    else:
-        lines += _timing_lines(timing)
-    if environment.goals_note:
-        lines.append(environment.goals_note)
-    lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
-    if timing.run.out_of_range:
-        outside = f"{timing.run.out_of_range} ticks out of the predictor's range"
-        lines.append(": ".join(filter(None, (outside, timing.run.out_of_range_reasons.note))))
-    lines += _error_lines(timing.prediction_error)
-    lines += [
-        f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "
-        f"{LENGTH.number(error.max_m)} mm at most; {LENGTH.number(error.path_rms_m, 2)} mm RMS "
-        "on the path alone"
-        for number, error in enumerate(timing.path_errors, start=1)
-    ]
-    lines += [
-        f"move {number}: {TIME.number(move.command_s, 2)} s, settled within 10 mm after "
-        f"{TIME.number(move.settling_s, 2)} s, swing {LENGTH.number(move.swing_m, 1)} mm, at rest "
-        f"{LENGTH.number(move.offset_m, 1)} mm beside its place"
-        for number, move in enumerate(timing.moves, start=1)
-    ]
-    lines.append(f"see {out}/summary.svg and timing.json")
-    return "\n".join(lines)
-
-
-def _timing_lines(timing: TimingDocument) -> list[str]:
-    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
-    return [
-        f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
-        f"{timing.ticks} ticks",
-        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
-        *timing.environment.refused,
-    ]
-
-
-def _error_lines(error: PredictionError) -> list[str]:
-    if error.mean_euclidean_distance_m is None or error.max_m is None:
-        return []
-    return [
-        f"predicted tip off by {LENGTH.number(error.mean_euclidean_distance_m)} mm on average, "
-        f"{LENGTH.number(error.max_m)} mm at most",
-        *(
-            f"  {name.replace('_', ' '):12} "
-            f"{LENGTH.number(part.mean_euclidean_distance_m or 0):>5} mm, "
-            f"{LENGTH.number(part.max_m or 0):>5} mm at most, interval covers "
-            f"{coverage_text(part.interval_coverage or 0, part.interval_coverage_least or 0)} %"
-            for name, part in error.parts.items()
-        ),
-    ]
+    return f"{timing_in_words(timing)}\nsee {out}/summary.svg and timing.json"

@@ -59,10 +59,10 @@ def run_campaign(
     with terminations_raised(), _signals_noted() as raise_noted:
         for case in cases:
             try:
-                seen = RUNNERS[case.line](robot, case.row, case.number, case.seed)
+                observed = RUNNERS[case.line](robot, case.row, case.number, case.seed)
             finally:  # a signal to the process group also ends the servos, and so fails the case
                 raise_noted()
-            judged.append(judge_case(case, seen, robot.bundle.manifest.period_s))
+            judged.append(judge_case(case, observed, robot.bundle.manifest.period_s))
             keep(judged)
             progress.step(case.row.fault)
     return judged

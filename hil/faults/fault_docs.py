@@ -1,4 +1,7 @@
-"""Generated parts of docs/safety.md, which `python -m hil.faults.fault_docs` writes."""
+"""Generated parts of docs/safety.md and docs/safety/faults.md.
+
+`python -m hil.faults.fault_docs` writes them.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,30 @@ from typing import Final, NamedTuple
 from firmware_py.safety.states import TRANSITIONS, SafetyState
 from hil.faults.fault_table import PARTS, ROWS
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs" / "safety.md"
+_DOCS: Final = Path(__file__).parents[2] / "docs"
+SAFETY_PAGE: Final = _DOCS / "safety.md"
+"""Written by hand, but for the table of transitions between two marks."""
+FAULTS_PAGE: Final = _DOCS / "safety" / "faults.md"
 _REQUIREMENTS: Final = Path(__file__).with_name("safety_requirements.toml")
+
+_FAULTS_TEXT: Final = """# Faults and requirements
+
+Written by `python -m hil.faults.fault_docs`; do not edit. The text of a requirement and its tests
+stand in `hil/faults/safety_requirements.toml`, the faults in `hil/faults/fault_table.py`. What the
+requirements mean for you: [Safety](../safety.md). How to add a fault:
+[Extend](../guides/extend.md#add-a-fault).
+
+## Requirements
+
+{requirements}
+
+## Faults
+
+`dropstitch faults --bundle BUNDLE --out OUT` injects each fault on its lines: in simulated time
+(virtual), against emulated servos on a socket, or against the whole program (process).
+
+{faults}
+"""
 
 
 class SafetyRequirement(NamedTuple):
@@ -34,27 +59,18 @@ def requirements() -> list[SafetyRequirement]:
     ]  # fmt: skip
 
 
-def state_machine() -> str:
-    """Return the supervisor's states and transitions as a Mermaid diagram and a table."""
-    arrows = [
-        f"    {t.source.name} --> {t.target.name}: {t.cause.replace('`', '')}" for t in TRANSITIONS
-    ]
+def transitions() -> str:
+    """Return the supervisor's transitions in Markdown."""
+    first = f"| | {SafetyState(0).name} | the program starts |"
     rows = [f"| {t.source.name} | {t.target.name} | {t.cause} |" for t in TRANSITIONS]
-    diagram = [
-        "```mermaid",
-        "stateDiagram-v2",
-        f"    [*] --> {SafetyState(0).name}",
-        *arrows,
-        "```",
-    ]
-    return "\n".join([*diagram, "", "| from | to | when |", "|---|---|---|", *rows])
+    return "\n".join(["| from | to | when |", "|---|---|---|", first, *rows])
 
 
 def fault_matrix() -> str:
     """Return the fault table in Markdown."""
     lines = []
     for title, rows in PARTS.items():
-        lines += [f"**{title}**", "", "| fault | how | line | must | proves |"]
+        lines += [f"### {title}", "", "| fault | how | line | must | proves |"]
         lines.append("|---|---|---|---|---|")
         for row in rows:
             must = str(row.must).replace("|", " or ")
@@ -74,19 +90,18 @@ def requirement_table() -> str:
     return "\n".join(lines)
 
 
-def redraw(text: str) -> str:
-    """Return a document with the text between its marks regenerated."""
-    parts = {
-        "state machine": state_machine(),
-        "requirements": requirement_table(),
-        "faults": fault_matrix(),
-    }
-    for name, part in parts.items():
-        head, begin, rest = text.partition(f"<!-- drawn: {name} -->\n")
-        _, end, tail = rest.partition(f"<!-- end: {name} -->\n")
-        text = head + begin + part + "\n" + end + tail
-    return text
+def safety_page(text: str) -> str:
+    """Return docs/safety.md with its table of transitions renewed."""
+    head, begin, rest = text.partition("<!-- drawn: state machine -->\n")
+    _, end, tail = rest.partition("<!-- end: state machine -->\n")
+    return f"{head}{begin}{transitions()}\n{end}{tail}"
+
+
+def faults_page() -> str:
+    """Return the whole of docs/safety/faults.md."""
+    return _FAULTS_TEXT.format(requirements=requirement_table(), faults=fault_matrix())
 
 
 if __name__ == "__main__":
-    DOCUMENT.write_text(redraw(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")
+    SAFETY_PAGE.write_text(safety_page(SAFETY_PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    FAULTS_PAGE.write_text(faults_page(), encoding="utf-8")

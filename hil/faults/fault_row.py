@@ -62,7 +62,7 @@ class Expectation:
         parts = [self.ended]
         if self.within is not None:
             ticks = "tick" if self.within == 1 else "ticks"
-            parts.append(f"seen within {self.within} {ticks}")
+            parts.append(f"detected within {self.within} {ticks}")
         if self.lost is not None:
             ticks = "tick" if self.lost == 1 else "ticks"
             parts.append(f"at most {self.lost} {ticks} lost" if self.lost else "no tick lost")

@@ -467,5 +467,5 @@ PARTS: Final[dict[str, tuple[FaultRow, ...]]] = {
     "Together": TOGETHER,
     "Processes": PROCESS,
 }
-"""Rows of the table by their heading in docs/safety.md."""
+"""Rows of the table by their heading in docs/safety/faults.md."""
 ROWS: Final = tuple(row for rows in PARTS.values() for row in rows)

@@ -4,7 +4,7 @@
 """
 
 from hil.sil.sil_options import LineKind, SilOptions
-from hil.sil.sil_results import write_results
-from hil.sil.sil_run import LOG_NAME, SilResult, run_sil
+from hil.sil.sil_results import SilResult, write_results
+from hil.sil.sil_run import LOG_NAME, run_sil
 
 __all__ = ["LOG_NAME", "LineKind", "SilOptions", "SilResult", "run_sil", "write_results"]

@@ -99,6 +99,14 @@ class SilOptions:
     InputError
         If an option is out of range, or the rig is combined with a twin or with a line in real
         time.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> bundle = dropstitch.ModelBundle.load("docs/notebooks/bundle_1dof")
+    >>> options = SilOptions(bundle=bundle, out=Path("out"), line="virtual", seconds=4.0)
+    >>> options.slots, options.payload_kg
+    (235, 1.0)
     """
 
     bundle: ModelBundle

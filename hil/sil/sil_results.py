@@ -1,30 +1,34 @@
-"""Results of a run in software: timing document, trial and picture."""
+"""Results of a run in software: everything measured, timing document, trial and picture."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import msgspec
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from firmware_py.bus.bus_plan import Plan
 from firmware_py.core.signals import joint_signals, marker_signals, tip_names
 from firmware_py.core.units import LENGTH, TICK_TIME, TIME
 from firmware_py.goals.plan_goals import payload_beyond_plan
 from firmware_py.link.marker_layout import MarkerLayout
 from firmware_py.log.recording import OUTSIDE
 from firmware_py.safety.states import SafetyState
-from firmware_py.summary import Ended
+from firmware_py.summary import Ended, RangeReasons, RunSummary
+from hil.emulator.emulator import EmulatorOutcome
+from hil.sil.probe import ProbeRecord
 from hil.sil.sil_options import SilOptions, programme_s
-from hil.sil.sil_run import SilResult
-from hil.sil.tick_budget import measure_budget, plan_times
+from hil.sil.tick_budget import describe_budget, measure_budget, plan_times
 from hil.sil.timing_document import (
     MoveFigures,
     PathError,
+    PredictionError,
     RunFacts,
+    SilEnvironment,
     TimingDocument,
     write_timing,
 )
@@ -37,23 +41,119 @@ from hil.sil.tip_errors import (
     tip_of_runs_m,
     true_tip_m,
 )
-from models.shared.drawing import FILE_STYLE
+from models.predictor.validation import coverage_text
 from models.shared.palette import ALARM, MUTED, SERIES
 from models.trials.files import write_trial
 from models.trials.trial import Trial, TrialMeta, rows_at_rest
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class SilResult:
+    """Result of `run_sil`: the loop's summary and everything measured during the run.
+
+    Attributes
+    ----------
+    options : SilOptions
+        Options of the run.
+    summary : RunSummary
+        The loop's own summary.
+    outcome : EmulatorOutcome
+        The emulator's record: true tip, release times, injected faults.
+    loop_cpu, line_cpu : ProbeRecord
+        Wake-up jitter probes on the processors of loop and emulator; empty on the virtual line.
+    wall_s : float
+        Wall-clock time of the run.
+    environment : SilEnvironment
+        Machine, scheduler, load and line.
+    bus_plan : Plan
+        Plan by which the servos were read.
+    out_of_range : RangeReasons
+        Why ticks were out of the predictor's range.
+    link : dict of str to Any, optional
+        Trial conditions that follow from the link: size, pressure, markers, gravity; empty if the
+        plant does not describe a link.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> bundle = "docs/notebooks/bundle_1dof"
+    >>> run = dropstitch.run_sil(bundle, line="virtual", seconds=2.0)
+    >>> run.timing.own_misses, run.trial().meta.source
+    (0, 'sil')
+    """
+
+    options: SilOptions
+    summary: RunSummary
+    outcome: EmulatorOutcome
+    loop_cpu: ProbeRecord
+    line_cpu: ProbeRecord
+    wall_s: float
+    environment: SilEnvironment
+    bus_plan: Plan
+    out_of_range: RangeReasons
+    link: dict[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        timing, error = self.timing, self.timing.prediction_error
+        tip = ""
+        if error.mean_euclidean_distance_m is not None:
+            distance_mm = LENGTH.number(error.mean_euclidean_distance_m)
+            tip = f", predicted tip off by {distance_mm} mm on average"
+        return (
+            f"<SilResult: {timing.verdict}, {timing.ticks} ticks on the {self.options.line} line, "
+            f"{timing.own_misses} own misses{tip}>"
+        )
+
+    @property
+    def records(self) -> NDArray[np.void]:
+        """Every tick of the run, in order, with the fields of `tick_dtype`."""
+        return self.summary.records
+
+    @cached_property
+    def timing(self) -> TimingDocument:
+        """Verdict and measurements, the content of `timing.json`."""
+        return timing_document(self, self.options)
+
+    def text(self) -> str:
+        """Return the verdict and the main figures as text."""
+        return timing_in_words(self.timing)
+
+    def plot(self) -> Figure:
+        """Draw the error of the predicted tip, and when the ticks ended in their slots."""
+        return plot_summary(self, self.timing)
+
+    def trial(self) -> Trial:
+        """Return the run as a trial: the servos' measurements and the true tip."""
+        return as_trial(self, self.options)
+
+    def write(self, out: Path | str | None = None) -> Path:
+        """Write timing.json, timing.xml, trial and summary.svg; return the directory.
+
+        Parameters
+        ----------
+        out : Path or str, optional
+            Directory; by default that of the run, which holds the log.
+        """
+        directory = self.options.out if out is None else Path(out)
+        directory.mkdir(parents=True, exist_ok=True)
+        timing = self.timing
+        write_timing(directory / "timing.json", timing)
+        facts = msgspec.to_builtins(timing.environment)
+        (directory / "timing.xml").write_bytes(timing_junit(timing, facts))
+        if self.link and timing.prediction_error.n:
+            write_trial(self.trial(), directory / "trial")
+        draw_summary(self, timing, directory / "summary.svg")
+        return directory
+
 
 def write_results(result: SilResult, options: SilOptions) -> TimingDocument:
     """Judge a run and write all results except the log, which the recorder writes."""
-    out = options.out
-    timing = timing_document(result, options)
-    write_timing(out / "timing.json", timing)
-    facts = msgspec.to_builtins(timing.environment)
-    (out / "timing.xml").write_bytes(timing_junit(timing, facts))
-    if result.link and timing.prediction_error.n:
-        write_trial(as_trial(result, options), out / "trial")
-    draw_summary(result, timing, out / "summary.svg")
-    return timing
+    result.write(options.out)
+    return result.timing
 
 
 def timing_document(result: SilResult, options: SilOptions) -> TimingDocument:
@@ -168,13 +268,29 @@ def as_trial(result: SilResult, options: SilOptions) -> Trial:
 
 
 def draw_summary(result: SilResult, timing: TimingVerdict, path: Path) -> None:
-    with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
-        figure = Figure(figsize=(8, 5), layout="constrained")
+    import matplotlib as mpl
+
+    from models.shared.drawing import FILE_STYLE
+
+    figure = plot_summary(result, timing)
+    with mpl.rc_context(FILE_STYLE):
+        figure.savefig(path, metadata={"Date": None})
+
+
+def plot_summary(result: SilResult, timing: TimingVerdict) -> Figure:
+    """Error of the predicted tip over time, and a histogram of the ends of the ticks."""
+    from matplotlib import pyplot
+
+    from models.shared.drawing import FILE_STYLE
+
+    with pyplot.rc_context(FILE_STYLE | {"font.size": 8}):
+        figure: Figure = pyplot.figure(figsize=(8, 5), layout="constrained")
         error, ends = figure.subplots(2)
         _draw_error(error, result)
         _draw_ends(ends, result, timing)
         figure.suptitle(f"{timing.verdict}: {timing.reason}")
-        figure.savefig(path, metadata={"Date": None})
+        pyplot.close(figure)
+    return figure
 
 
 def _draw_error(axes: Axes, result: SilResult) -> None:
@@ -207,3 +323,66 @@ def _draw_ends(axes: Axes, result: SilResult, timing: TimingVerdict) -> None:
         axes.plot([], [], " ", label=f"the host preempted {timing.host.preempted_ticks} ticks")
     axes.set(xlabel=TICK_TIME.label("time"), ylabel="ticks", xscale="log", yscale="log")
     axes.legend(loc="upper center")
+
+
+def timing_in_words(timing: TimingDocument) -> str:
+    """Verdict and main figures of a run, as text."""
+    environment = timing.environment
+    lines = [
+        f"{timing.verdict}: {timing.reason}",
+        f"{timing.run.ended}: {timing.run.reason}; {timing.ticks} ticks in "
+        f"{timing.run.wall_s:.1f} s on the {environment.line} line",
+    ]
+    if environment.speed_up is not None:
+        lines.append(
+            f"{environment.speed_up:.0f} times real time, "
+            f"{environment.speed_up_by_processor_time:.0f} times by processor time"
+        )
+    else:
+        lines += _timing_lines(timing)
+    if environment.goals_note:
+        lines.append(environment.goals_note)
+    lines += filter(None, (timing.run.feedback.note, timing.run.payload_note))
+    if timing.run.out_of_range:
+        outside = f"{timing.run.out_of_range} ticks out of the predictor's range"
+        lines.append(": ".join(filter(None, (outside, timing.run.out_of_range_reasons.note))))
+    lines += _error_lines(timing.prediction_error)
+    lines += [
+        f"tip off its path in run {number} of the plan by {LENGTH.number(error.rms_m, 2)} mm RMS, "
+        f"{LENGTH.number(error.max_m)} mm at most; {LENGTH.number(error.path_rms_m, 2)} mm RMS "
+        "on the path alone"
+        for number, error in enumerate(timing.path_errors, start=1)
+    ]
+    lines += [
+        f"move {number}: {TIME.number(move.command_s, 2)} s, settled within 10 mm after "
+        f"{TIME.number(move.settling_s, 2)} s, swing {LENGTH.number(move.swing_m, 1)} mm, at rest "
+        f"{LENGTH.number(move.offset_m, 1)} mm beside its place"
+        for number, move in enumerate(timing.moves, start=1)
+    ]
+    return "\n".join(lines)
+
+
+def _timing_lines(timing: TimingDocument) -> list[str]:
+    causes = ", ".join(f"{count} {cause.value}" for cause, count in timing.causes.items())
+    return [
+        f"misses {timing.misses} ({causes}); the host preempted {timing.host.preempted_ticks} of "
+        f"{timing.ticks} ticks",
+        *describe_budget(timing.tick_budget, timing.own_cost, timing.reference_jitter),
+        *timing.environment.refused,
+    ]
+
+
+def _error_lines(error: PredictionError) -> list[str]:
+    if error.mean_euclidean_distance_m is None or error.max_m is None:
+        return []
+    return [
+        f"predicted tip off by {LENGTH.number(error.mean_euclidean_distance_m)} mm on average, "
+        f"{LENGTH.number(error.max_m)} mm at most",
+        *(
+            f"  {name.replace('_', ' '):12} "
+            f"{LENGTH.number(part.mean_euclidean_distance_m or 0):>5} mm, "
+            f"{LENGTH.number(part.max_m or 0):>5} mm at most, interval covers "
+            f"{coverage_text(part.interval_coverage or 0, part.interval_coverage_least or 0)} %"
+            for name, part in error.parts.items()
+        ),
+    ]

@@ -15,16 +15,14 @@ import contextlib
 import hashlib
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
-from firmware_py.bus.bus_plan import Plan
 from firmware_py.bus.servo_bus import ServoBus
 from firmware_py.config import RobotConfig, check_config
 from firmware_py.core.errors import InputError
@@ -36,6 +34,7 @@ from firmware_py.goals.for_robot import (
     outside_facts,
 )
 from firmware_py.goals.goal_source import GoalSource
+from firmware_py.inference.bundle import ModelBundle
 from firmware_py.inference.fmu_instance import FmuInstance
 from firmware_py.inference.range_check import RangeWatch
 from firmware_py.link.link_description import STUDY_LINK
@@ -44,7 +43,6 @@ from firmware_py.log.recording import SLOTS_KEY
 from firmware_py.log.telemetry import SocketTelemetry, Telemetry
 from firmware_py.loop import ControlLoop
 from firmware_py.robot import build_bus, build_loop, log_metadata, open_bus
-from firmware_py.summary import RangeReasons, RunSummary
 from firmware_py.system.clock import Clock, DeadlineClock, SimClock, real_time
 from firmware_py.system.kernel_counters import Counters, KernelCounters
 from hil.emulator.emulator import (
@@ -65,6 +63,7 @@ from hil.sil.processors import (
     scheduling_policy,
 )
 from hil.sil.sil_options import SilOptions, sil_config
+from hil.sil.sil_results import SilResult
 from hil.sil.timing_document import SilEnvironment
 from models.plant.document import read_plant_document
 
@@ -75,82 +74,70 @@ _LOAD: Final = "declared host load, normal priority, on the emulator's processor
 _SIZES: Final = ("base_offset_m", "link_length_m", "link_width_m")
 
 
-class SilResult(NamedTuple):
-    """Result of a run in software: the loop's summary and everything measured during the run.
-
-    Attributes
-    ----------
-    summary : RunSummary
-        The loop's own summary.
-    outcome : EmulatorOutcome
-        The emulator's record: true tip, release times, injected faults.
-    loop_cpu, line_cpu : ProbeRecord
-        Wake-up jitter probes on the processors of loop and emulator; empty on the virtual line.
-    wall_s : float
-        Wall-clock time of the run.
-    environment : SilEnvironment
-        Machine, scheduler, load and line.
-    bus_plan : Plan
-        Plan by which the servos were read.
-    out_of_range : RangeReasons
-        Why ticks were out of the predictor's range.
-    link : dict of str to Any, optional
-        Trial conditions that follow from the link: size, pressure, markers, gravity; empty if the
-        plant does not describe a link.
-    """
-
-    summary: RunSummary
-    outcome: EmulatorOutcome
-    loop_cpu: ProbeRecord
-    line_cpu: ProbeRecord
-    wall_s: float
-    environment: SilEnvironment
-    bus_plan: Plan
-    out_of_range: RangeReasons = RangeReasons()
-    link: dict[str, Any] | None = None
-
-    @property
-    def records(self) -> NDArray[np.void]:
-        """Every tick of the run, in order, with the fields of `tick_dtype`."""
-        return self.summary.records
-
-
-def run_sil(options: SilOptions) -> SilResult:
-    """Run the loop against the emulated servos.
+def run_sil(
+    bundle: ModelBundle | Path | str | SilOptions, out: Path | str | None = None, **options: Any
+) -> SilResult:
+    """Run the robot's loop in software against emulated servos.
 
     Parameters
     ----------
-    options : SilOptions
-        Bundle, servo, line, motion and faults.
+    bundle : ModelBundle, Path, str or SilOptions
+        Bundle of the robot, or its directory; or all options in one object.
+    out : Path or str, optional
+        Directory for the log and for `SilResult.write`; by default no file is written.
+    **options
+        Further fields of `SilOptions`, such as `line`, `seconds`, `rig` or `payload_kg`.
 
     Returns
     -------
     SilResult
-        The loop's summary and everything measured during the run. The log of a run with
-        `SilOptions.log` is in `SilOptions.out`; `hil.sil.write_results` writes the rest.
+        The loop's summary and everything measured during the run.
 
     Raises
     ------
     InputError
         If the bundle, the FMU or the options cannot be used.
+
+    Examples
+    --------
+    The twin of the bundle's plant stands behind the servos. On the virtual line the clock is
+    simulated as well.
+
+    >>> import dropstitch
+    >>> bundle = "docs/notebooks/bundle_1dof"
+    >>> run = dropstitch.run_sil(bundle, line="virtual", seconds=2.0)
+    >>> str(run.timing.verdict), len(run.records) >= 117
+    ('pass', True)
     """
     with TemporaryDirectory(prefix="dropstitch-sil-") as scratch:
-        source = options.rig or options.fmu
-        if source is None:
-            plant = options.bundle.directory / "plant.json"
-            if not plant.is_file():
-                raise InputError(
-                    plant, "is missing", "copy the whole bundle, or name a twin with --fmu"
-                )
-            source = build_twin(plant, options.dof, Path(scratch))
-        specification = options.emulator(source)
-        check_config(sil_config(options, options.line), "--baud")
-        _make(options.out)
-        if options.line == "virtual":
-            result = _run_on_virtual_line(options, specification)
+        if isinstance(bundle, SilOptions):
+            chosen = bundle
         else:
-            result = _run_in_real_time(options, options.line, specification, Path(scratch))
-        return result._replace(link=_link_conditions(source, options))
+            if not isinstance(bundle, ModelBundle):
+                bundle = ModelBundle.load(bundle)
+            place = Path(scratch) / "out" if out is None else Path(out)
+            log = options.pop("log", out is not None or options.get("line") != "virtual")
+            chosen = SilOptions(bundle=bundle, out=place, log=log, **options)
+        return _run(chosen, Path(scratch))
+
+
+def _run(options: SilOptions, scratch: Path) -> SilResult:
+    source = options.rig or options.fmu
+    if source is None:
+        plant = options.bundle.directory / "plant.json"
+        if not plant.is_file():
+            raise InputError(
+                plant, "is missing", "copy the whole bundle, or name a twin with --fmu"
+            )
+        source = build_twin(plant, options.dof, scratch)
+    specification = options.emulator(source)
+    check_config(sil_config(options, options.line), "--baud")
+    _make(options.out)
+    if options.line == "virtual":
+        result = _run_on_virtual_line(options, specification)
+    else:
+        result = _run_in_real_time(options, options.line, specification, scratch)
+    return replace(result, link=_link_conditions(source, options))
 
 
 def _make(directory: Path) -> None:
@@ -188,6 +175,7 @@ def _run_on_virtual_line(options: SilOptions, specification: EmulatorSpecificati
         records_sha256=digest.hexdigest(),
     )
     return SilResult(
+        options,
         summary,
         EmulatorOutcome(truth, Releases(), dict(line.faults.injected)),
         ProbeRecord(),
@@ -251,8 +239,9 @@ def _run_in_real_time(
             load_is=_LOAD,
         )
         return SilResult(
-            summary, emulator.stop(), *probes, wall_s, environment, bus.plan, watch.reasons()
-        )
+            options, summary, emulator.stop(), *probes, wall_s, environment, bus.plan,
+            watch.reasons(),
+        )  # fmt: skip
 
 
 def _build_loop(

@@ -148,10 +148,10 @@ def judge_timing(
     misses = find_misses(records, possible_ns, targets.period_ns)
     causes = {cause: sum(m.slots for m in misses if m.cause is cause) for cause in Cause}
     lost = sum(causes.values())
-    own, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
-    excused = bool(faults) and not own and stopped_by_host(records, possible_ns, faults)
+    own_misses, slots = lost - causes[Cause.PREEMPTED], len(records) + lost
+    excused = bool(faults) and not own_misses and stopped_by_host(records, possible_ns, faults)
     verdict, reason = _decide(
-        stopped, own, lost, slots, targets, excused=excused, interrupted=interrupted
+        stopped, own_misses, lost, slots, targets, excused=excused, interrupted=interrupted
     )
     preempted = int(np.count_nonzero(certain_ns >= PREEMPTED_NS))
     return TimingVerdict(
@@ -174,18 +174,18 @@ def judge_timing(
             preempted_fraction=preempted / max(len(records), 1),
         ),
         misses=lost,
-        own_misses=own,
+        own_misses=own_misses,
         longest_run_of_misses=max((m.slots for m in misses), default=0),
         causes=causes,
         missed=tuple(misses),
         miss_rate_upper_bound_95=miss_rate_bound(lost, slots),
-        own_miss_rate_upper_bound_95=miss_rate_bound(own, slots),
+        own_miss_rate_upper_bound_95=miss_rate_bound(own_misses, slots),
     )
 
 
 def _decide(
     stopped: str,
-    own: int,
+    own_misses: int,
     lost: int,
     slots: int,
     targets: TimingTargets,
@@ -200,8 +200,8 @@ def _decide(
         )
     if stopped:
         return Verdict.FAIL, f"the safety supervisor stopped the robot: {stopped}"
-    if own:
-        return Verdict.FAIL, f"the loop missed {own} of {slots} slots by its own time"
+    if own_misses:
+        return Verdict.FAIL, f"the loop missed {own_misses} of {slots} slots by its own time"
     if interrupted:
         return Verdict.INCONCLUSIVE, f"{interrupted}: run it to its end"
     bound, rate = miss_rate_bound(lost, slots), targets.miss_rate
@@ -306,7 +306,7 @@ def slots_needed(miss_rate: float) -> int:
 
 def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any]) -> bytes:
     """Return the verdict as JUnit XML, one test case per question."""
-    own = [str(miss) for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
+    own_misses = [str(miss) for miss in timing.missed if miss.cause is not Cause.PREEMPTED]
     host = f"{timing.misses} misses by the host, {timing.host.preempted_ticks} ticks preempted"
     inconclusive = timing.verdict is Verdict.INCONCLUSIVE
     stop = Verdict.INCONCLUSIVE if inconclusive else Verdict.FAIL
@@ -316,7 +316,8 @@ def timing_junit(timing: TimingVerdict, facts: Mapping[str, Any]) -> bytes:
         ("the robot is not stopped", timing.stopped, stop, timing.stopped),
         ("no signal ends the run early", timing.interrupted, Verdict.INCONCLUSIVE,
          timing.interrupted),
-        ("the loop misses no deadline by its own time", own, Verdict.FAIL, "\n".join(own)),
+        ("the loop misses no deadline by its own time", own_misses, Verdict.FAIL,
+         "\n".join(own_misses)),
         ("the run bounds the miss rate", short, Verdict.INCONCLUSIVE, host),
     )  # fmt: skip
     cases = [

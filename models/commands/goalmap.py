@@ -18,8 +18,8 @@ from firmware_py.core.errors import InputError
 from firmware_py.inference.manifest import read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
 from models.bundle.plant import compare_with_bundle
-from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_file
 
 EXAMPLE = (
     "dropstitch goalmap --plant build/plant.json --bundle build/bundle_2dof "

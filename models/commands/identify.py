@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,15 +18,12 @@ from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.log.recording import read_recording
-from models.commands.evaluate import evaluation_text
-from models.commands.output_paths import check_output_file
-from models.plant.identification.doubts import doubts, refuse_other_links, torque_constant_doubts
 from models.plant.identification.evaluation import draw_fit
 from models.plant.identification.identify import identify
-from models.plant.identification.noise_floor import check_duration, with_noise_floor
 from models.plant.parameter import bound_reached, is_weakly_determined
 from models.plant.plant import read_plant
-from models.trials.checks.trials import judge_not_fitted, judge_pressures, read_usable_trials
+from models.shared.output_paths import check_output_file
+from models.trials.checks.trials import read_usable_trials
 from models.trials.files import conditions_beside
 
 EXAMPLE = (
@@ -57,26 +53,18 @@ def run(args: argparse.Namespace) -> int:
     plant = read_plant(args.plant)
     trials = read_usable_trials([args.trials], plant.signals)
     check_output_file(args.out, [conditions_beside(t.path) for t in trials])
-    refuse_other_links(plant, args.plant, trials)
-    for trial in trials:
-        check_duration(trial)
     progress = Progress("identify", USUAL_STEPS, is_estimate=True)
 
     def report(text: str) -> None:
         progress.step(text, further=max(progress.total - progress.done - 1, 10))
 
-    result = identify(plant, trials, report)
-    plant = with_noise_floor(result.plant, trials)
+    result = identify(plant, trials, report, servo_gains=gains)
     progress.total = progress.done + 1
     progress.step("done")
-    plant = replace(plant, provenance=msgspec.structs.replace(plant.provenance, servo_gains=gains))
-    plant.write(args.out)
-    fit, held_out = trials.split()
-    picture = draw_fit(result.plant, held_out or fit, args.out.with_suffix(".svg"))
-    warnings = doubts(result) + torque_constant_doubts(result.plant, fit.trials)
-    findings = [*judge_pressures(trials.trials), *judge_not_fitted(trials)]
-    warnings += [f"{row.text}; {row.remedy}" for row in findings]
-
+    result.plant.write(args.out)
+    fitted, held_out = trials.split()
+    picture = draw_fit(result.plant, held_out or fitted, args.out.with_suffix(".svg"))
+    warnings = result.warnings()
     data = {
         "plant": str(args.out),
         "picture": str(picture),
@@ -93,16 +81,7 @@ def run(args: argparse.Namespace) -> int:
         "held_out": msgspec.to_builtins(result.held_out),
         "warnings": warnings,
     }
-    rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
-    for q in result.fitted:
-        mark = "  weakly determined" if is_weakly_determined(q) else ""
-        mark = f"  at its {bound_reached(q)} bound" if bound_reached(q) else mark
-        rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{mark}")
-    what = (
-        f"{len(held_out)} held-out trials" if len(held_out) else "the fitted trials (none held out)"
-    )
-    rows += ["", f"errors on {what}", "", evaluation_text(result.held_out)]
-    emit(args, data, "\n".join([*rows, "", f"{args.out}; look at {picture}"]))
+    emit(args, data, f"{result.summary()}\n\n{args.out}; look at {picture}")
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr)
     return DONE

@@ -17,24 +17,21 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import msgspec
 
 from firmware_py.core.console import DONE, emit
-from firmware_py.core.errors import InputError
 from firmware_py.core.output_files import write_whole
 from firmware_py.core.signals import PERIOD_S
 from firmware_py.core.units import ANGLE
 from firmware_py.link.link_description import STUDY_LINK
-from models.commands.output_paths import check_output_file
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_file
 
 EXAMPLE = (
     "dropstitch linearise --plant build/plant.json --dof 1 --payload-kg 1 --out build/linear.json"
 )
-MOST_ANGLE_DEG: Final = 90.0
-"""Largest angle: beyond a right angle the arm leans back over its mount [assumed]."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -53,25 +50,18 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     check_output_file(args.out, [args.plant])
     plant = read_plant(args.plant)
-    angles_deg = args.angle_deg or [0.0] * args.dof
-    if len(angles_deg) != args.dof:
-        raise InputError("--angle-deg", f"has {len(angles_deg)} values", f"give {args.dof}")
-    if not all(abs(angle) <= MOST_ANGLE_DEG for angle in angles_deg):
-        raise InputError("--angle-deg", f"is {angles_deg}", f"give {MOST_ANGLE_DEG:g}° at most")
-    if not 1e-3 <= args.period <= 1.0:
-        raise InputError("--period", f"is {args.period:g} s", "give 0.001 to 1 s")
     half_kg = (plant.link or STUDY_LINK).payload_kg / 2
     payload_kg = half_kg if args.payload_kg is None else args.payload_kg
-    # CasADi and python-control are loaded here, so that a wrong option is refused at once.
-    from models.plan.feedback import design_feedback
-    from models.plant.linear_twin import linearise, modes
-
-    angles_rad = [math.radians(angle) for angle in angles_deg]
-    system = linearise(
-        plant, payload_kg, dof=args.dof, period_s=args.period, angles_rad=angles_rad,
+    angles_rad = [math.radians(angle) for angle in args.angle_deg or [0.0] * args.dof]
+    system = plant.linearise(
+        payload_kg, dof=args.dof, period_s=args.period, angles_rad=angles_rad,
         sliding=not args.at_rest,
     )  # fmt: skip
-    found = modes(system)
+    # CasADi and python-control are loaded here, so that a wrong option is refused at once.
+    from models.plan.feedback import design_feedback
+    from models.plant.linear_twin import modes
+
+    modes_of_twin = modes(system)
     margins = design_feedback(plant, args.dof, args.period, [payload_kg]).margins
     document: dict[str, Any] = {
         "plant_sha256": plant.sha256(), "payload_kg": payload_kg, "dof": args.dof,
@@ -79,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         "states": system.state_labels, "inputs": system.input_labels,
         "outputs": system.output_labels,
         **{name: getattr(system, name).tolist() for name in "ABCD"},
-        "modes": msgspec.to_builtins(found),
+        "modes": msgspec.to_builtins(modes_of_twin),
         "margins": [
             {"joint": joint, "gain_db": m.gain_db, "phase_rad": m.phase_rad,
              "crossover_rad_s": m.crossover_rad_s}
@@ -92,7 +82,7 @@ def run(args: argparse.Namespace) -> int:
     lines += [
         f"  {m.frequency_rad_s:7.2f} rad/s, damping {m.damping:.3f}, "
         + " and ".join(f"{share:.0%}" for share in m.shares) + " of the link's bend"
-        for m in found
+        for m in modes_of_twin
     ]  # fmt: skip
     lines += [
         f"feedback of joint {joint}: gain margin {m.gain_db:.1f} dB, phase margin "

@@ -17,24 +17,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 
-from firmware_py.config import UNWATCHED_RATE_RAD_S, read_config
+from firmware_py.config import read_config
 from firmware_py.core.console import DONE, Progress, emit
-from firmware_py.core.documents import write_document
 from firmware_py.core.errors import InputError
-from firmware_py.core.units import ANGLE, CURRENT, LENGTH, TIME
+from firmware_py.core.units import LENGTH, TIME
 from firmware_py.goals.plan_goals import recording_beyond_plan
-from firmware_py.goals.tip_plan import TipPlan, read_tip_plan
+from firmware_py.goals.tip_plan import read_tip_plan
 from firmware_py.inference.manifest import BundleFiles, read_bundle_files
 from firmware_py.link.link_description import STUDY_LINK
-from firmware_py.safety.limits import Limits, limits_of_link
 from models.bundle.plant import compare_with_bundle
-from models.commands.output_paths import check_output_file
-from models.plan.paths import DesiredPath, PathOptions, built_in_path, read_path
-from models.plant.plant import Plant, read_plant
+from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_file
 
 if TYPE_CHECKING:
+    from models.plan.plan import PathPlan
     from models.plan.planning import Method
 
 EXAMPLE = (
@@ -88,36 +85,26 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _plan(args: argparse.Namespace, files: BundleFiles) -> int:
-    dof, period_s = files.manifest.dof, files.manifest.period_s
-    path = _path(args, dof, period_s, args.move)
-    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
-    feedback = not (args.open_loop or path.moves)
-    for option, is_wrong, what, remedy in (
-        ("--zvd", args.zvd and args.rigid, "is set beside --rigid", "leave one out"),
-        ("--zvd", args.zvd and not path.moves, "is for point_to_point", "leave it out"),
-        ("--fastest", args.fastest and (method != "inverse" or not path.moves or args.move),
-         "is for the inverse of point_to_point without --move", "leave it out"),
-        ("--probe", args.probe and (method != "inverse" or not feedback),
-         "is for plans with feedback of the tip", "leave it out"),
-    ):  # fmt: skip
-        if is_wrong:
-            raise InputError(option, what, remedy)
+    if args.zvd and args.rigid:
+        raise InputError("--zvd", "is set beside --rigid", "leave one out")
     plant = read_plant(args.plant)
-    limits = _limits(args.config, plant)
-    compare_with_bundle(plant, args.plant, files, "this plan")
+    limits = read_config(args.config).limits_in_force if args.config else None
     # CasADi and SciPy are loaded here, so that a wrong option is refused at once.
-    from models.plan.planning import PlanRequest, plan_path, shortest_move_s
+    from models.plan.plan import plan
 
-    payloads = tuple(args.payloads or (plant.link or STUDY_LINK).payloads_kg)
-    steps = 1 + feedback + args.probe + len(payloads) if method == "inverse" else 1
+    method: Method = "zvd" if args.zvd else "rigid" if args.rigid else "inverse"
+    payloads_kg = args.payloads or (plant.link or STUDY_LINK).payloads_kg
+    steps = 1
+    if method == "inverse":
+        steps += (not args.open_loop) + args.probe + len(payloads_kg)
     progress = Progress("plan", steps)
-    request = PlanRequest(
-        plant, dof, period_s, limits, payloads, files.manifest_sha256, method, feedback, args.probe
-    )
-    if args.fastest:
-        seconds = shortest_move_s(lambda s: _path(args, dof, period_s, s), request)
-        path = _path(args, dof, period_s, seconds)
-    _write(args, plan_path(path, request, progress.step))
+    result = plan(
+        args.path, plant, files.directory, size_m=args.size, centre_m=args.centre,
+        seconds=args.seconds, turns=args.turns, angle_rad=math.radians(args.angle_deg),
+        move_s=args.move, payloads_kg=payloads_kg, limits=limits, method=method,
+        feedback=not args.open_loop, fastest=args.fastest, probe=args.probe, report=progress.step,
+    )  # fmt: skip
+    _write(args, result)
     return DONE
 
 
@@ -128,13 +115,15 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
             args.path, f"was made for another bundle than {args.bundle}", "name its bundle"
         )
     from models.plan.learning import improve_plan, read_plan_run
+    from models.plan.plan import PathPlan, usual_limits
 
     recorded = read_plan_run(args.improve, plan)
     if beyond := recording_beyond_plan(plan, recorded.payload_kg):
         print(f"warning: {args.improve}: {beyond}", file=sys.stderr)
     plant = read_plant(args.plant)
     compare_with_bundle(plant, args.plant, files, "this plan")
-    improved, went_back = improve_plan(plan, recorded, plant, _limits(args.config, plant))
+    limits = read_config(args.config).limits_in_force if args.config else usual_limits(plant)
+    improved, went_back = improve_plan(plan, recorded, plant, limits)
     run = improved.learned[-1]
     lines = [
         f"{args.improve}: tip by {run.source}, {run.payload_kg:.2f} kg, off its path by "
@@ -151,91 +140,16 @@ def _improve(args: argparse.Namespace, files: BundleFiles) -> int:
         "times as damped as the plant's"
     )
     _write(
-        args, improved, lines,
+        args, PathPlan(improved), lines,
         learned=[msgspec.to_builtins(r) for r in improved.learned], went_back=went_back,
     )  # fmt: skip
     return DONE
 
 
-def _path(args: argparse.Namespace, dof: int, period_s: float, move_s: float) -> DesiredPath:
-    options = PathOptions(
-        args.size, tuple(args.centre), args.seconds, args.turns, math.radians(args.angle_deg),
-        move_s,
-    )  # fmt: skip
-    if not args.path.lower().endswith(".csv"):
-        return built_in_path(args.path, dof, period_s, options)
-    if options != PathOptions():
-        raise InputError(
-            args.path, "contains size, place and time",
-            "leave --size, --centre, --seconds, --turns, --angle-deg and --move out",
-        )  # fmt: skip
-    return read_path(Path(args.path), dof, period_s)
-
-
-def _limits(path: Path | None, plant: Plant) -> Limits:
-    """Limits of a robot; the default holds for servos without a bus watchdog as well."""
-    if path is not None:
-        return read_config(path).limits_in_force
-    limits = msgspec.structs.replace(Limits(), rate_rad_s=UNWATCHED_RATE_RAD_S)
-    return limits_of_link(plant.link, limits, given=()) if plant.link else limits
-
-
 def _write(
-    args: argparse.Namespace, plan: TipPlan, lines: Sequence[str] = (), **further: Any
+    args: argparse.Namespace, plan: PathPlan, lines: Sequence[str] = (), **further: Any
 ) -> None:
     """Write a plan and its picture, and print both."""
-    from models.plan.picture import draw_plan
-
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    write_document(args.out, plan)
-    picture = args.out.with_suffix(".svg")
-    draw_plan(plan, picture)
-    errors = ("payload_kg", "residual_rms_m", "rigid_rms_m", "expected_rms_m")
-    result = {
-        "plan": str(args.out), "path": plan.path, "seconds": plan.duration_s,
-        "plant_error_rms_m": plan.plant_error_rms_m,
-        "payloads": [{name: getattr(one, name) for name in errors} for one in plan.payloads],
-    }  # fmt: skip
-    emit(args, result | further, "\n".join([*lines, *_in_words(plan, args.out), f"see {picture}"]))
-
-
-def _in_words(plan: TipPlan, out: Path) -> list[str]:
-    lines = [
-        f"{out}: {plan.path}, {plan.method}, {plan.duration_s:.1f} s with rest and ways, "
-        f"{plan.dof}DOF",
-        "tip error in mm, RMS    predicted  expected     rigid  largest current",
-    ]
-    for one in plan.payloads:
-        lines.append(
-            f"  {one.payload_kg:4g} kg            {LENGTH.number(one.residual_rms_m, 2):>10}"
-            f"{LENGTH.number(one.expected_rms_m, 2):>10}{LENGTH.number(one.rigid_rms_m):>10}"
-            f"{CURRENT.text(np.max(np.abs(one.current_a))):>17}"
-        )
-    if any(run.source == "mocap" for run in plan.learned):
-        lines.append(
-            "no feedback of the tip: it would lead the observer's tip onto the path and undo what "
-            "was learned from motion capture"
-        )
-    elif plan.feedback is not None:
-        margins = [m for of_joint in plan.feedback.margins for m in of_joint]
-        lines.append(
-            f"feedback of the tip: gain margin {min(m.gain_db for m in margins):.1f} dB, phase "
-            f"margin {ANGLE.text(min(m.phase_rad for m in margins))} at least over the grid"
-        )
-    elif plan.method == "inverse":
-        lines.append("no feedback of the tip")
-    if plan.probe is not None:
-        from models.plan.probing import expected_deviation
-
-        known, unknown = (
-            max(expected_deviation(plan.probe, float(kg), known=known) for kg in plan.grid_kg)
-            for known in (True, False)
-        )
-        lines.append(
-            f"a probing motion of {TIME.text(plan.probe.rows * plan.period_s, 1)} before the first "
-            f"run measures the stiffness to ± {known:.0%} where the payload is known, "
-            f"± {unknown:.0%} where it is not"
-        )
-    if plan.plant_error_rms_m is None:
-        lines.append("the plant does not state its error: expected is what the inversion leaves")
-    return lines
+    plan.write(args.out)
+    text = [*lines, f"{args.out}: {plan.summary()}", f"see {args.out.with_suffix('.svg')}"]
+    emit(args, {"plan": str(args.out)} | plan.as_json() | further, "\n".join(text))

@@ -20,7 +20,6 @@ from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, STUDY_PERIOD_S, MotionConfig
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription
-from models.commands.output_paths import check_output_directory
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
 from models.rig.protocol import (
@@ -31,6 +30,7 @@ from models.rig.protocol import (
 )
 from models.shared.catalogue import parse_strengths
 from models.shared.link_scale import LinkScale
+from models.shared.output_paths import check_output_directory
 
 EXAMPLE = "dropstitch simulate --out build/trials --dof 1 2 --hide backlash=0.01"
 

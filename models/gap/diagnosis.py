@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -26,7 +26,7 @@ from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.nuisance_fit import NuisanceFit, nuisance_fit_of
 from models.gap.improved_plant import improved_plant
-from models.gap.outliers import OddTrial, odd_trials, without_odd
+from models.gap.outliers import OutlierTrial, outlier_trials, without_outliers
 from models.gap.residuals.fit_parameters import (
     all_fit_parameters,
     candidate_effects,
@@ -39,7 +39,7 @@ from models.gap.search.effect_search import EffectSearch, ReportProgress, SetFit
 from models.gap.settings import DEFAULT_SETTINGS, GapSettings
 from models.plant.identification.noise_floor import aligned
 from models.plant.plant import Plant
-from models.trials.trial import TrialSet
+from models.trials.trial import Trial, TrialSet
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,9 +49,9 @@ GapVerdict = Literal["no gap", "closed", "reduced", "not in the catalogue", "no 
 something outside of the catalogue is missing; the noise is unknown, so nobody can tell."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagnosis:
-    """Results of the gap workflow.
+    """Result of `diagnose`.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Diagnosis:
     trials : TrialSet
         Trials that were diagnosed, without the outliers; of a single trial its blocks of time
         (`models.gap.residuals.time_blocks`).
-    odd : tuple of OddTrial
+    outliers : tuple of OutlierTrial
         Outlier trials, which were left out because they differ far more than comparable ones.
     verdict : str
         See `GapVerdict`.
@@ -84,13 +84,22 @@ class Diagnosis:
         Where the gap is after the nuisance fit, and with the named effects.
     settings : GapSettings
         Settings of this run.
+
+    Examples
+    --------
+    Ask a diagnosis for its words, its figure and the improved plant:
+
+    >>> found = dropstitch.diagnose(plant, trials)  # doctest: +SKIP
+    >>> print(found.summary())                      # doctest: +SKIP
+    >>> found.plot().savefig("gap.svg")             # doctest: +SKIP
+    >>> found.improved.write("better.json")         # doctest: +SKIP
     """
 
     plant: Plant
     improved: Plant
     fitted: Plant
     trials: TrialSet
-    odd: tuple[OddTrial, ...]
+    outliers: tuple[OutlierTrial, ...]
     verdict: GapVerdict
     answers: Answers | None
     evidence: Evidence
@@ -102,10 +111,23 @@ class Diagnosis:
     naming: Naming
     written: WrittenFit
     left_out: tuple[str, ...]
-    held_out_given: dict[str, float]
+    held_out_baseline: dict[str, float]
     located: tuple[GapRegion, ...]
     remaining: tuple[GapRegion, ...]
     settings: GapSettings
+
+    def __repr__(self) -> str:
+        named = ", ".join(self.named) or "nothing"
+        trials = f"{len(self.trials)} trial{'' if len(self.trials) == 1 else 's'}"
+        return f"<Diagnosis of {trials}: {self.verdict}; missing: {named}>"
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        rows = [
+            (" + ".join(h.effects) or "nothing", f"{h.probability:.2f}") for h in self.hypotheses
+        ]
+        return html_table(repr(self)[1:-1], ("what may be missing", "probability"), rows)
 
     @property
     def floor(self) -> NoiseFloor:
@@ -124,7 +146,7 @@ class Diagnosis:
     def unexplained_fraction(self) -> float:
         """Held-out error of the written plant over that as given, geometric mean over signals."""
         written = self.written.errors.rms()
-        ratios = [written[s] / rms for s, rms in self.held_out_given.items() if rms > 0]
+        ratios = [written[s] / rms for s, rms in self.held_out_baseline.items() if rms > 0]
         return float(np.exp(np.mean(np.log(np.maximum(ratios, 1e-9))))) if ratios else 1.0
 
     def summary(self) -> str:
@@ -143,7 +165,7 @@ class Diagnosis:
 
 def diagnose(
     plant: Plant,
-    trials: TrialSet,
+    trials: Iterable[Trial],
     report: ReportProgress = lambda text, further: None,
     leave_out: Sequence[str] = (),
     settings: GapSettings = DEFAULT_SETTINGS,
@@ -155,7 +177,7 @@ def diagnose(
     ----------
     plant : Plant
         Identified plant; its provenance may carry the noise floor.
-    trials : TrialSet
+    trials : TrialSet or iterable of Trial
         Trials with the same number of joints.
     report : callable
         Called after each part of the work with a phrase and the least number of parts to follow.
@@ -176,21 +198,33 @@ def diagnose(
     InputError
         If there are no trials or they are of one and of two joints, or an effect to leave out is
         unknown.
+
+    Examples
+    --------
+    Six trials of the link take a minute; `docs/notebooks/diagnose.ipynb` runs a smaller one.
+
+    >>> import dropstitch
+    >>> plant = dropstitch.read_plant("build/plant.json")    # doctest: +SKIP
+    >>> trials = dropstitch.read_trials("build/gap_trials")  # doctest: +SKIP
+    >>> found = dropstitch.diagnose(plant, trials)           # doctest: +SKIP
+    >>> found                                                # doctest: +SKIP
+    <Diagnosis of 6 trials: closed; missing: dead_time>
     """
+    trials = TrialSet(tuple(trials))
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
     catalogue = _catalogue(plant, leave_out)
     with threadpool_limits(limits=1, user_api="blas"):  # the simulations use both processors
-        odd: tuple[OddTrial, ...] = ()
+        outliers: tuple[OutlierTrial, ...] = ()
         while True:
-            recorded = without_odd(trials, odd)
+            recorded = without_outliers(trials, outliers)
             used = in_time_blocks(plant, aligned(recorded))
             nuisance = _nuisance_fit(plant, used, catalogue, settings, floor)
             naming = _naming(nuisance, settings, report)
             more = _disturbed(nuisance, naming) if len(used) == len(recorded) else ()
             if not more:
                 break
-            odd = (*odd, *more)
+            outliers = (*outliers, *more)
         verdict = _verdict(naming)
         writer = PlantWriter(naming.search, settings.harm_fraction)
         written = _written(writer, naming, verdict, settings)
@@ -204,7 +238,7 @@ def diagnose(
         improved=improved_plant(plant, naming.search, written, recorded),
         fitted=fitted,
         trials=used,
-        odd=odd,
+        outliers=outliers,
         verdict=verdict,
         answers=naming.answers,
         evidence=naming.evidence,
@@ -216,7 +250,7 @@ def diagnose(
         naming=naming,
         written=written,
         left_out=tuple(writer.held_out.folds),
-        held_out_given=writer.held_out.given.rms(),
+        held_out_baseline=writer.held_out.baseline.rms(),
         located=located,
         remaining=remaining,
         settings=settings,
@@ -263,16 +297,16 @@ def _naming(nuisance: NuisanceFit, settings: GapSettings, report: ReportProgress
     return name_without_floor(search, certainty)
 
 
-def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OddTrial, ...]:
-    """Outlier trials: those that are odd in the nuisance fit, and with what explains it best.
+def _disturbed(nuisance: NuisanceFit, naming: Naming) -> tuple[OutlierTrial, ...]:
+    """Outlier trials: their residual stands out in the nuisance fit and in the best fit.
 
     A large gap alone makes trials differ more than usual.
     """
-    found = odd_trials(nuisance.measured, nuisance.point)
-    if not found or not naming.is_learned:
-        return found
-    still = {(o.name, o.path) for o in odd_trials(nuisance.measured, naming.best.point)}
-    return tuple(o for o in found if (o.name, o.path) in still)
+    outliers = outlier_trials(nuisance.measured, nuisance.point)
+    if not outliers or not naming.is_learned:
+        return outliers
+    still = {(o.name, o.path) for o in outlier_trials(nuisance.measured, naming.best.point)}
+    return tuple(o for o in outliers if (o.name, o.path) in still)
 
 
 def _written(
@@ -280,9 +314,9 @@ def _written(
 ) -> WrittenFit:
     """What is written: never a link that is known not to have changed, nor a mere stand-in."""
     if verdict == "not in the catalogue" and "motions" not in writer.held_out.folds:
-        return writer.as_given("a stand-in would only fit the motion of these trials")
+        return writer.unchanged("a stand-in would only fit the motion of these trials")
     if not naming.names and (settings.same_link or not naming.is_learned):
-        return writer.as_given()
+        return writer.unchanged()
     return writer.best(naming.fit)
 
 

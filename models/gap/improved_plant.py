@@ -35,8 +35,8 @@ def improved_plant(
     written = bool(np.any(fit.free))
     named = list(dict.fromkeys(effect_and_joint(c)[0] for c in fit.candidates))
     if written:
-        given = plant.provenance
-        origin = Provenance(noise_floor=given.noise_floor, servo_gains=given.servo_gains)
+        provenance = plant.provenance
+        origin = Provenance(noise_floor=provenance.noise_floor, servo_gains=provenance.servo_gains)
     origin = msgspec.structs.replace(
         origin,
         parent_sha256=plant.sha256(),

@@ -29,7 +29,7 @@ REPETITION_RATIO: Final = 2.0
 
 
 @dataclass(frozen=True)
-class OddTrial:
+class OutlierTrial:
     """Outlier trial that is left out of a diagnosis."""
 
     name: str
@@ -40,7 +40,7 @@ class OddTrial:
     floors_of_comparable: float
 
 
-def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
+def outlier_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OutlierTrial, ...]:
     """Trials whose residual lies far above that of comparable trials.
 
     The limit is `REPETITION_RATIO` times their repetitions, or `TRIAL_RATIO` times the others where
@@ -48,28 +48,32 @@ def odd_trials(estimator: GaussNewton, point: FitPoint) -> tuple[OddTrial, ...]:
     that differ most.
     """
     trials = estimator.residuals.trials
-    found: list[OddTrial] = []
+    outliers: list[OutlierTrial] = []
     groups = zip(estimator.residuals.groups, point.rows, estimator.means, strict=True)
     for group, rows, mean in groups:
-        own = [trials[k] for k in group.trials]
-        payloads = np.array([t.meta.payload_kg for t in own])
+        members = [trials[k] for k in group.trials]
+        payloads = np.array([t.meta.payload_kg for t in members])
         hz = group_frequencies_hz(group, trials)
         levels = _levels(estimator.floor, group.signals, payloads, hz, rows - mean)
-        both = [_level_of_comparable(k, levels, payloads) for k in range(len(own))]
+        both = [_level_of_comparable(k, levels, payloads) for k in range(len(members))]
         comparable, ratios = zip(*both, strict=True)
-        odd = [k for k in np.argsort(-levels) if levels[k] > ratios[k] * max(comparable[k], 1.0)]
-        found += [
-            OddTrial(
-                own[k].name, str(own[k].path), payloads[k].item(), levels[k].item(), comparable[k]
+        above = [k for k in np.argsort(-levels) if levels[k] > ratios[k] * max(comparable[k], 1.0)]
+        outliers += [
+            OutlierTrial(
+                members[k].name,
+                str(members[k].path),
+                payloads[k].item(),
+                levels[k].item(),
+                comparable[k],
             )
-            for k in odd[: len(own) // 3]
+            for k in above[: len(members) // 3]
         ]
-    return tuple(found)
+    return tuple(outliers)
 
 
-def without_odd(trials: TrialSet, odd: Collection[OddTrial]) -> TrialSet:
+def without_outliers(trials: TrialSet, outliers: Collection[OutlierTrial]) -> TrialSet:
     """Trials without the outliers."""
-    left_out = {(o.name, o.path) for o in odd}
+    left_out = {(o.name, o.path) for o in outliers}
     return trials.where(lambda t: (t.name, str(t.path)) not in left_out)
 
 

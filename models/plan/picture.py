@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 from firmware_py.core.units import ANGLE, CURRENT, LENGTH, POSITION, TIME
@@ -22,10 +23,17 @@ LINES: Final = ("-", "--")
 
 
 def draw_plan(plan: TipPlan, path: Path) -> None:
+    """Write the figure of `plot_plan`."""
+    figure = plot_plan(plan)
+    with mpl.rc_context(FILE_STYLE):
+        figure.savefig(path, metadata={"Date": None})
+
+
+def plot_plan(plan: TipPlan) -> Figure:
     desired, time_s = plan.desired_tip_m(), plan.period_s * np.arange(plan.rows)
     ramp = mpl.colormaps["viridis"](np.linspace(0.1, 0.85, len(plan.payloads)))
     with mpl.rc_context(FILE_STYLE | {"font.size": 8}):
-        figure = Figure(figsize=(8.5, 6.5), layout="constrained")
+        figure: Figure = pyplot.figure(figsize=(8.5, 6.5), layout="constrained")
         axes: dict[str, Any] = figure.subplot_mosaic([["path", "error"], ["goals", "current"]])
         _draw_path(axes["path"], plan, ramp)
         for colour, one in zip(ramp, plan.payloads, strict=True):
@@ -60,7 +68,8 @@ def draw_plan(plan: TipPlan, path: Path) -> None:
             f"{plan.path}, {plan.method}: predicted error {LENGTH.number(most, 2)} mm RMS at most; "
             f"rigid kinematics {LENGTH.number(min(rigid))} to {LENGTH.number(max(rigid))} mm"
         )
-        figure.savefig(path, metadata={"Date": None})
+        pyplot.close(figure)
+    return figure
 
 
 def _draw_path(ax: Any, plan: TipPlan, colours: Any) -> None:

@@ -24,7 +24,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import msgspec
 import tomli_w
@@ -34,6 +34,7 @@ from firmware_py.core.documents import Document, check_version
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import convert, read_json, read_toml
 from firmware_py.core.output_files import write_whole
+from firmware_py.core.units import LENGTH
 from firmware_py.link.link_description import (
     STUDY_LINK,
     LinkDescription,
@@ -45,6 +46,10 @@ from models.plant.parameter import Parameter, Role
 from models.trials.origin import TrialOrigin, merged_origins, recorded_rig
 from models.trials.trial import SignalRole, Trial
 from models.trials.units import check_signal_units, other_unit
+
+CLOCK_LIMIT_S: Final = 0.010
+"""Largest offset of a trial's clock that is refitted: beyond it a recording counts as not
+synchronised."""
 
 
 class SignalError(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,7 +79,14 @@ class DofEvaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=T
 
 
 class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Errors of a plant on trials."""
+    """Errors of a plant on trials; `evaluate_plant` measures them.
+
+    Examples
+    --------
+    >>> result = Evaluation(signals={"di": SignalError(1e-3, 2e-3, "1")}, trials=1, origins=())
+    >>> result
+    <Evaluation on 1 trial: di 0.001 RMS>
+    """
 
     signals: dict[str, SignalError]
     trials: int  # Number of trials
@@ -82,6 +94,66 @@ class Evaluation(TipError, frozen=True, forbid_unknown_fields=True, kw_only=True
     origins: tuple[TrialOrigin, ...]  # Whether the trials were simulated or measured
     # Refitted delay of the motion capture behind the servos in s, by trial; at most 10 ms
     clocks_s: dict[str, float] = {}
+
+    def __repr__(self) -> str:
+        trials = f"{self.trials} trial{'' if self.trials == 1 else 's'}"
+        if self.tip_rms_m is None:
+            errors = ", ".join(
+                f"{name} {row.rms:.3g} {row.unit if row.unit != '1' else ''}".strip() + " RMS"
+                for name, row in self.signals.items()
+            )
+            return f"<Evaluation on {trials}: {errors}>"
+        rigid = ""
+        if self.rigid_tip_rms_m is not None:
+            rigid = f", of a rigid link {LENGTH.number(self.rigid_tip_rms_m)} mm"
+        return f"<Evaluation on {trials}: tip error {LENGTH.number(self.tip_rms_m)} mm RMS{rigid}>"
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        rows = [(n, f"{e.rms:.4g}", f"{e.mae:.4g}", e.unit) for n, e in self.signals.items()]
+        return html_table(repr(self)[1:-1], ("signal", "RMS", "mean |error|", "unit"), rows)
+
+    def summary(self) -> str:
+        """Return tables of the errors: signals in SI units, end effector in mm."""
+        lines = [f"{'signal':14s}{'rms':>12s}{'mean |error|':>14s}  unit"]
+        lines += [
+            f"{name:14s}{row.rms:12.4g}{row.mae:14.4g}  {row.unit}"
+            for name, row in self.signals.items()
+        ]
+        if self.tip_rms_m is not None:
+            titles = ("plant, mm", "clock refitted", "rigid, mm")
+            lines += ["", f"{'end effector':14s}" + "".join(f"{title:>16s}" for title in titles)]
+            for dof, part in self.dof.items():
+                rows = {f"{load} kg": row for load, row in part.payloads.items()} | {"all": part}
+                for label, row in rows.items():
+                    errors_m = (row.tip_rms_m, row.clock_tip_rms_m, row.rigid_tip_rms_m)
+                    texts = ("" if m is None else LENGTH.number(m, 2) for m in errors_m)
+                    lines.append(f"{dof}DOF {label:9s}" + "".join(f"{text:>16s}" for text in texts))
+            lines += ["", self.clock_sentence()]
+        return "\n".join(lines)
+
+    def clock_sentence(self) -> str:
+        """Say which part of the tip's error is the plant's, and which that of the clocks."""
+        whole_m, plant_m = self.tip_rms_m or 0.0, self.clock_tip_rms_m or 0.0
+        clock_m = math.sqrt(max(whole_m**2 - plant_m**2, 0.0))
+        clocks_ms = [1e3 * clock_s for clock_s in self.clocks_s.values()]
+        text = (
+            f"of {LENGTH.text(whole_m)} RMS, {LENGTH.text(clock_m)} is the motion capture's clock "
+            f"({min(clocks_ms):.1f} to {max(clocks_ms):.1f} ms from trial to trial); with each "
+            f"trial's clock refitted {LENGTH.text(plant_m)}"
+        )
+        common_ms = sum(clocks_ms) / len(clocks_ms)
+        if abs(common_ms) > 0.5:  # A good plant has less [assumed].
+            text += (
+                f"; all trials share {common_ms:.1f} ms, which may be a delay that the plant lacks"
+            )
+        limit_s = (1 - 1e-3) * CLOCK_LIMIT_S
+        at_limit = [name for name, clock_s in self.clocks_s.items() if abs(clock_s) > limit_s]
+        if at_limit:
+            limit = f"at the limit of {1e3 * CLOCK_LIMIT_S:g} ms, so the clock may be off by more"
+            text += f"; {limit}: " + ", ".join(at_limit)
+        return text
 
 
 class FloorRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

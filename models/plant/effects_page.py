@@ -20,20 +20,22 @@ from models.shared.catalogue import BEYOND_THE_RIG, EVERY_EFFECT, Port
 
 HEAD: Final = """# Effects
 
-What each effect of the catalogue does. The strength is its first parameter: `--hide
-EFFECT=STRENGTH` adds it to the rig, `--hide EFFECT:JOINT=STRENGTH` in one joint alone (effects of a
-servo and its sensors), and `gap.json` gives it. In the equations q is the coordinate
-of the joint, φ and ψ are bends of the link, τ is a torque, i the current and K the stiffness; all
-have the directions of [../trials.md](../trials.md). Of two joints each has parameters of its own. A
-diagnosis fits one strength for both, since the servos are alike, and tries the effect in one servo
-alone too; offsets (encoder, load, current), the position gain and effects of the bending have a
-strength for each joint. A payload offset is towards +x only. The size
-is the strength that would be noticed on the bench; the benchmark hides half to double of it, or a
-fifth ([accuracy.md](accuracy.md)). The time t begins with the first row of the trial. Root and span
-are the two hinges of the plant, one at the base and one within the link
-([../plant/link.md](../plant/link.md)). [../plant/add-an-effect.md](../plant/add-an-effect.md) shows
-how to add an effect. This page is written by
-`python -m models.plant.effects_page docs/gap/effects.md`.
+What each effect of the catalogue does. Written by
+`python -m models.plant.effects_page docs/gap/effects.md`; do not edit. How to add an effect:
+[add-an-effect.md](../plant/add-an-effect.md).
+
+The **strength** of an effect is its first parameter: `--hide EFFECT=STRENGTH` adds it to the rig,
+`--hide EFFECT:JOINT=STRENGTH` in one joint alone (effects of a servo and its sensors), and
+`gap.json` states it. The **size** is the strength that one would notice on the bench; the
+benchmark hides half to double of it, or a fifth ([accuracy.md](accuracy.md)).
+
+In the equations q is the coordinate of the joint, φ and ψ are bends of the link at its root and in
+its span ([link.md](../plant/link.md)), τ is a torque, i the current, K the stiffness and t the
+time since the first row of the trial. Directions are those of [trials.md](../trials.md). Each
+joint has separate parameters. A diagnosis fits one strength for both joints, since the servos are
+alike, and also tries the effect in one servo alone. Offsets (encoder, load, current), the position
+gain and effects of the bending have a strength for each joint. A payload offset is towards +x
+only.
 """
 
 TITLES: Final[dict[Port, str]] = {

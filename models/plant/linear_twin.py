@@ -23,6 +23,8 @@ from models.plant.plant import Plant
 from models.plant.step_model import names
 
 Array = NDArray[np.float64]
+MOST_ANGLE_RAD: Final = math.radians(90.0)
+"""Largest angle: beyond a right angle the arm leans back over its mount [assumed]."""
 DRY_FRICTION: Final = (
     "coulomb_friction_", "load_dependent_friction_", "stribeck_friction_", "stiction_",
 )  # fmt: skip
@@ -49,7 +51,16 @@ def linearise(
     if plant.load != "link":
         raise InputError(f"plant {plant.name!r}", "is not the link", "name a plant of the link")
     check_payload(payload_kg, link=plant.link)
+    if not 1e-3 <= period_s <= 1.0:
+        raise InputError("period", f"is {period_s:g} s", "give 0.001 to 1 s")
     angles = None if angles_rad is None else np.asarray(angles_rad, dtype=np.float64)
+    if angles is not None:
+        degrees = np.rad2deg(angles).round(6).tolist()
+        if angles.shape != (dof,):
+            raise InputError("angles", f"are {degrees}°", f"give {dof}, one per joint")
+        if not (np.abs(angles) <= MOST_ANGLE_RAD).all():
+            limit = f"{math.degrees(MOST_ANGLE_RAD):g}° at most"
+            raise InputError("angles", f"are {degrees}°", f"give {limit}")
     return LinearTwins(plant, dof, period_s).at(payload_kg, angles, sliding=sliding)
 
 

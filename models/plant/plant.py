@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.input_files import read_toml
+from firmware_py.core.signals import PERIOD_S
 from firmware_py.link.link_description import STUDY_LINK, LinkDescription, describes_link, read_link
 from firmware_py.link.link_facts import LinkFacts, facts_of_plant
 from models.plant.components import DRIVES, LOADS
@@ -42,13 +43,16 @@ from models.plant.step_model import StepModel
 from models.shared.link_scale import LinkScale
 from models.trials.trial import SignalRole
 
+if TYPE_CHECKING:
+    import control
+
 NOMINAL: Final = Path(__file__).with_name("nominal.toml")
 """The plant before anything is identified."""
 
 ModelKind = Literal["twin", "observer", "driven"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plant:
     """Model of the machine: drive, load, effects and parameters.
 
@@ -70,6 +74,17 @@ class Plant:
         Parent plant, data, fitted trials and held-out errors.
     link : LinkDescription or None
         Described link that the plant models (markers, gravity, servo); None for the study's.
+    path : Path
+        File that it was read from; empty for a plant that was not read from a file.
+
+    Examples
+    --------
+    >>> plant = read_plant()
+    >>> plant
+    <Plant 'drop-stitch link, nominal': cascade drive, link, 7 effects, 74 parameters>
+    >>> heavier = plant.with_values({"link_mass_kg": 1.1}).with_effects("backlash")
+    >>> heavier.effects[-2:]
+    ('prebend', 'backlash')
     """
 
     name: str
@@ -81,6 +96,76 @@ class Plant:
     signals: dict[str, SignalRole] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     link: LinkDescription | None = None
+    path: Path = field(default=Path(), compare=False)
+
+    def __repr__(self) -> str:
+        effects = f"{len(self.effects)} effect{'' if len(self.effects) == 1 else 's'}"
+        return (
+            f"<Plant {self.name!r}: {self.drive} drive, {self.load}, {effects}, "
+            f"{len(self.parameters)} parameters>"
+        )
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        free = [q for q in self.parameters.values() if q.role != "fixed"]
+        rows = [
+            (q.name, f"{q.value:.4g}", "" if q.error is None else f"{q.error:.2g}", q.unit,
+             q.description)
+            for q in free
+        ]  # fmt: skip
+        head = ("parameter to identify", "value", "standard error", "unit", "meaning")
+        return html_table(repr(self)[1:-1], head, rows)
+
+    def linearise(
+        self,
+        payload_kg: float | None = None,
+        *,
+        dof: int = 1,
+        period_s: float = PERIOD_S,
+        angles_rad: Sequence[float] | None = None,
+        sliding: bool = True,
+    ) -> control.StateSpace:
+        """Linearise the twin about rest, with exact derivatives of one control period.
+
+        Parameters
+        ----------
+        payload_kg : float, optional
+            Mass at the tip; by default half of the link's largest.
+        dof : int
+            Number of joints, 1 or 2.
+        period_s : float
+            Control period.
+        angles_rad : sequence of float, optional
+            Goals at which the arm rests, one per joint; by default zero.
+        sliding : bool
+            Whether dry friction is left out, as while the joints move. At rest it is as stiff as
+            its smoothing.
+
+        Returns
+        -------
+        control.StateSpace
+            Sampled system from the goals to the outputs of the twin, with named signals.
+
+        Raises
+        ------
+        InputError
+            If the plant is not the link or cannot carry the payload, or an argument is out of
+            range.
+
+        Examples
+        --------
+        >>> system = read_plant().linearise(payload_kg=1.0)
+        >>> system.dt, system.input_labels
+        (0.017, ['goal_1_rad'])
+        """
+        from models.plant.linear_twin import linearise  # loads python-control
+
+        if payload_kg is None:
+            payload_kg = (self.link or STUDY_LINK).payload_kg / 2
+        return linearise(
+            self, payload_kg, dof=dof, period_s=period_s, angles_rad=angles_rad, sliding=sliding
+        )
 
     def step_model(
         self, dof: int, kind: ModelKind = "twin", *, with_age: bool = False
@@ -147,6 +232,11 @@ class Plant:
         ------
         InputError
             If a name is unknown, or a value lies outside its bounds.
+
+        Examples
+        --------
+        >>> read_plant().with_values({"link_mass_kg": 1.1}).parameters["link_mass_kg"].value
+        1.1
         """
         parameters = dict(self.parameters)
         for name, value in values.items():
@@ -182,6 +272,11 @@ class Plant:
     def strengths(self, effect: str, dof: int) -> tuple[str, ...]:
         """Return the names of an effect's strength: one per joint, or one for all."""
         return EFFECTS[effect].strengths(scope_of(self.drive, self.load, dof))
+
+    @property
+    def where(self) -> str:
+        """File or name of the plant, for messages."""
+        return str(self.path) if self.path.name else f"plant {self.name!r}"
 
     def link_facts(self) -> LinkFacts:
         """Return the facts that identify the plant's link; fails for a plant of another machine."""
@@ -259,7 +354,7 @@ def read_plant(path: Path | str = NOMINAL) -> Plant:
     effects = tuple(e.name for e in document.effects)
     plant = Plant(
         document.name, drive, load, effects, {}, signals=document.signals,
-        provenance=document.provenance, link=document.link,
+        provenance=document.provenance, link=document.link, path=path,
     )  # fmt: skip
     return _complete(plant, path, document.parameters)
 
@@ -269,7 +364,7 @@ def _plant_of_link(link: LinkDescription, where: Path) -> Plant:
     nominal, scale = read_plant(), LinkScale(link)
     known = _declared(nominal, nominal.applicable()) | nominal.expected | nominal.parameters
     scaled = {name: parameter_of_link(q, scale) for name, q in known.items()}
-    plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled)
+    plant = replace(nominal, name=f"{link.name}, nominal", link=link, parameters=scaled, path=where)
     return _complete(plant, where, {})
 
 

@@ -89,7 +89,7 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     maximum: float = math.inf
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RigParameters(Mapping[str, float]):
     """Parameters of a rig: values by name, like `parameters["servo.coulomb_friction_nm"]`.
 
@@ -105,6 +105,13 @@ class RigParameters(Mapping[str, float]):
         Link that the values were scaled to; None for the study's.
     added_in_joint : dict of int to dict of str to float
         Additions to values of a single joint, by joint and parameter name.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> rig = dropstitch.rig_named("default")
+    >>> rig.hide({"dead_time": 0.03}).changed(**{"world.pause_s": 1.0})["world.pause_s"]
+    1.0
     """
 
     entries: dict[str, Entry]
@@ -112,6 +119,9 @@ class RigParameters(Mapping[str, float]):
     structure: RigStructure = DEFAULT_STRUCTURE
     link: LinkDescription | None = None
     added_in_joint: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<RigParameters of {self.path.name}: {len(self.entries)} values>"
 
     def __getitem__(self, name: str) -> float:
         return self.entries[name].value

@@ -53,6 +53,12 @@ class TrialCase:
         Declared pressure in Pa.
     gravity : tuple of float
         Direction of gravity in the world frame; its length does not matter.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> dropstitch.TrialCase(dropstitch.Motion(), payload_kg=1.0, trial=1).name
+    'dof1_payload1_trial1_sinusoid_30deg'
     """
 
     motion: Motion
@@ -174,6 +180,19 @@ def run_case(parameters: RigParameters, case: TrialCase) -> Trial:
     InputError
         If the payload is negative or not finite, the link folds, the simulation becomes unstable,
         or the integration step does not divide the control period.
+
+    Examples
+    --------
+    A quick one, for which the rig pauses less than the study's protocol asks:
+
+    >>> import dropstitch
+    >>> rig = dropstitch.rig_named("default")
+    >>> rig = rig.changed(**{"world.pause_s": 0.1, "world.settle_s": 0.1})
+    >>> motion = dropstitch.Motion(period_s=1.0, amplitude_rad=0.05)
+    >>> case = dropstitch.TrialCase(motion, payload_kg=0.5, trial=1)
+    >>> trial = dropstitch.run_case(rig, case)
+    >>> trial.columns["tip_x_m"].shape == (len(trial),)
+    True
     """
     if not 0.0 <= case.payload_kg < math.inf:
         raise InputError("payload_kg", f"is {case.payload_kg:g}", "give 0 or more")

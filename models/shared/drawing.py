@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike
 from models.shared.pages import Panel
 from models.shared.palette import GRID, INK, MUTED, PAPER, SERIES
 
-matplotlib.use("svg")
+if matplotlib.get_backend(auto_select=False) is None:
+    matplotlib.use("svg")  # otherwise pyplot would look for a screen; a notebook has its own
 
 
 SIZE_IN: Final = (4.3, 2.9)
@@ -96,13 +97,13 @@ def line_panels(
     charts: Sequence[Chart], xlabel: str, ylabel: str, log: bool = False, **axes: Any
 ) -> list[Panel]:
     """Draw each chart; a logarithmic y axis is the same in all. `axes`: for `Axes.set`."""
-    every = np.concatenate([np.ravel(line.y) for chart in charts for line in chart.lines])
+    values = np.concatenate([np.ravel(line.y) for chart in charts for line in chart.lines])
     panels = []
     for title, alt, lines in charts:
         with Drawing() as (drawing, ax):
             plot_lines(ax, lines)
             if log:
-                log_axis(ax, every)
+                log_axis(ax, values)
             ax.set(xlabel=xlabel, ylabel=ylabel, **axes)
         panels.append(drawing.panel(title, alt))
     return panels

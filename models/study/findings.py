@@ -114,14 +114,14 @@ def _negative_angles(trials: Sequence[Trial]) -> StudyFinding:
             ratio = np.nanmean(di[angle_rad < -deep]) / np.nanmean(di[angle_rad > deep])
             ratios.setdefault(payload_key(trial.meta.payload_kg), []).append(float(ratio))
     claim = "Negative angles deform more"
-    every = [ratio for by_trial in ratios.values() for ratio in by_trial]
-    if not every:
+    all_ratios = [ratio for by_trial in ratios.values() for ratio in by_trial]
+    if not all_ratios:
         return _finding(claim, None, "no trial moves to both sides", "the motion of joint 1")
     listed = ", ".join(f"{np.mean(r):.2f} at {k} kg" for k, r in ratios.items())
     return _finding(
-        claim, min(every) > 1.0,
+        claim, min(all_ratios) > 1.0,
         f"DI at negative over DI at positive angles of joint 1, beyond half the amplitude: "
-        f"{listed}; over single trials {min(every):.2f} to {max(every):.2f}",
+        f"{listed}; over single trials {min(all_ratios):.2f} to {max(all_ratios):.2f}",
         "a link that is softer or pre-bent to one side, like the paper's; a symmetric link gives 1",
     )  # fmt: skip
 
@@ -158,8 +158,8 @@ class HysteresisLoop(NamedTuple):
 
 def hysteresis_loop(trial: Trial) -> HysteresisLoop:
     """Measure the loop of DI over the angle of joint 1, in bins of the angle."""
-    every = deformation_index(trial)
-    di, angle_rad = every[trial.moving], trial.angle_rad[trial.moving, 0]
+    index = deformation_index(trial)
+    di, angle_rad = index[trial.moving], trial.angle_rad[trial.moving, 0]
     span = float(np.nanmax(di) - np.nanmin(di))
     rising = np.gradient(trial.goal_rad[trial.moving, 0]) > 0
     limit = 0.8 * np.abs(angle_rad).max()  # the branches meet at the turning points
@@ -174,7 +174,7 @@ def hysteresis_loop(trial: Trial) -> HysteresisLoop:
     (up_rad, up_di, up_count), (down_rad, down_di, down_count) = np.transpose(branches, (1, 2, 0))
     # Samples of the branches lie at other angles within a bin: compare them at the same angle.
     width = float(np.mean(np.abs(np.interp(down_rad, up_rad, up_di) - down_di)))
-    scatter = float(np.nanstd(every[: trial.meta.rest_samples]))
+    scatter = float(np.nanstd(index[: trial.meta.rest_samples]))
     noise = MEAN_OF_ABSOLUTE * scatter * float(np.mean(np.sqrt(1 / up_count + 1 / down_count)))
     return HysteresisLoop(width, span, noise)
 

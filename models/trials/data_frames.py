@@ -34,10 +34,23 @@ def as_data_frame(columns: Mapping[str, Any]) -> pd.DataFrame:
         For example of a log (`Recording.columns`), of `simulate_plant` or of
         `Predictions.columns`.
 
+    Returns
+    -------
+    DataFrame
+        One column per name.
+
     Raises
     ------
     InputError
         If pandas is not installed.
+
+    Examples
+    --------
+    >>> as_data_frame({"time_s": [0.0, 0.1], "angle_1_rad": [0.0, 0.2]}).set_index("time_s")
+            angle_1_rad
+    time_s
+    0.0             0.0
+    0.1             0.2
     """
     frame: pd.DataFrame = _pandas().DataFrame(dict(columns))
     return frame
@@ -82,6 +95,15 @@ def trials_frame(trials: Iterable[Trial]) -> pd.DataFrame:
     ------
     InputError
         If pandas is not installed, or `trials` is empty.
+
+    Examples
+    --------
+    >>> meta = TrialMeta(dof=1, payload_kg=0.5, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(3) * 0.01, "position_1_m": np.array([0.0, 0.5, 1.0])}
+    >>> frame = trials_frame([Trial("first", meta, columns), Trial("second", meta, columns)])
+    >>> frame.groupby("name")["position_1_m"].max().to_dict()
+    {'first': 1.0, 'second': 1.0}
     """
     frames = []
     for trial in trials:
@@ -118,6 +140,18 @@ def trial_from_frame(
     ------
     InputError
         If name or conditions are missing, or if samples or conditions are invalid.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> signals = dropstitch.read_plant("models/plant/examples/xl330_pendulum.toml").signals
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="rest", source="measured",
+    ...                  period_s=1.0, rest_samples=0,
+    ...                  conditions={"duty_gain_1": 1.0, "mass_kg": 0.5, "arm_length_m": 0.1})
+    >>> columns = {"time_s": 0.01 * np.arange(3), "goal_1_rad": 0.0, "enabled_1": 1.0,
+    ...            "angle_1_rad": 0.0, "supply_1_v": 7.5}
+    >>> trial_from_frame(dropstitch.as_data_frame(columns), "rest", meta, signals)
+    <Trial rest: 1 joint, rest, 0 kg, 3 rows of 10 ms>
     """
     attributes = dict(frame.attrs)
     stored_name = str(attributes.pop("name", ""))

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
@@ -15,7 +15,11 @@ from numpy.typing import NDArray
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.motion import KINDS, Motion
+from firmware_py.core.signals import marker_signals
 from firmware_py.link.marker_layout import MarkerLayout, square_layout
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 SCHEMA: Final = 1
@@ -51,6 +55,13 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     parameters of the same name in this trial. `gravity_m_s2` is None where the link stands
     upright, `markers` is None for four rows of four. `recording_sha256` is the hash of the
     recording that the trial was imported from, empty if it was not imported.
+
+    Examples
+    --------
+    >>> meta = TrialMeta(dof=1, payload_kg=0.5, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> meta.payload_kg, meta.gravity
+    (0.5, (0.0, 0.0, -9.81))
     """
 
     schema: int = SCHEMA
@@ -95,7 +106,7 @@ class TrialMeta(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return entries
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trial:
     """One run of the robot: conditions and samples.
 
@@ -109,6 +120,17 @@ class Trial:
         Samples by column name, in file order.
     path : Path
         CSV file that it was read from; empty for a trial that was not read from a file.
+
+    Examples
+    --------
+    >>> meta = TrialMeta(dof=1, payload_kg=0.5, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(3) * 0.01, "position_1_m": np.array([0.0, 0.5, 1.0])}
+    >>> trial = Trial("run", meta, columns)
+    >>> trial
+    <Trial run: 1 joint, step, 0.5 kg, 3 rows of 10 ms>
+    >>> trial.joint.ravel()
+    array([0. , 0.5, 1. ])
     """
 
     name: str
@@ -118,6 +140,23 @@ class Trial:
 
     def __len__(self) -> int:
         return len(self.columns["time_s"])
+
+    def __repr__(self) -> str:
+        meta = self.meta
+        joints = f"{meta.dof} joint{'s' if meta.dof > 1 else ''}"
+        return (
+            f"<Trial {self.name}: {joints}, {meta.motion}, {meta.payload_kg:g} kg, "
+            f"{len(self)} rows of {1e3 * self.step_s:.3g} ms>"
+        )
+
+    def plot(self) -> Figure:
+        """Draw all signals but the markers over time, one panel for each unit."""
+        from models.shared.notebook import plot_by_unit
+
+        unused = {"time_s", *(s.name for s in marker_signals(self.meta.layout.count))}
+        return plot_by_unit(
+            self.name, self.time_s, {n: v for n, v in self.columns.items() if n not in unused}
+        )
 
     def stack(self, *names: str) -> Array:
         """Return columns side by side, shape (n, len(names))."""
@@ -207,7 +246,37 @@ def is_one_amplitude(first_rad: float, second_rad: float) -> bool:
 
 
 class TrialSet(tuple[Trial, ...]):
-    """Trials of one directory, ordered by name."""
+    """Trials that belong together, such as those of one directory.
+
+    Examples
+    --------
+    >>> meta = TrialMeta(dof=1, payload_kg=0.5, trial=1, motion="step", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(3) * 0.01, "position_1_m": np.zeros(3)}
+    >>> again = msgspec.structs.replace(meta, trial=2)
+    >>> trials = TrialSet([Trial("first", meta, columns), Trial("second", again, columns)])
+    >>> trials
+    <TrialSet of 2 trials: first, second>
+    >>> [[t.name for t in part] for part in trials.split()]
+    [['first'], ['second']]
+    """
+
+    def __repr__(self) -> str:
+        names = [t.name for t in self]
+        shown = names if len(names) <= 2 else [names[0], "…", names[-1]]
+        count = f"{len(names)} trial{'' if len(names) == 1 else 's'}"
+        return f"<TrialSet of {count}: {', '.join(shown)}>" if names else "<TrialSet, empty>"
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        head = ("trial", "joints", "motion", "amplitude, rad", "payload, kg", "rows", "step, s")
+        rows = [
+            (t.name, t.meta.dof, t.meta.motion, f"{t.meta.amplitude_rad:.3g}",
+             f"{t.meta.payload_kg:g}", len(t), f"{t.step_s:.4g}")
+            for t in self
+        ]  # fmt: skip
+        return html_table(f"{len(self)} trials", head, rows)
 
     @property
     def trials(self) -> tuple[Trial, ...]:

@@ -60,7 +60,7 @@ def test_the_command_passes_each_fmu(built, capsys):
 
 
 def test_variables_have_the_public_names_and_causalities(built):
-    """Names and causalities of docs/architecture.md, written out here."""
+    """Names and causalities of docs/co-simulation.md, written out here."""
     path, parts = built
     joints = range(1, parts.dof + 1)
     measured = [f"angle_{j}_rad" for j in joints] + [f"current_{j}_a" for j in joints]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from models.commands import import_
+from models.trials import importing
 from tests.fuzz.fork_cases import run_cases
 
 BATCH = 50
@@ -47,7 +47,7 @@ def verdicts_on(reader, inputs, scratch, *, guarded=True):
 
     def work(changed):
         if not guarded:
-            import_.guarded_call = lambda own, *_, **__: own()  # in this child only
+            importing.guarded_call = lambda own, *_, **__: own()  # in this child only
         folder = scratch / "case"
         shutil.rmtree(folder, ignore_errors=True)
         for name, content in (reader.files | changed()).items():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,6 @@ import pytest
 from dropstitch.__main__ import main as dropstitch
 from firmware_py.bus.registers import Register
 from firmware_py.bus.servo_models import check_servo, read_models
-from firmware_py.inference.bundle import read_manifest
-from firmware_py.inference.predictor import OnnxPredictor
 from hil.faults import virtual_case
 from hil.faults.faults_document import FaultCase, judge_case
 from models.plant import components
@@ -121,23 +118,3 @@ def test_the_importer_refuses_a_truncated_file(npz_importer, tmp_path, capsys):
     arguments = ["--as", "npz", "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")]
     assert dropstitch(["import", str(tmp_path / "run.npz"), *arguments]) == 2
     assert "run.npz" in capsys.readouterr().err
-
-
-def test_the_predictor_runs_on_the_robot(toy_bundle, tmp_path):
-    recipe = code("Add a predictor")
-    bundle = tmp_path / "bundle"
-    shutil.copytree(toy_bundle, bundle)
-    dof = read_manifest(bundle).dof
-    rng = np.random.default_rng(1)
-    features = rng.uniform(-1.0, 1.0, (400, 2 * dof + 1))
-    slope = rng.normal(size=(2 * dof + 1, 3))
-    recipe["replace_predictor"](bundle, recipe["linear_predictor"](features, features @ slope))
-    predictor = OnnxPredictor(bundle / "predictor.onnx", dof)
-    row = features[7]
-    inside = predictor.predict(row[:dof], row[dof:-1], row[-1])
-    assert inside.in_range and inside.tip_m == pytest.approx(row @ slope, abs=1e-12)
-    assert not predictor.predict(row[:dof], row[dof:-1], 2.0).in_range
-    assert dropstitch(["replay", "--bundle", str(bundle)]) == 0
-    manifest = read_manifest(bundle)
-    assert manifest.predictor == "linear" and len(manifest.features) == 2 * dof + 1
-    assert not any(name.startswith("predictor_") for name in manifest.metrics)

@@ -18,11 +18,11 @@ from firmware_py.core.console import DONE, Progress, emit
 from firmware_py.core.errors import InputError
 from firmware_py.safety.limits import Limits
 from models.commands.gap_workflow.gap import DIAGNOSIS_FILES
-from models.commands.output_paths import check_output_directory, check_output_file
 from models.gap.report.gap_json import DiagnosisInputs, GapDocument, read_gap_document
 from models.plant.plant import Plant, read_plant
 from models.rig.parameters import read_rig
 from models.shared.catalogue import parse_strengths
+from models.shared.output_paths import check_output_directory, check_output_file
 from models.trials.checks.trials import read_usable_trials
 from models.trials.files import conditions_beside, write_trial
 from models.trials.trial import TrialSet
@@ -82,16 +82,18 @@ def run(args: argparse.Namespace) -> int:
     from models.rig.protocol import TrialCase, run_case
 
     progress = Progress("experiment", 0)
-    found = rank_motions(
+    experiment = rank_motions(
         rivals_of(document.hypotheses), plant, trials, limits, args.payloads, progress.step,
         document.settings,
     )  # fmt: skip
-    write_motion(found.best, args.out)
-    page = write_experiment_page(found, args.out.with_suffix(".html"))
-    result: dict[str, Any] = {"motion": str(args.out), **_result(found)}
-    text = f"{experiment_in_words(found, args.out)}\n{page}"
+    write_motion(experiment.best, args.out)
+    page = write_experiment_page(experiment, args.out.with_suffix(".html"))
+    result: dict[str, Any] = {"motion": str(args.out), **_result(experiment)}
+    text = f"{experiment_in_words(experiment, args.out)}\n{page}"
     if rig is not None:
-        case = TrialCase(found.best.motion, found.best.payload_kg, trial=1, seed=args.seed)
+        case = TrialCase(
+            experiment.best.motion, experiment.best.payload_kg, trial=1, seed=args.seed
+        )
         write_trial(run_case(rig, case), args.out.with_suffix("") / "trials")
         progress.step("motion run on the rig", 2)
         result["after"], compared = _diagnose_again(args.out, plant, document, inputs, progress)
@@ -101,22 +103,22 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _result(found: Experiment) -> dict[str, Any]:
+def _result(experiment: Experiment) -> dict[str, Any]:
     return {
-        "hypotheses": {r.label: round(r.probability, 4) for r in found.rivals},
-        "separation_now": dict(zip(found.pairs, found.before, strict=True)),
+        "hypotheses": {r.label: round(r.probability, 4) for r in experiment.rivals},
+        "separation_now": dict(zip(experiment.pairs, experiment.before, strict=True)),
         "ranking": [
             {
                 "kind": r.motion.kind,
                 "amplitude_rad": r.motion.amplitude_rad,
                 "period_s": r.motion.period_s,
                 "payload_kg": r.payload_kg,
-                "separation": dict(zip(found.pairs, r.separations, strict=True)),
+                "separation": dict(zip(experiment.pairs, r.separations, strict=True)),
                 "least_gain": r.least_gain,
             }
-            for r in found.ranked
+            for r in experiment.ranked
         ],
-        "together": found.together,
+        "together": experiment.together,
     }
 
 
@@ -197,7 +199,10 @@ def _diagnose_again(
         for d in (before, after)
     )
     named = [n.effect for n in after.named]
-    words = [", ".join(f"{label} {p:.2f}" for label, p in own.items()) for own in (first, second)]
+    words = [
+        ", ".join(f"{label} {p:.2f}" for label, p in probabilities.items())
+        for probabilities in (first, second)
+    ]
     return (
         {"set_before": first, "set_after": second, "named": named, "verdict": after.verdict},
         f"hypotheses that hold 0.95 before: {words[0]}\nafter the motion: {words[1]}\n"

@@ -14,9 +14,9 @@ import msgspec
 
 from firmware_py.core.console import DONE, NEGATIVE, Progress, emit
 from firmware_py.core.errors import InputError
-from models.commands.output_paths import check_output_directory
 from models.plant.identification.doubts import refuse_other_links
 from models.plant.plant import read_plant
+from models.shared.output_paths import check_output_directory
 from models.trials.checks.trials import read_usable_trials
 
 EXAMPLE = "dropstitch gap build/gap_trials --plant build/plant.json --out build/gap"
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
         trials.content_sha256(), args.dof,
     )  # fmt: skip
     settings = GapSettings(same_link=args.same_link)
-    found, document, page = write_diagnosis(
+    diagnosis, document, page = write_diagnosis(
         plant, trials, inputs, args.out, progress.step, args.without, settings
     )
     progress.step("done", 0)
@@ -82,8 +82,8 @@ def run(args: argparse.Namespace) -> int:
         msgspec.to_builtins(document),
         f"{gap_in_words(document, str(args.out / 'gap.json'))}\n{page}",
     )
-    if found.verdict != "not in the catalogue":
+    if diagnosis.verdict != "not in the catalogue":
         return DONE
-    for warning in evaluation_doubts(evaluate_plant(plant, found.trials), plant):
+    for warning in evaluation_doubts(evaluate_plant(plant, diagnosis.trials), plant):
         print(f"warning: {warning}", file=sys.stderr)
     return NEGATIVE

@@ -55,18 +55,18 @@ def look_alikes_of(naming: Naming) -> dict[str, tuple[LookAlike, ...]]:
 
     They were tried beside the same others, and hold 95 % together with it.
     """
-    found: dict[str, tuple[LookAlike, ...]] = {}
+    look_alikes: dict[str, tuple[LookAlike, ...]] = {}
     for name in naming.names:
         rest = set(naming.names) - {name}
         rows = [f for f in naming.explored if rest < set(f.candidates)]
         rows = [f for f in rows if len(f.candidates) == len(naming.names)]
         weights = set_weights(rows, len(naming.search.of))
         before = np.cumsum(weights) - weights
-        found[name] = tuple(
-            f for f, held in zip(rows, before / max(weights.sum(), 1e-300), strict=True)
-            if name not in f.candidates and held < HELD_PROBABILITY
+        look_alikes[name] = tuple(
+            f for f, before_it in zip(rows, before / max(weights.sum(), 1e-300), strict=True)
+            if name not in f.candidates and before_it < HELD_PROBABILITY
         )  # fmt: skip
-    return found
+    return look_alikes
 
 
 def hypotheses_of(naming: Naming) -> tuple[Hypothesis, ...]:
@@ -81,23 +81,23 @@ def hypotheses_of(naming: Naming) -> tuple[Hypothesis, ...]:
     if not answers or not rows:
         rows = rows or [naming.search.nothing]
         answers = Answers(0.0, 1.0, 0.0)
-        found = []
+        hypotheses = []
     else:
-        found = [Hypothesis((), answers.nothing, naming.search.nothing)]
+        hypotheses = [Hypothesis((), answers.nothing, naming.search.nothing)]
     weights = set_weights(rows, len(naming.search.of))
     share = answers.catalogue * weights / weights.sum()
-    found += [Hypothesis(f.candidates, float(p), f) for f, p in zip(rows, share, strict=True)]
-    listed = [h for h in found if h.probability >= LISTED_PROBABILITY]
+    hypotheses += [Hypothesis(f.candidates, float(p), f) for f, p in zip(rows, share, strict=True)]
+    listed = [h for h in hypotheses if h.probability >= LISTED_PROBABILITY]
     return tuple(sorted(listed, key=lambda h: -h.probability))
 
 
 def effect_probabilities(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
     """Probability of each effect that it is among those missing, the most probable first."""
-    found: dict[str, float] = defaultdict(float)
+    total: dict[str, float] = defaultdict(float)
     for hypothesis in hypotheses:
         for effect in hypothesis.effects:
-            found[effect] += hypothesis.probability
-    return dict(sorted(found.items(), key=lambda row: -row[1]))
+            total[effect] += hypothesis.probability
+    return dict(sorted(total.items(), key=lambda row: -row[1]))
 
 
 def set_weights(

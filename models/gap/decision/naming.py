@@ -61,12 +61,12 @@ class Naming:
     @property
     def explored(self) -> list[SetFit]:
         """Best fit of each set against the floor of the last round, the largest d′ first."""
-        found: dict[frozenset[str], SetFit] = {}
-        every = [f for r in self.rounds for f in r] + [self.best]
-        for fit in sorted(every, key=lambda f: f.gain):
-            found[frozenset(fit.candidates)] = fit
-        found.pop(frozenset(), None)
-        return sorted(found.values(), key=lambda f: -f.gain)
+        best_of: dict[frozenset[str], SetFit] = {}
+        fits = [f for r in self.rounds for f in r] + [self.best]
+        for fit in sorted(fits, key=lambda f: f.gain):
+            best_of[frozenset(fit.candidates)] = fit
+        best_of.pop(frozenset(), None)
+        return sorted(best_of.values(), key=lambda f: -f.gain)
 
 
 def name_with_floor(search: EffectSearch, certainty: Certainty, equation_error: float) -> Naming:
@@ -108,9 +108,9 @@ def name_without_floor(search: EffectSearch, certainty: Certainty) -> Naming:
     held_out = HeldOut(search.estimator)
     fit, rounds = search.nothing, []
     while len(fit.candidates) < MOST_NAMED:
-        found = search.beside(fit)
-        better = _least_held_out(search, held_out, fit, found)
-        rounds.append(tuple(found))
+        larger = search.beside(fit)
+        better = _least_held_out(search, held_out, fit, larger)
+        rounds.append(tuple(larger))
         if better is None:
             break
         if not fit.candidates:
@@ -161,19 +161,19 @@ def _difference(search: EffectSearch, fit: SetFit) -> float:
 
 
 def _least_held_out(
-    search: EffectSearch, held_out: HeldOut, fit: SetFit, found: Sequence[SetFit]
+    search: EffectSearch, held_out: HeldOut, fit: SetFit, sets: Sequence[SetFit]
 ) -> SetFit | None:
     """Set of the least held-out error, of those that stand out and lower it by more than chance."""
     without = held_out.errors(fit.point, fit.free)
     passed: list[tuple[float, SetFit]] = []
-    for larger in found:
+    for larger in sets:
         left = 1.0 if fit.candidates else max(search.estimator.mean_square(larger.point), 1.0)
         if 2 * (larger.gain - fit.gain) > left * LEAST_WITHOUT_FLOOR**2 and (
             not fit.candidates or _difference(search, larger) <= LARGEST_DIFFERENCE
         ):
             errors = held_out.errors(larger.point, larger.free)
             if lowers_held_out_error(errors, without, bool(fit.candidates)):
-                passed.append((errors.fraction_of(held_out.given), larger))
+                passed.append((errors.fraction_of(held_out.baseline), larger))
     return min(passed, key=lambda row: row[0])[1] if passed else None
 
 
@@ -182,10 +182,10 @@ def _in_si_units(search: EffectSearch, fit: SetFit) -> tuple[EffectSearch, SetFi
 
     The spectrum of the residual would discount slow errors, which are the largest.
     """
-    given = search.estimator
-    floor = flattened(given.floor, given.residuals.groups, fit.point.rows)
-    estimator = GaussNewton(given.residuals, floor)
+    whitened = search.estimator
+    floor = flattened(whitened.floor, whitened.residuals.groups, fit.point.rows)
+    estimator = GaussNewton(whitened.residuals, floor)
     nothing = estimator.at(search.nothing.point.values)
-    every = len(search.of) == search.refitted
-    flat = EffectSearch(NuisanceFit(estimator, estimator, nothing), every, search.report)
+    refits_all = len(search.of) == search.refitted
+    flat = EffectSearch(NuisanceFit(estimator, estimator, nothing), refits_all, search.report)
     return flat, flat.settled(fit)

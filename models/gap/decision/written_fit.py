@@ -48,41 +48,41 @@ class PlantWriter:
         parameters = search.estimator.residuals.fit_parameters
         self.nuisance = np.array([q.kind == "nuisance" for q in parameters])
 
-    def as_given(self, refused: str = "") -> WrittenFit:
+    def unchanged(self, refused: str = "") -> WrittenFit:
         nothing = np.zeros_like(self.nuisance)
-        return WrittenFit((), self.estimator.start(), nothing, self.held_out.given, refused)
+        return WrittenFit((), self.estimator.start(), nothing, self.held_out.baseline, refused)
 
     def best(self, fit: SetFit) -> WrittenFit:
         """The named set, or as much of it as passes: the last name is left out first."""
         refused, names = "", fit.candidates
-        for kept in (names[:count] for count in range(len(names), 0, -1)):
-            order = [self._fit(kept, fit, refits) for refits in (False, True)]
+        for names_written in (names[:count] for count in range(len(names), 0, -1)):
+            order = [self._fit(names_written, fit, refits) for refits in (False, True)]
             if self._is_earned(*order):
                 order.reverse()
             for tried in order:
                 if not (failure := self._failure(tried)):
                     return replace(tried, refused=refused)
                 refused = refused or failure
-        given, refitted = self.as_given(refused), self._fit((), fit, refits=True)
-        is_better = self._is_earned(given, refitted) and not self._failure(refitted)
-        return replace(refitted, refused=refused) if is_better else given
+        unchanged, refitted = self.unchanged(refused), self._fit((), fit, refits=True)
+        is_better = self._is_earned(unchanged, refitted) and not self._failure(refitted)
+        return replace(refitted, refused=refused) if is_better else unchanged
 
     def _failure(self, fit: WrittenFit) -> str:
         """Why a fit may not be written, as a clause; empty if it may."""
-        given = self.held_out.given
-        if (fraction := fit.errors.fraction_of(given)) >= 1:
+        unchanged = self.held_out.baseline
+        if (fraction := fit.errors.fraction_of(unchanged)) >= 1:
             return f"the error on what was left out would be {fraction:.1%} of that as given"
-        for signal, ratio in fit.errors.ratios(given).items():
+        for signal, ratio in fit.errors.ratios(unchanged).items():
             if ratio > 1 + self.harm_fraction:
                 return f"the held-out error of {signal} would be {ratio:.1%} of that as given"
         return ""
 
-    def _is_earned(self, given: WrittenFit, refitted: WrittenFit) -> bool:
+    def _is_earned(self, unchanged: WrittenFit, refitted: WrittenFit) -> bool:
         """Whether a refitted nuisance is better than that of the plant as given."""
         before, after = (
-            max(fit.errors.ratios(self.held_out.given).values()) for fit in (given, refitted)
+            max(fit.errors.ratios(self.held_out.baseline).values()) for fit in (unchanged, refitted)
         )
-        falls = refitted.errors.fraction_of(given.errors) < 1 - self.harm_fraction
+        falls = refitted.errors.fraction_of(unchanged.errors) < 1 - self.harm_fraction
         return falls and after <= max(before, 1.0)
 
     def _fit(self, candidates: Sequence[str], fit: SetFit, refits: bool) -> WrittenFit:

@@ -80,10 +80,10 @@ def with_repeated_trials(
             expected = np.interp(hz, floor.frequency_hz, floor.noise[signal])
             here = variance / np.maximum(expected, np.finfo(float).tiny)
             ratio = (1 - fraction) * known.noise_at(signal, payload_kg, hz) + fraction * here
-            own = pooled.setdefault(payload_kg, {}).setdefault(signal, [])
-            own.append(np.interp(at, hz, ratio))
-    noise = {p: averaged(own) for p, own in pooled.items()}
-    model = {p: {s: known.model_at(s, p, at) for s in own} for p, own in noise.items()}
+            by_signal = pooled.setdefault(payload_kg, {}).setdefault(signal, [])
+            by_signal.append(np.interp(at, hz, ratio))
+    noise = {p: averaged(by_signal) for p, by_signal in pooled.items()}
+    model = {p: {s: known.model_at(s, p, at) for s in by_signal} for p, by_signal in noise.items()}
     return replace(floor, ratios=PayloadRatios(at, noise, model))
 
 
@@ -102,13 +102,13 @@ def with_amplified_scatter(
     if not floor.learned:
         return floor
     limit = AMPLIFIED_SCATTER_LIMIT
-    found: dict[float, list[float]] = {}
+    ratios: dict[float, list[float]] = {}
     for group, payload_kg, part in _by_payload(residuals, rows):
         if len(part) > 1:
             hz = group_frequencies_hz(group, residuals.trials)
             ratio = _scatter_ratio(floor, group, part, payload_kg, hz)
-            found.setdefault(payload_kg, []).append(ratio)
-    scatter = {p: float(np.mean(own)) for p, own in found.items()}
+            ratios.setdefault(payload_kg, []).append(ratio)
+    scatter = {p: float(np.mean(of_groups)) for p, of_groups in ratios.items()}
     amplified = {p: (1 + ratio) / 2 for p, ratio in scatter.items() if ratio > limit}
     return replace(floor, amplification_power=amplified)
 

@@ -137,8 +137,8 @@ class GaussNewton:
         wild = [
             str(self.residuals.trials[k].path)
             for g, rows in zip(self.residuals.groups, point.rows, strict=True)
-            for k, own in zip(g.trials, rows, strict=True)
-            if not float(np.sum(own**2)) < np.inf
+            for k, trial_rows in zip(g.trials, rows, strict=True)
+            if not float(np.sum(trial_rows**2)) < np.inf
         ]
         raise InputError(
             f"plant {self.residuals.plant.name!r}",
@@ -182,9 +182,9 @@ class GaussNewton:
             derived = np.asarray(wanted, dtype=np.bool_)
             slopes = self.residuals.jacobian(point.values, derived)
             white = []
-            for own in self.whiten(slopes):
-                rows = np.zeros((math.prod(own.shape[:-1]), len(derived)))
-                rows[:, derived] = own.reshape(len(rows), int(derived.sum()))
+            for whitened in self.whiten(slopes):
+                rows = np.zeros((math.prod(whitened.shape[:-1]), len(derived)))
+                rows[:, derived] = whitened.reshape(len(rows), int(derived.sum()))
                 white.append(rows)
             self._set_slopes(point, white)
             point.derived, point.exact, point.origin = derived, True, None

@@ -96,7 +96,7 @@ class NoiseFloor(MeasuredFloor):
         for key, table in self.curves.items():
             if motion_of(key) != motion_of(group.key):
                 continue
-            rows = [(p, s, row) for p, own in table.items() for s, row in own.items()]
+            rows = [(p, s, row) for p, by_signal in table.items() for s, row in by_signal.items()]
             size = min(len(row) for _, _, row in rows)
             stacked = np.array([row[:size] for _, _, row in rows])
             moved = transferred(stacked, key, self.rest_s.get(key), first, group.coefficients)
@@ -126,15 +126,17 @@ class NoiseFloor(MeasuredFloor):
             payloads = np.array([trials[k].meta.payload_kg for k in group.trials])
             for payload in np.unique(payloads):
                 power = np.mean(rows[payloads == payload] ** 2, axis=0)
-                own = table.setdefault(float(payload), {})
+                by_signal = table.setdefault(float(payload), {})
                 for signal, row in zip(group.signals, power, strict=True):
                     smooth = EQUATION_ERROR**2 * smoothed(row)
-                    own.setdefault(signal, []).append(np.interp(self.frequency_hz, hz, smooth))
+                    by_signal.setdefault(signal, []).append(
+                        np.interp(self.frequency_hz, hz, smooth)
+                    )
         return replace(
             self,
             formulation={
-                p: {s: np.mean(parts, axis=0) for s, parts in own.items()}
-                for p, own in table.items()
+                p: {s: np.mean(parts, axis=0) for s, parts in by_signal.items()}
+                for p, by_signal in table.items()
             },
         )
 
@@ -155,17 +157,17 @@ class NoiseFloor(MeasuredFloor):
 
         A signal without a floor does not count: its factors are zero.
         """
-        own, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
-        payload = np.array([t.meta.payload_kg for t in own])
+        members, hz = [trials[k] for k in group.trials], group_frequencies_hz(group, trials)
+        payload = np.array([t.meta.payload_kg for t in members])
         alike = np.exp(-np.abs(payload[:, None] - payload) / PAYLOAD_REACH_KG)
         curves, _ = self.curves_for(group, trials)
-        result = np.empty((len(group.signals), len(hz), len(own), len(own)))
+        result = np.empty((len(group.signals), len(hz), len(members), len(members)))
         for s, signal in enumerate(group.signals):
             if signal not in self.noise:
                 result[s] = 0.0
                 continue
             measured_kg, _ = rows_by_payload(curves, signal)
-            left, own_noise, unknown = 1.0, np.zeros(len(own)), np.zeros_like(alike)
+            left, own_noise, unknown = 1.0, np.zeros(len(members)), np.zeros_like(alike)
             if measured_kg:
                 left = MODEL_ERROR_LEFT**2
                 weights = transfer_weights(payload, measured_kg, PAYLOAD_REACH_KG)
@@ -176,7 +178,7 @@ class NoiseFloor(MeasuredFloor):
             repeated = EQUATION_ERROR_REPEATED
             shared = left * model + own_noise[:, None] * noise + repeated * missed
             drawn = noise + (1 - repeated) * missed
-            variance = drawn.T[:, :, None] * np.eye(len(own))
+            variance = drawn.T[:, :, None] * np.eye(len(members))
             variance += covariance(shared, alike) + covariance(model, unknown)
             result[s] = np.linalg.inv(np.linalg.cholesky(variance))
         return result
@@ -187,10 +189,10 @@ class NoiseFloor(MeasuredFloor):
 
     def _missed(self, signal: str, payload_kg: float, hz: Array) -> Array:
         """Error of the equations named so far at a payload, shape (K,)."""
-        own = self.formulation.get(payload_kg, {})
-        if signal not in own:
+        by_signal = self.formulation.get(payload_kg, {})
+        if signal not in by_signal:
             return np.zeros(len(hz))
-        return np.interp(hz, self.frequency_hz, own[signal])
+        return np.interp(hz, self.frequency_hz, by_signal[signal])
 
     def mean(self, group: TrialGroup, trials: Sequence[Trial]) -> Array:
         """Expected error of the plant, shape (trials, signals, K); zero where it is unknown."""

@@ -104,7 +104,9 @@ PayloadCurves = Mapping[float, Mapping[str, Array]]
 
 def rows_by_payload(curves: PayloadCurves, signal: str) -> tuple[list[float], list[Array]]:
     """Payloads in kg at which a signal was measured, ascending, and its spectra."""
-    rows = [(p, own[signal]) for p, own in sorted(curves.items()) if signal in own]
+    rows = [
+        (p, by_signal[signal]) for p, by_signal in sorted(curves.items()) if signal in by_signal
+    ]
     return [p for p, _ in rows], [row for _, row in rows]
 
 

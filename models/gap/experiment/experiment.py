@@ -204,20 +204,20 @@ MOST_PAIRS: Final = 6
 """Pairs that the console lists [assumed]."""
 
 
-def experiment_in_words(found: Experiment, motion: Path) -> str:
+def experiment_in_words(experiment: Experiment, motion: Path) -> str:
     """Text on the best motion: what it separates, and what it does not."""
-    best, count = found.best, len(found.pairs)
+    best, count = experiment.best, len(experiment.pairs)
     lines = [f"{motion}: {best.label}; attach {best.payload_kg:g} kg"]
-    rows = list(zip(found.pairs, found.before, best.separations, strict=True))
+    rows = list(zip(experiment.pairs, experiment.before, best.separations, strict=True))
     lines += [f"  {pair}: d′ {a:.1f} now, {b:.1f} with it" for pair, a, b in rows[:MOST_PAIRS]]
     if count > MOST_PAIRS:
         lines.append(f"  and {count - MOST_PAIRS} more pairs, see the page")
     lines.append(
-        f"best of {len(found.ranked)} motions and payloads within the limits; "
+        f"best of {len(experiment.ranked)} motions and payloads within the limits; "
         f"it adds a least d′ of {best.least_gain:.1f}"
     )
-    if found.together:
-        lines.append(f"it does not separate {len(found.together)} of {count} pairs")
+    if experiment.together:
+        lines.append(f"it does not separate {len(experiment.together)} of {count} pairs")
     return "\n".join(lines)
 
 

@@ -12,30 +12,30 @@ from models.shared.pages import Cell, Figure, LegendEntry, Paragraph, Section, T
 from models.shared.palette import AFTER, BEFORE, MUTED
 
 
-def write_experiment_page(found: Experiment, path: Path) -> Path:
-    best = found.best
+def write_experiment_page(experiment: Experiment, path: Path) -> Path:
+    best = experiment.best
     lead = Paragraph(
-        f"Of {len(found.ranked)} motions and payloads within the limits this one separates the "
-        f"hypotheses of the diagnosis best: {best.label}. Attach {best.payload_kg:g} kg, run it, "
-        "and diagnose its trial together with those at hand."
+        f"Of {len(experiment.ranked)} motions and payloads within the limits this one separates "
+        f"the hypotheses of the diagnosis best: {best.label}. Attach {best.payload_kg:g} kg, run "
+        "it, and diagnose its trial together with those at hand."
     )
     sections = [
-        Section("motion", "The motion", [_goals(found)]),
-        Section("separation", "What it separates", [_bars(found)]),
-        Section("ranking", "All motions", [_ranking(found)]),
+        Section("motion", "The motion", [_goals(experiment)]),
+        Section("separation", "What it separates", [_bars(experiment)]),
+        Section("ranking", "All motions", [_ranking(experiment)]),
     ]
     path.write_text(render_page("The next experiment", [lead], sections), encoding="utf-8")
     return path
 
 
-def _goals(found: Experiment) -> Figure:
-    motion = found.best.motion
+def _goals(experiment: Experiment) -> Figure:
+    motion = experiment.best.motion
     time_s = np.linspace(-1.0, motion.duration_s + 1.0, 600)
     goal_rad = motion.goal_rad(time_s)
     with Drawing() as (drawing, ax):
         for j, row in enumerate(goal_rad.T, 1):
             ax.plot(time_s, row, label=f"joint {j}")
-        for limit in found.limits.angle_rad:
+        for limit in experiment.limits.angle_rad:
             ax.axhline(limit, color=MUTED, dashes=(3, 2), linewidth=0.9)
         ax.set_xlabel("time in s")
         ax.set_ylabel("goal in rad")
@@ -43,15 +43,15 @@ def _goals(found: Experiment) -> Figure:
             ax.legend(frameon=False)
     alt = f"Goals between {goal_rad.min():.2f} and {goal_rad.max():.2f} rad."
     note = "Goals of the motion; dashed: the limits of the angle."
-    return Figure("", note, [drawing.panel(f"Goals, {found.best.label}", alt)])
+    return Figure("", note, [drawing.panel(f"Goals, {experiment.best.label}", alt)])
 
 
-def _bars(found: Experiment) -> Figure:
-    labels = [label.replace("_", " ") for label in found.pairs]
-    series = [(MUTED, "trials at hand", found.before)]
+def _bars(experiment: Experiment) -> Figure:
+    labels = [label.replace("_", " ") for label in experiment.pairs]
+    series = [(MUTED, "trials at hand", experiment.before)]
     series += [
         (colour, f"with {r.label}, {r.payload_kg:g} kg", r.separations)
-        for colour, r in zip((AFTER, BEFORE), found.ranked, strict=False)
+        for colour, r in zip((AFTER, BEFORE), experiment.ranked, strict=False)
     ]
     place, high = np.arange(len(labels), dtype=np.float64), 0.8 / len(series)
     with Drawing(0.9 + 0.45 * len(labels)) as (drawing, ax):
@@ -62,7 +62,7 @@ def _bars(found: Experiment) -> Figure:
         ax.invert_yaxis()
         ax.set_xlabel("d′")
         ax.grid(visible=False, axis="y")
-    listed = zip(labels, found.best.separations, strict=True)
+    listed = zip(labels, experiment.best.separations, strict=True)
     alt = "d′ with the best motion: " + ", ".join(f"{name} {d:.1f}" for name, d in listed) + "."
     return Figure(
         "", "d′ of each pair of hypotheses after nuisance and the other hypothesis were refitted; "
@@ -72,16 +72,19 @@ def _bars(found: Experiment) -> Figure:
     )  # fmt: skip
 
 
-def _ranking(found: Experiment) -> Table:
+def _ranking(experiment: Experiment) -> Table:
     rows: list[list[Cell]] = [
         [
             ranked.label,
             f"{ranked.payload_kg:g} kg",
             f"{ranked.least_gain:.1f}",
-            *(f"{a:.1f} → {b:.1f}" for a, b in zip(found.before, ranked.separations, strict=True)),
+            *(
+                f"{a:.1f} → {b:.1f}"
+                for a, b in zip(experiment.before, ranked.separations, strict=True)
+            ),
         ]
-        for ranked in found.ranked
+        for ranked in experiment.ranked
     ]
-    pairs = [label.replace("_", " ") for label in found.pairs]
+    pairs = [label.replace("_", " ") for label in experiment.pairs]
     note = "d′ of each pair with the trials at hand → with the motion added."
     return Table("", ["motion", "payload", "least gain", *pairs], rows, note)

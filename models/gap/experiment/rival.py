@@ -45,10 +45,12 @@ def rivals_of(hypotheses: Sequence[HypothesisRecord]) -> tuple[Rival, ...]:
     """
     rivals = [Rival(h.effects, h.probability, h.parameters) for h in hypotheses]
     sets = [frozenset(r.effects) for r in rivals]
-    least = [k for k, own in enumerate(sets) if not any(other and other < own for other in sets)]
+    least = [
+        k for k, effects in enumerate(sets) if not any(other and other < effects for other in sets)
+    ]
     shared = {k: 0.0 for k in least}
-    for own, rival in zip(sets, rivals, strict=True):
-        within = [k for k in least if sets[k] == own or (sets[k] and sets[k] < own)]
+    for effects, rival in zip(sets, rivals, strict=True):
+        within = [k for k in least if sets[k] == effects or (sets[k] and sets[k] < effects)]
         for k in within:
             shared[k] += rival.probability / len(within)
     total = sum(shared.values())
@@ -77,10 +79,14 @@ def fitted_values_of(rival: Rival, plant: Plant, fit_parameters: Sequence[FitPar
     change = np.array([rival.parameters[n] - full[n].value for n in names])
     values = np.zeros(len(fit_parameters))
     for kind, candidates in (("effect", rival.effects), ("nuisance", ("",))):
-        own = [k for k, q in enumerate(fit_parameters) if q.kind == kind and q.effect in candidates]
-        weights = np.array([[fit_parameters[k].parameters.get(n, 0.0) for k in own] for n in names])
+        columns = [
+            k for k, q in enumerate(fit_parameters) if q.kind == kind and q.effect in candidates
+        ]
+        weights = np.array(
+            [[fit_parameters[k].parameters.get(n, 0.0) for k in columns] for n in names]
+        )
         if weights.size:
-            values[own] = np.linalg.lstsq(weights, change, rcond=None)[0]
-            change = change - weights @ values[own]
+            values[columns] = np.linalg.lstsq(weights, change, rcond=None)[0]
+            change = change - weights @ values[columns]
     low, high = ([getattr(q, end) for q in fit_parameters] for end in ("low", "high"))
     return np.clip(values, low, high)

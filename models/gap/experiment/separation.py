@@ -103,8 +103,8 @@ class SeparationModel:
         ]
         effects = _effect_parameters(plant, rivals, trials[0].meta.dof)
         same_link = settings.same_link
-        every = nuisance_and_variation(plant, trials, same_link=same_link) + effects
-        residuals = Residuals(plant, trials, every)
+        fit_parameters = nuisance_and_variation(plant, trials, same_link=same_link) + effects
+        residuals = Residuals(plant, trials, fit_parameters)
         fit = nuisance_fit_of(residuals, noise_floor_for(residuals))
         self.estimator, self.floor = fit.estimator, fit.measured.floor
         self._own_error = _own_error_fraction(self.floor, trials)
@@ -117,8 +117,8 @@ class SeparationModel:
             np.array([not q.effect or q.effect in r.effects for q in self.planned]) for r in rivals
         ]
         self.values = [fitted_values_of(r, plant, self.planned) for r in rivals]
-        varies = np.array([q.trial is not None for q in every])
-        starts = [self.estimator.at(fitted_values_of(r, plant, every)) for r in rivals]
+        varies = np.array([q.trial is not None for q in fit_parameters])
+        starts = [self.estimator.at(fitted_values_of(r, plant, fit_parameters)) for r in rivals]
         points = [self.estimator.linearise(self.estimator.fit(s, varies)) for s in starts]
         self._known = [_misfit(self.estimator, varies, points[a], points[b]) for a, b in self.pairs]
         self.before = tuple(

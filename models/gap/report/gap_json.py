@@ -12,7 +12,7 @@ from firmware_py.core.documents import Document, read_document, write_document
 from models.gap.decision.certainty import Answers
 from models.gap.diagnosis import GapVerdict
 from models.gap.estimation.transfer import Knowledge
-from models.gap.outliers import OddTrial
+from models.gap.outliers import OutlierTrial
 from models.gap.settings import GapSettings
 
 
@@ -216,7 +216,7 @@ class DiagnosisInputs(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GapDocument(Document, frozen=True, kw_only=True):
-    """Content of `gap.json`; docs/gap.md explains the keys.
+    """Content of `gap.json`; docs/gap.md explains the keys and `gap_document` makes it.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
         part of the trials by a fit of the others) → signal → SignalGap.
     held_out : HeldOutSummary
         What was left out in turn.
-    odd_trials : tuple of OddTrial
+    odd_trials : tuple of OutlierTrial
         Outlier trials, which were left out.
     changed_conditions : tuple of ChangedCondition
         Conditions of the trials that no trial of the plant has.
@@ -264,6 +264,13 @@ class GapDocument(Document, frozen=True, kw_only=True):
         Settings of the run.
     inputs : DiagnosisInputs or None
         Files of the diagnosis; None where it was run from Python.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> document = dropstitch.gap_document(found)         # doctest: +SKIP
+    >>> document.headline                                 # doctest: +SKIP
+    'Missing: dead time 30.1 ± 0.4 ms ...'
     """
 
     VERSION: ClassVar[int] = 3
@@ -288,7 +295,7 @@ class GapDocument(Document, frozen=True, kw_only=True):
     before: dict[str, dict[str, SignalGap]]
     after: dict[str, dict[str, SignalGap]]
     held_out: HeldOutSummary
-    odd_trials: tuple[OddTrial, ...] = ()
+    odd_trials: tuple[OutlierTrial, ...] = ()
     changed_conditions: tuple[ChangedCondition, ...] = ()
     rows_fitted: dict[str, int] = msgspec.field(default_factory=dict)
     goal_not_followed_at_row: dict[str, int] = msgspec.field(default_factory=dict)

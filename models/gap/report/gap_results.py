@@ -61,6 +61,13 @@ def gap_document(found: Diagnosis) -> GapDocument:
     -------
     GapDocument
         Document without `inputs`, which only the command knows.
+
+    Examples
+    --------
+    >>> import dropstitch
+    >>> document = dropstitch.gap_document(found)                # doctest: +SKIP
+    >>> document.verdict, [row.effect for row in document.named]  # doctest: +SKIP
+    ('closed', ['dead_time'])
     """
     floor = noise_floor_rms(found)
     residuals = found.nuisance.estimator.residuals
@@ -70,7 +77,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
             "fitted": errors_in_floors(plant, found.trials, floor, unused),
             "held_out": _held_out_in_floors(plant, found.trials, rms, floor),
         }
-        for plant, rms in ((found.plant, found.held_out_given), (found.improved, held_out))
+        for plant, rms in ((found.plant, found.held_out_baseline), (found.improved, held_out))
     )
     document = GapDocument(
         schema=GapDocument.VERSION,
@@ -103,7 +110,7 @@ def gap_document(found: Diagnosis) -> GapDocument:
         before=before,
         after=after,
         held_out=HeldOutSummary(found.left_out, round(found.unexplained_fraction, 4)),
-        odd_trials=found.odd,
+        odd_trials=found.outliers,
         changed_conditions=changed_conditions(found.plant.provenance, found.floor, found.trials),
         rows_fitted={
             t.name: len(t)

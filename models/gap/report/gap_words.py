@@ -304,6 +304,15 @@ def gap_in_words(document: GapDocument, gap_json: str = "OUT/gap.json") -> str:
     -------
     str
         Verdict, notes, look-alikes, errors, checks and the next step, one per line.
+
+    Examples
+    --------
+    `Diagnosis.summary` is the short way:
+
+    >>> import dropstitch
+    >>> words = dropstitch.gap_in_words(dropstitch.gap_document(found))  # doctest: +SKIP
+    >>> words.splitlines()[0]                                            # doctest: +SKIP
+    'verdict: closed'
     """
     lines = [f"verdict: {document.verdict}", document.headline, document.sentence]
     lines += [f"note: {note}" for note in notes_in_words(document)]

@@ -102,7 +102,7 @@ def plant_with_searched_effects(plant: Plant, candidates: Sequence[str]) -> Plan
     names = list(dict.fromkeys(effect_and_joint(c)[0] for c in candidates))
     full = plant.with_effects(*names)
     added = [EFFECTS[e].search_start for e in names if e not in plant.effects]
-    start = {n: v for own in added for n, v in own.items() if n in full.parameters}
+    start = {n: v for values in added for n, v in values.items() if n in full.parameters}
     return full.with_values(start)
 
 
@@ -113,10 +113,10 @@ def candidate_effects(plant: Plant) -> list[str]:
     identified on the trials of the diagnosis, they compensated for what was missing; otherwise they
     absorb the error of their equations.
     """
-    every = applicable(DRIVES[plant.drive], LOADS[plant.load])
+    effects = applicable(DRIVES[plant.drive], LOADS[plant.load])
     if LOADS[plant.load].kind == "link":
-        return every
-    return [name for name in every if name not in plant.effects]
+        return effects
+    return [name for name in effects if name not in plant.effects]
 
 
 def all_fit_parameters(
@@ -133,7 +133,10 @@ def all_fit_parameters(
     """
     dof = trials[0].meta.dof
     effects = [
-        q for e in catalogue for own in effect_candidates(plant, e, dof).values() for q in own
+        q
+        for e in catalogue
+        for parameters in effect_candidates(plant, e, dof).values()
+        for q in parameters
     ]
     return nuisance_and_variation(plant, trials, is_known, same_link) + effects
 
@@ -208,15 +211,15 @@ def effect_candidates(plant: Plant, effect: str, dof: int) -> dict[str, list[Fit
     joints, except offsets (`Effect.of_each_joint`); a fault of one servo is the further candidate
     `EFFECT:JOINT`. A bending effect may differ by plane and has a strength for each.
     """
-    every = range(1, dof + 1)
-    found = {effect: effect_fit_parameters(plant, effect, effect, dof, every)}
-    own = EFFECTS[effect]
-    alike = own.per_joint and not (own.of_each_joint or own.port in ("bend_torque", "stiffness"))
+    joints = range(1, dof + 1)
+    candidates = {effect: effect_fit_parameters(plant, effect, effect, dof, joints)}
+    kind = EFFECTS[effect]
+    alike = kind.per_joint and not (kind.of_each_joint or kind.port in ("bend_torque", "stiffness"))
     if dof > 1 and alike:
-        for joint in every:
+        for joint in joints:
             name = f"{effect}:{joint}"
-            found[name] = effect_fit_parameters(plant, effect, name, dof, [joint])
-    return found
+            candidates[name] = effect_fit_parameters(plant, effect, name, dof, [joint])
+    return candidates
 
 
 def effect_fit_parameters(
@@ -233,9 +236,9 @@ def effect_fit_parameters(
     tied = not (effect.of_each_joint or effect.port in ("bend_torque", "stiffness"))
     groups: list[list[str]] = []
     for q in effect.per_joint:
-        own = [scope.name(q.name, j) for j in scope.joints if j in joints]
+        by_joint = [scope.name(q.name, j) for j in scope.joints if j in joints]
         together = tied and effect.parameter_needs.get(q.name) != "goal shape"
-        groups += [own] if together else [[n] for n in own]
+        groups += [by_joint] if together else [[n] for n in by_joint]
     groups += [[scope.name(q.name)] for q in effect.shared]
     strengths = effect.strengths(scope)
     last = {scope.name(name, j) for name in effect.fitted_last for j in scope.joints}
@@ -288,11 +291,11 @@ def prior_precision(fit_parameters: Sequence[FitParameter]) -> Array:
 def prior_matrix(fit_parameters: Sequence[FitParameter]) -> Array:
     """Precision matrix of all fit parameters together, shape (p, p)."""
     matrix = np.diag(prior_precision(fit_parameters))
-    own = np.array([q.kind == "trial" and q.name == SHARED for q in fit_parameters])
-    if own.any():
-        deviation = np.array([q.standard_deviation for q in fit_parameters])[own]
+    is_shared = np.array([q.kind == "trial" and q.name == SHARED for q in fit_parameters])
+    if is_shared.any():
+        deviation = np.array([q.standard_deviation for q in fit_parameters])[is_shared]
         by_chance = np.sqrt(np.sum(deviation**2)) / len(deviation)
-        mean = np.where(own, 1 / own.sum(), 0.0) / (KNOWN_FRACTION * by_chance)
+        mean = np.where(is_shared, 1 / is_shared.sum(), 0.0) / (KNOWN_FRACTION * by_chance)
         matrix += np.outer(mean, mean)
     return matrix
 

@@ -63,17 +63,17 @@ _COUNTS: Final = {1: "one joint", 2: "two joints"}
 
 def motion_in_words(key: str) -> str:
     """Motion and conditions of a group of trials; the key itself if it has another form."""
-    found = _KEY.fullmatch(key)
-    if found is None:
+    match = _KEY.fullmatch(key)
+    if match is None:
         return key
-    amplitude, phase = (round(math.degrees(float(found[n])), 1) for n in ("amplitude", "phase"))
-    dof, period_s = int(found["dof"]), float(found["period"])
+    amplitude, phase = (round(math.degrees(float(match[n])), 1) for n in ("amplitude", "phase"))
+    dof, period_s = int(match["dof"]), float(match["period"])
     parts = [
-        found["motion"].replace("_", " ") + (f" of ±{amplitude:g}°" if amplitude else ""),
+        match["motion"].replace("_", " ") + (f" of ±{amplitude:g}°" if amplitude else ""),
         f"period {period_s:g} {TIME.name}" if period_s else "",
         f"joint 2 leads by {phase:g}°" if phase else "",
         _COUNTS.get(dof, f"{dof} joints"),
-        *(_condition(text) for text in found["conditions"].split()),
+        *(_condition(text) for text in match["conditions"].split()),
     ]
     return ", ".join(filter(None, parts))
 
@@ -94,10 +94,10 @@ def _condition(text: str) -> str:
 
 
 def _length(key: str) -> str:
-    found = _KEY.fullmatch(key)
-    if found is None or found["rows"] is None:
+    match = _KEY.fullmatch(key)
+    if match is None or match["rows"] is None:
         return ""
-    return f", {found['rows']} rows of {DURATION.text(float(found['step']))}"
+    return f", {match['rows']} rows of {DURATION.text(float(match['step']))}"
 
 
 @dataclass(frozen=True)
@@ -126,20 +126,20 @@ def locate_gap(
     rng = np.random.default_rng(seed)
     regions: list[GapRegion] = []
     for group, rows in zip(groups, white, strict=True):
-        own = [trials[k] for k in group.trials]
-        samples, step_s = len(own[0]), own[0].step_s
+        members = [trials[k] for k in group.trials]
+        samples, step_s = len(members[0]), members[0].step_s
         hz = coefficient_frequencies_hz(group.coefficients, samples, step_s)
         series = _series(rows, samples)
-        pairs = _pairs(own, rows, samples)
-        masks = _masks(own)
+        pairs = _pairs(members, rows, samples)
+        masks = _masks(members)
         block = min(max(1, round(BOOTSTRAP_BLOCK_S / step_s)), samples)
         noise = _noise(rng, pairs, series.shape, block, BOOTSTRAP_DRAWS)
         drawn = _drawn_power(noise, masks)
         for b, signal in enumerate(group.signals):
             regions += _regions(signal, series[:, b], masks, drawn)
             regions += _bands(signal, rows[:, b], hz, rng)
-    found = _significant(regions, FALSE_DISCOVERY_RATE)
-    return sorted(found, key=lambda c: (not c.significant, -c.floors))
+    significant = _significant(regions, FALSE_DISCOVERY_RATE)
+    return sorted(significant, key=lambda c: (not c.significant, -c.floors))
 
 
 def _series(rows: Array, samples: int) -> Array:
@@ -150,12 +150,12 @@ def _series(rows: Array, samples: int) -> Array:
     )
 
 
-def _pairs(own: Sequence[Trial], rows: Array, samples: int) -> Array:
+def _pairs(members: Sequence[Trial], rows: Array, samples: int) -> Array:
     """Differences of repeated trials over √2, (pairs · signals, n)."""
     result = []
-    for a, first in enumerate(own):
-        for b in range(a + 1, len(own)):
-            if own[b].meta.payload_kg == first.meta.payload_kg:
+    for a, first in enumerate(members):
+        for b in range(a + 1, len(members)):
+            if members[b].meta.payload_kg == first.meta.payload_kg:
                 difference = _series((rows[a] - rows[b])[None] / np.sqrt(2), samples)[0]
                 size = np.sqrt(np.mean(difference**2, axis=1, keepdims=True))
                 result.append(difference / np.maximum(size, 1e-9))
@@ -192,24 +192,24 @@ def _drawn_power(
     return {key: np.array(powers) for key, powers in result.items()}
 
 
-def _masks(own: Sequence[Trial]) -> dict[tuple[str, str], Array]:
+def _masks(members: Sequence[Trial]) -> dict[tuple[str, str], Array]:
     """Masks by factor and level, (trials, n)."""
-    angle = np.array([t.joint[:, 0] for t in own])
-    rate = np.gradient(angle, own[0].step_s, axis=1)
-    time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in own])
+    angle = np.array([t.joint[:, 0] for t in members])
+    rate = np.gradient(angle, members[0].step_s, axis=1)
+    time_s = np.array([t.time_s - t.time_s[t.meta.rest_samples] for t in members])
     phases = PHASES
-    period_s = own[0].meta.period_s
+    period_s = members[0].meta.period_s
     phases = phases if period_s > 0 else 0  # a motion without a period has no phases
     phase = np.floor(phases * ((time_s / (period_s or 1.0)) % 1.0)).astype(int)
     moving, still = time_s >= 0, STANDING_RAD_S
     third = np.max(np.abs(angle)) / 3
     masks: dict[tuple[str, str], Array] = {}
-    for a, t in enumerate(own):
+    for a, t in enumerate(members):
         only = np.zeros(angle.shape, dtype=bool)
         only[a] = True
         masks["trial", f"{t.name}"] = only
-    for payload in sorted({t.meta.payload_kg for t in own}):
-        chosen = np.array([t.meta.payload_kg == payload for t in own])
+    for payload in sorted({t.meta.payload_kg for t in members}):
+        chosen = np.array([t.meta.payload_kg == payload for t in members])
         masks["payload", f"{payload:g} kg"] = np.broadcast_to(chosen[:, None], angle.shape)
     for k in range(phases):
         masks["phase", f"{k + 1}/{phases}"] = (phase == k) & moving
@@ -280,23 +280,23 @@ NOTHING_LOCATED: Final = (
 
 def location_sentence(regions: Sequence[GapRegion]) -> str:
     """Location of the gap in one sentence."""
-    found = [c for c in regions if c.significant]
-    if not found:
+    significant = [c for c in regions if c.significant]
+    if not significant:
         return NOTHING_LOCATED
-    top = max(found, key=lambda c: c.floors if c.factor == "stroke" else 0.0)
+    top = max(significant, key=lambda c: c.floors if c.factor == "stroke" else 0.0)
     if top.factor != "stroke":
-        top = found[0]
-    own = [c for c in regions if c.signal == top.signal]
+        top = significant[0]
+    of_signal = [c for c in regions if c.signal == top.signal]
     where = f"on the {top.level}" if top.factor == "stroke" else f"for {top.factor} {top.level}"
     parts = [f"{signal_in_words(top.signal)} differs most {where}"]
     if abs(top.mean) > ONE_SIDED * top.floors:
         side = "larger" if top.mean > 0 else "smaller"
         parts = [f"{signal_in_words(top.signal)} is measured {side} than simulated {where}"]
     parts.append(f"{top.floors:.1f} noise floors")
-    band = _largest(own, "band")
+    band = _largest(of_signal, "band")
     if band:
         parts.append(f"mostly at {band.level}")
-    payload = sorted((c for c in own if c.factor == "payload"), key=_payload)
+    payload = sorted((c for c in of_signal if c.factor == "payload"), key=_payload)
     ratio = PAYLOAD_TREND
     several = len({c.level for c in payload}) > 1
     if several and payload[-1].floors > ratio * payload[0].floors:
@@ -311,8 +311,8 @@ def _payload(region: GapRegion) -> float:
 
 
 def _largest(regions: Sequence[GapRegion], factor: str) -> GapRegion | None:
-    own = [c for c in regions if c.factor == factor and c.significant]
-    return max(own, key=lambda c: c.floors) if own else None
+    candidates = [c for c in regions if c.factor == factor and c.significant]
+    return max(candidates, key=lambda c: c.floors) if candidates else None
 
 
 def signal_in_words(signal: str) -> str:

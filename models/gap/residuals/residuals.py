@@ -36,7 +36,7 @@ from models.plant.step_model import StepModel, names
 from models.trials.trial import Trial
 
 WORKERS: Final = 2
-"""Threads that simulate; ctypes releases the interpreter lock meanwhile."""
+"""Threads that compile and simulate; ctypes releases the interpreter lock meanwhile."""
 
 Result = TypeVar("Result")
 
@@ -47,10 +47,10 @@ class TrialRuns:
     def __init__(self, model: StepModel, moved: Sequence[str], trials: Sequence[Trial]) -> None:
         self._trials = trials
         self._inputs = [trial_inputs(model, t) for t in trials]
-        with ThreadPoolExecutor(2) as pool:  # the compiler runs twice at once
-            self._plain, self._sensitive = pool.map(
-                lambda wrt: CompiledModel(model, wrt), ((), moved)
-            )
+        self._pool = ThreadPoolExecutor(WORKERS)
+        self._plain, self._sensitive = self._pool.map(
+            lambda wrt: CompiledModel(model, wrt), ((), moved)
+        )
 
     def outputs(self, which: Iterable[int], p: Callable[[int], Array]) -> dict[int, Array]:
         """Outputs (n, outputs) of some trials; `p` gives the parameters by index."""
@@ -85,8 +85,7 @@ class TrialRuns:
 
     def _each(self, run: Callable[[int], Result], which: Iterable[int]) -> dict[int, Result]:
         longest_first = sorted(which, key=lambda k: -len(self._trials[k]))
-        with ThreadPoolExecutor(WORKERS) as pool:
-            done = dict(zip(longest_first, pool.map(run, longest_first), strict=True))
+        done = dict(zip(longest_first, self._pool.map(run, longest_first), strict=True))
         return {k: done[k] for k in sorted(done)}
 
 
@@ -199,9 +198,9 @@ class Residuals:
         spectra = np.zeros((len(group.signals), group.coefficients, int(wanted.sum())))
         for b, signal in enumerate(group.signals):
             o = self._outputs.index(signal)
-            own = self._coefficients(k, signal, slopes[:, o, used], group.coefficients)
+            by_parameter = self._coefficients(k, signal, slopes[:, o, used], group.coefficients)
             level = self._coefficients(k, signal, np.ones(len(slopes)), group.coefficients)
-            spectra[b][:, acting[wanted]] = own @ moved[used] + np.outer(
+            spectra[b][:, acting[wanted]] = by_parameter @ moved[used] + np.outer(
                 level, self._by_output[o, acting]
             )
         spectra[~(np.abs(spectra) < LARGEST_DERIVATIVE)] = 0.0

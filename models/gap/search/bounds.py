@@ -28,10 +28,10 @@ def within_bounds(
     Shapes: `free` (p,).
     """
     parameters = estimator.residuals.fit_parameters
-    own = [k for k, q in enumerate(parameters) if q.effect in added]
+    of_effects = [k for k, q in enumerate(parameters) if q.effect in added]
     while True:
-        at = [k for k in own if free[k] and is_at_bound(estimator, point, k)]
-        strengths = [k for k in own if parameters[k].is_strength]
+        at = [k for k in of_effects if free[k] and is_at_bound(estimator, point, k)]
+        strengths = [k for k in of_effects if parameters[k].is_strength]
         if any(parameters[k].is_strength for k in at) or _vanishes(estimator, point, strengths):
             return None
         if not at:
@@ -63,13 +63,18 @@ def _is_impossible(estimator: GaussNewton, point: FitPoint, free: Mask) -> bool:
     not.
     """
     residuals = estimator.residuals
-    given, payloads_kg = residuals.plant, [t.meta.payload_kg for t in residuals.trials]
-    every = residuals.fit_parameters
-    names = [q.effect for q, fitted in zip(every, free, strict=True) if q.effect and fitted]
-    full = plant_with_searched_effects(given, names)
-    fitted = full.with_values(written_values(full, every, point.values, free))
+    plant, payloads_kg = residuals.plant, [t.meta.payload_kg for t in residuals.trials]
+    fit_parameters = residuals.fit_parameters
+    names = [
+        q.effect for q, fitted in zip(fit_parameters, free, strict=True) if q.effect and fitted
+    ]
+    full = plant_with_searched_effects(plant, names)
+    fitted = full.with_values(written_values(full, fit_parameters, point.values, free))
     before, after = (
-        {row.what for row in impossible_sums({n: q.value for n, q in own.items()}, payloads_kg)}
-        for own in (given.parameters, fitted.parameters)
+        {
+            row.what
+            for row in impossible_sums({n: q.value for n, q in parameters.items()}, payloads_kg)
+        }
+        for parameters in (plant.parameters, fitted.parameters)
     )
     return bool(after - before)

@@ -212,10 +212,12 @@ class EffectSearch:
         The fit without the candidate is among the starts, so the cost of a nested model never
         rises. Parameters that are `fitted_last` are freed where the others ended.
         """
-        estimator, own = self.estimator, np.logical_or.reduce([self.of[c] for c in added])
+        estimator, of_effects = self.estimator, np.logical_or.reduce([self.of[c] for c in added])
         last = np.array([q.fitted_last for q in estimator.residuals.fit_parameters])
         starts, mirrored = [screened], screened.values.copy()
-        mirrored[own] = np.clip(-mirrored[own], estimator.low[own], estimator.high[own])
+        mirrored[of_effects] = np.clip(
+            -mirrored[of_effects], estimator.low[of_effects], estimator.high[of_effects]
+        )
         if np.any(mirrored != screened.values):
             starts.append(estimator.carry(here, estimator.at(mirrored)))
         ends = [estimator.fit(s, free & ~last, START_STEPS) for s in starts if s.cost < np.inf]

@@ -48,13 +48,13 @@ def unexcited_candidates(
     normal = estimator.linearise(point).normal
     index = np.flatnonzero(base)
     inner = NormalEquation.of(normal, index)
-    for candidate, own in of.items():
-        k = int(np.flatnonzero(own)[0])
+    for candidate, mask in of.items():
+        k = int(np.flatnonzero(mask)[0])
         across = normal[index, k]
-        left = normal[k, k] - across @ inner.solve(across, RIDGE)
+        information = normal[k, k] - across @ inner.solve(across, RIDGE)
         strength = estimator.residuals.fit_parameters[k]
         reach = max(abs(strength.low), abs(strength.high))
-        if np.sqrt(max(left, 0.0)) * reach < UNDETECTED_SEPARATION:
+        if np.sqrt(max(information, 0.0)) * reach < UNDETECTED_SEPARATION:
             result.append(candidate)
     return result
 
@@ -64,7 +64,7 @@ def strengths_far_from_zero(
     starts: Sequence[FitPoint],
     cost: float,
     effect: str,
-    own: Mask,
+    of_effect: Mask,
     free: Mask,
     is_flat: bool,
 ) -> list[FitPoint]:
@@ -77,24 +77,24 @@ def strengths_far_from_zero(
     Shapes: `own` (p,), `free` (p,).
     """
     if is_flat:
-        found = []
+        points = []
         for start in starts:
-            rungs = strength_ladder(estimator, start, effect, own)
+            rungs = strength_ladder(estimator, start, effect, of_effect)
             best = min(rungs, key=lambda p: p.cost)
-            found += [*rungs, estimator.fit(best, free, FLAT_STEPS)]
-        return found
-    here, *given = starts
+            points += [*rungs, estimator.fit(best, free, FLAT_STEPS)]
+        return points
+    here, *unfitted = starts
     if estimator.residuals.plant.load != "link":
-        return _distant_strengths(estimator, here, own, DISTANT_BOUND_FRACTIONS)
-    found = _distant_strengths(estimator, here, own, DISTANT_BOUND_FRACTIONS[:1])
-    cost = min([cost, *(point.cost for point in found)])
-    for start in given:
-        found += _promising_strength(estimator, start, own, free, cost)
-    return found
+        return _distant_strengths(estimator, here, of_effect, DISTANT_BOUND_FRACTIONS)
+    points = _distant_strengths(estimator, here, of_effect, DISTANT_BOUND_FRACTIONS[:1])
+    cost = min([cost, *(point.cost for point in points)])
+    for start in unfitted:
+        points += _promising_strength(estimator, start, of_effect, free, cost)
+    return points
 
 
 def _promising_strength(
-    estimator: GaussNewton, given: FitPoint, own: Mask, free: Mask, cost: float
+    estimator: GaussNewton, unfitted: FitPoint, of_effect: Mask, free: Mask, cost: float
 ) -> list[FitPoint]:
     """Fit from the plant as given and a far strength, where derivatives predict a lower cost.
 
@@ -102,18 +102,18 @@ def _promising_strength(
     dead time of 39 ms ended as 4 ms beside another link. The plant as given has the right link.
     """
     rows = []
-    for point in _distant_strengths(estimator, given, own, DISTANT_BOUND_FRACTIONS):
+    for point in _distant_strengths(estimator, unfitted, of_effect, DISTANT_BOUND_FRACTIONS):
         _, fall = estimator.step(point, free)
         rows.append((point.cost - fall, point))
-    promised, best = min(rows, key=lambda row: row[0], default=(cost, given))
+    promised, best = min(rows, key=lambda row: row[0], default=(cost, unfitted))
     return [estimator.fit(best, free, FIT_STEPS)] if promised < cost else []
 
 
 def _distant_strengths(
-    estimator: GaussNewton, here: FitPoint, own: Mask, fractions: Sequence[float]
+    estimator: GaussNewton, here: FitPoint, of_effect: Mask, fractions: Sequence[float]
 ) -> list[FitPoint]:
     """Points at some fractions of an effect's bounds."""
-    at = int(np.flatnonzero(own)[0])
+    at = int(np.flatnonzero(of_effect)[0])
     strength = estimator.residuals.fit_parameters[at]
     result = []
     for fraction in fractions:
@@ -127,14 +127,14 @@ def _distant_strengths(
 
 
 def strength_ladder(
-    estimator: GaussNewton, here: FitPoint, effect: str, own: Mask
+    estimator: GaussNewton, here: FitPoint, effect: str, of_effect: Mask
 ) -> list[FitPoint]:
     """Points along the strength of an effect, denser around the best.
 
     Shapes: `own` (p,).
     """
     residuals = estimator.residuals
-    at = int(np.flatnonzero(own)[0])
+    at = int(np.flatnonzero(of_effect)[0])
     strength = residuals.fit_parameters[at]
     rungs = [here]
 

@@ -57,16 +57,16 @@ class PartialResiduals(Residuals):
             [a for a, k in enumerate(g.trials) if k in counted and counted[k].any()]
             for g in whole.groups
         ]
-        kept = [(g, part) for g, part in zip(whole.groups, self._parts, strict=True) if part]
-        self.groups = [replace(g, trials=tuple(g.trials[a] for a in part)) for g, part in kept]
+        in_part = [(g, part) for g, part in zip(whole.groups, self._parts, strict=True) if part]
+        self.groups = [replace(g, trials=tuple(g.trials[a] for a in part)) for g, part in in_part]
         self._follows = [
             rows * counted.get(k, np.zeros(len(rows))) for k, rows in enumerate(whole._follows)
         ]
 
     def jacobian(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
         """Derivatives as in `Residuals.jacobian`, selected from those of all trials."""
-        every = self._derivatives(values, wanted)
-        slopes = [s[part] for s, part in zip(every, self._parts, strict=True) if part]
+        derivatives = self._derivatives(values, wanted)
+        slopes = [s[part] for s, part in zip(derivatives, self._parts, strict=True) if part]
         return [
             np.moveaxis(self.as_counted(g, np.moveaxis(s, -1, 0)), 0, -1)
             for g, s in zip(self.groups, slopes, strict=True)
@@ -113,15 +113,15 @@ FOLD_KEYS: Final[Mapping[str, Callable[[Trial], object]]] = {
 
 def held_out_folds(trials: Sequence[Trial]) -> dict[str, list[Fold]]:
     """Folds, by the name of what is left out."""
-    found: dict[str, list[Fold]] = {}
+    folds_of: dict[str, list[Fold]] = {}
     for words, key in FOLD_KEYS.items():
         folds = _by_value(trials, key)
         if len(folds) > 1:
-            found[words] = folds
+            folds_of[words] = folds
     if len(trials) > 1 and all(is_time_block(t) for t in trials):
-        return {"blocks of time": found["motions"]}
-    if found:
-        return found
+        return {"blocks of time": folds_of["motions"]}
+    if folds_of:
+        return folds_of
     if len(trials) > 1:
         return {"repetitions": _by_value(trials, lambda t: t.name)}
     edges = np.linspace(0, len(trials[0]), BLOCKS + 1).astype(int)
@@ -168,17 +168,19 @@ class HeldOutErrors:
         """Logarithm of the other's errors over these, mean over signals, by fold."""
         return np.array(
             [
-                -np.mean([np.log(_ratio(own[s].sum, rest[s].sum)) for s in own if own[s].rows])
-                for own, rest in zip(self.folds, other.folds, strict=True)
+                -np.mean(
+                    [np.log(_ratio(errors[s].sum, others[s].sum)) for s in errors if errors[s].rows]
+                )
+                for errors, others in zip(self.folds, other.folds, strict=True)
             ]
         )
 
 
-def _ratio(own: float, other: float) -> float:
+def _ratio(error: float, other: float) -> float:
     """Ratio of the roots of two squares; a model that does not stay finite counts as far worse."""
-    if not np.isfinite(own):
+    if not np.isfinite(error):
         return 1e6
-    return float(np.sqrt((own + LEAST_SQUARE) / (other + LEAST_SQUARE)))
+    return float(np.sqrt((error + LEAST_SQUARE) / (other + LEAST_SQUARE)))
 
 
 class HeldOut:
@@ -189,7 +191,8 @@ class HeldOut:
         self.folds = held_out_folds(self.residuals.trials)
         self._known: tuple[tuple[bytes, bytes], list[Array]] = ((b"", b""), [])
         self._parts = [self._part(fold) for folds in self.folds.values() for fold in folds]
-        self.given = self._errors([np.zeros(len(self.residuals.fit_parameters))] * len(self._parts))
+        unchanged = np.zeros(len(self.residuals.fit_parameters))
+        self.baseline = self._errors([unchanged] * len(self._parts))
 
     def errors(self, point: FitPoint, free: Mask) -> HeldOutErrors:
         """Errors on each fold of a model that was fitted to all others.
@@ -203,11 +206,11 @@ class HeldOut:
 
     def _part(self, fold: Fold) -> tuple[GaussNewton, PartialResiduals]:
         """Estimator without a fold, and residuals of the fold."""
-        every = {k: np.ones(len(t)) for k, t in enumerate(self.residuals.trials)}
-        rest = {k: rows - fold.get(k, 0 * rows) for k, rows in every.items()}
+        all_rows = {k: np.ones(len(t)) for k, t in enumerate(self.residuals.trials)}
+        rest = {k: rows - fold.get(k, 0 * rows) for k, rows in all_rows.items()}
         remaining = PartialResiduals(self.residuals, rest, self._derivatives)
-        own = PartialResiduals(self.residuals, fold, self._derivatives)
-        return GaussNewton(remaining, self.estimator.floor), own
+        part = PartialResiduals(self.residuals, fold, self._derivatives)
+        return GaussNewton(remaining, self.estimator.floor), part
 
     def _derivatives(self, values: Array, wanted: NDArray[np.bool_]) -> list[Array]:
         """Derivatives of all trials, cached for the last values."""
@@ -230,7 +233,7 @@ class HeldOut:
         return here.values
 
     def _errors(self, values: Sequence[Array]) -> HeldOutErrors:
-        rows = [own.squared_errors(v) for (_, own), v in zip(self._parts, values, strict=True)]
+        rows = [part.squared_errors(v) for (_, part), v in zip(self._parts, values, strict=True)]
         return HeldOutErrors(tuple(rows))
 
 

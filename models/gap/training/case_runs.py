@@ -22,7 +22,6 @@ from models.gap.decision.naming import evidence_of
 from models.gap.diagnosis import Diagnosis, GapVerdict, diagnose
 from models.gap.training.cases import PAYLOAD_SETS, PAYLOADS_KG, HiddenCase, motion_named
 from models.plant.identification.identify import identify
-from models.plant.identification.noise_floor import with_noise_floor
 from models.plant.plant import Plant, read_plant
 from models.rig.drawn import rig_named
 from models.rig.parameters import RigParameters
@@ -140,8 +139,7 @@ def identify_on_rig(path: Path, rig: str, joints: int = 1) -> None:
     ]
     try:
         trials = TrialSet(tuple(run_case(rig_named(rig), case) for case in cases))
-        plant = identify(read_plant(), trials).plant
-        with_noise_floor(plant, trials.trials).write(path)
+        identify(read_plant(), trials).plant.write(path)
     except InputError as error:
         path.with_suffix(".refused.txt").write_text(f"{error}\n", encoding="utf-8")
 
@@ -161,31 +159,31 @@ def run_hidden_case(case: HiddenCase, plant: Plant) -> DataSetRecord:
     except InputError as error:
         return DataSetRecord(case=case, impossible=str(error))
     denied = list(case.hidden) if case.kind == "outside" else []
-    found = diagnose(plant, trials, leave_out=denied)
+    diagnosis = diagnose(plant, trials, leave_out=denied)
     separable = True
     if denied:
         whole = diagnose(plant, trials)
-        separable = set(denied) <= effects_of(whole.named) and not effects_of(found.named) & {
+        separable = set(denied) <= effects_of(whole.named) and not effects_of(diagnosis.named) & {
             e for name, sets in _look_alikes(whole).items() if effects_of([name]) <= set(denied)
             for s in sets for e in effects_of(s)
         }  # fmt: skip
-    search, first = found.naming.search, found.naming.rounds[0]
+    search, first = diagnosis.naming.search, diagnosis.naming.rounds[0]
     alone = {f.candidates[0]: f.separation for f in first}
     # The candidate that explains most alone: what is named beyond it depends on the certainty.
     best = next(iter(first), search.nothing)
     return DataSetRecord(
         case=case,
-        verdict=found.verdict,
-        named=found.named,
-        look_alikes=_look_alikes(found),
+        verdict=diagnosis.verdict,
+        named=diagnosis.named,
+        look_alikes=_look_alikes(diagnosis),
         best=best.candidates,
         separation=best.separation,
         evidence=evidence_of(search, best, read_certainty()),
-        answers=found.answers,
+        answers=diagnosis.answers,
         alone=search.screened | alone,
-        residual_before=found.nuisance.mean_residual(search.nothing.point),
+        residual_before=diagnosis.nuisance.mean_residual(search.nothing.point),
         residual_after=search.estimator.mean_square(best.point),
-        strengths=tuple(_strengths(found, rig, case)),
+        strengths=tuple(_strengths(diagnosis, rig, case)),
         separable=separable,
         seconds=round(time.monotonic() - start_s, 1),
     )
@@ -223,19 +221,19 @@ def true_strength(plant: Plant, rig: RigParameters, effect: str, hidden: float) 
     return hidden if known else hidden + rig[rig.effects()[effect]]
 
 
-def _look_alikes(found: Diagnosis) -> dict[str, tuple[tuple[str, ...], ...]]:
-    return {n: tuple(fit.candidates for fit in sets) for n, sets in found.look_alikes.items()}
+def _look_alikes(diagnosis: Diagnosis) -> dict[str, tuple[tuple[str, ...], ...]]:
+    return {n: tuple(fit.candidates for fit in sets) for n, sets in diagnosis.look_alikes.items()}
 
 
-def _strengths(found: Diagnosis, rig: RigParameters, case: HiddenCase) -> Iterable[Strength]:
+def _strengths(diagnosis: Diagnosis, rig: RigParameters, case: HiddenCase) -> Iterable[Strength]:
     """Strength of each hidden effect that is named in all driven joints."""
-    every = found.naming.search.estimator.residuals.fit_parameters
+    fit_parameters = diagnosis.naming.search.estimator.residuals.fit_parameters
     certainty = read_certainty()
-    for effect in sorted(set(case.hidden) & set(found.named)):
-        name = next(q.name for q in every if q.effect == effect and q.is_strength)
-        given, fitted = found.plant.parameters.get(name), found.fitted.parameters[name]
-        change = fitted.value - (given.value if given else 0.0)
+    for effect in sorted(set(case.hidden) & set(diagnosis.named)):
+        name = next(q.name for q in fit_parameters if q.effect == effect and q.is_strength)
+        baseline, fitted = diagnosis.plant.parameters.get(name), diagnosis.fitted.parameters[name]
+        change = fitted.value - (baseline.value if baseline else 0.0)
         equation = certainty.error_of_strength(effect) * change
         chance = float(np.sqrt(max((fitted.error or 0.0) ** 2 - equation**2, 0.0)))
-        hidden = true_strength(found.plant, rig, effect, case.hidden[effect])
+        hidden = true_strength(diagnosis.plant, rig, effect, case.hidden[effect])
         yield Strength(effect, change, chance, hidden)

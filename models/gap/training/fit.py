@@ -57,7 +57,7 @@ def fitted_certainty(
     """Certainty from records, and how well it predicts rigs left out."""
     possible = [r for r in records if not r.impossible]
     nulls = _by_knowledge(r for r in possible if r.case.kind == "null")
-    reached = {key: limit([r.separation for r in own]) for key, own in nulls.items()}
+    reached = {key: limit([r.separation for r in of_kind]) for key, of_kind in nulls.items()}
     least = reached["identified"]
     noise = limit([r.residual_after for r in nulls["identified"]])
     labelled = [
@@ -85,7 +85,7 @@ def fitted_certainty(
         answers=_coefficients(model),
         equation_error=_rounded(errors),
     )  # fmt: skip
-    scales = {key: _separation_scale(certainty, own) for key, own in nulls.items()}
+    scales = {key: _separation_scale(certainty, of_kind) for key, of_kind in nulls.items()}
     certainty = msgspec.structs.replace(
         certainty, separation_scale=certainty.separation_scale | scales
     )
@@ -93,8 +93,8 @@ def fitted_certainty(
     counts = ", ".join(f"{a} {np.sum(y == a)}" for a in ANSWERS)
     report = [
         f"{len(labelled)} data sets of {len(set(rigs))} rigs: {counts}",
-        *(f"{key}: d′ up to {reached[key]:.1f} in {len(own)} data sets without an effect, "
-          f"scale {scales[key]:g}" for key, own in nulls.items()),
+        *(f"{key}: d′ up to {reached[key]:.1f} in {len(of_kind)} data sets without an effect, "
+          f"scale {scales[key]:g}" for key, of_kind in nulls.items()),
         f"residual up to {noise:.2f} noise floors there",
         f"log loss with each rig left out: {loss[best]:.3f} at C = {best:.3g}",
         calibration_table(in_catalogue, y == "catalogue"),
@@ -146,11 +146,10 @@ def calibration_table(probability: Array, right: Sequence[bool]) -> str:
     at = np.clip(np.digitize(probability, BINS) - 1, 0, len(BINS) - 2)
     lines = ["probability that the names are right, and fraction that is:"]
     for k in range(len(BINS) - 1):
-        if (own := np.asarray(right)[at == k]).size:
+        if (in_bin := np.asarray(right)[at == k]).size:
             mean = float(np.mean(np.asarray(probability)[at == k]))
-            lines.append(
-                f"  {BINS[k]:.2f} to {BINS[k + 1]:.2f}: {mean:.2f} {own.mean():.2f} of {own.size}"
-            )
+            rate = f"{in_bin.mean():.2f} of {in_bin.size}"
+            lines.append(f"  {BINS[k]:.2f} to {BINS[k + 1]:.2f}: {mean:.2f} {rate}")
     return "\n".join(lines)
 
 
@@ -164,7 +163,7 @@ def equation_errors(strengths: Collection[Strength]) -> dict[str, float]:
     widening = float(student.ppf(0.975, DEGREES_OF_FREEDOM)) / 1.96
     effects = sorted({s.effect for s in strengths})
     by_effect = {e: [s for s in strengths if s.effect == e] for e in effects}
-    errors = {e: widening * _scale(own, general) for e, own in by_effect.items()}
+    errors = {e: widening * _scale(of_effect, general) for e, of_effect in by_effect.items()}
     return errors or {"coulomb_friction": MOST_ERROR}
 
 
@@ -200,10 +199,12 @@ def _left_out(c: float, x: Array, y: Array, rigs: Sequence[str]) -> Array:
     """Probability of each answer, predicted with the rig left out, (n, answers)."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a rig alone may lack an answer
-        found = cross_val_predict(
+        predicted = cross_val_predict(
             _regression(c), x, y, groups=rigs, cv=LeaveOneGroupOut(), method="predict_proba"
         )
-    return np.asarray(np.clip(found, 1e-6, 1.0) / np.clip(found, 1e-6, 1.0).sum(1, keepdims=True))
+    return np.asarray(
+        np.clip(predicted, 1e-6, 1.0) / np.clip(predicted, 1e-6, 1.0).sum(1, keepdims=True)
+    )
 
 
 def _by_knowledge(records: Iterable[DataSetRecord]) -> dict[Knowledge, list[DataSetRecord]]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,7 +19,13 @@ from scipy.optimize import least_squares
 
 from firmware_py.core.errors import InputError
 from firmware_py.core.units import PAYLOAD, TIME, signal_unit, signal_words
-from models.plant.document import DofEvaluation, Evaluation, SignalError, TipError
+from models.plant.document import (
+    CLOCK_LIMIT_S,
+    DofEvaluation,
+    Evaluation,
+    SignalError,
+    TipError,
+)
 from models.plant.identification.fit import measured_signals
 from models.plant.plant import Plant
 from models.plant.simulation.runner import Array, CompiledModel, run_trial
@@ -29,16 +35,15 @@ from models.shared.palette import MUTED, SIMULATED
 from models.trials.origin import origins_of
 from models.trials.trial import Trial
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 TIP: Final = ("tip_x_m", "tip_y_m", "tip_z_m")
 
-CLOCK_LIMIT_S: Final = 0.010
-"""Largest offset of a trial's clock that is refitted: beyond it a recording counts as not
-synchronised."""
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """Measured trial beside its simulation.
+    """Measured trial beside its simulation; `compare_with_trials` makes it.
 
     Attributes
     ----------
@@ -46,11 +51,32 @@ class Comparison:
         Measured trial.
     simulated, measured : dict of str to ndarray, shape (n,)
         Samples by name of every signal that both have, in SI units.
+
+    Examples
+    --------
+    >>> from models.trials.trial import TrialMeta
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="rest", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> trial = Trial("rest", meta, {"time_s": 0.1 * np.arange(3), "position_1_m": np.zeros(3)})
+    >>> both = Comparison(trial, {"position_1_m": np.full(3, 0.01)}, {"position_1_m": np.zeros(3)})
+    >>> both
+    <Comparison rest: position_1_m>
+    >>> both.error("position_1_m")
+    array([0.01, 0.01, 0.01])
     """
 
     trial: Trial
     simulated: dict[str, Array]
     measured: dict[str, Array]
+
+    def __repr__(self) -> str:
+        return f"<Comparison {self.trial.name}: {', '.join(self.simulated)}>"
+
+    def plot(self) -> Figure:
+        """Draw every signal over time, measured and simulated."""
+        from models.shared.notebook import plot_against
+
+        return plot_against(self.trial.name, self.trial.time_s, self.measured, self.simulated)
 
     def error(self, signal: str) -> Array:
         """Return simulated minus measured, shape (n,); NaN where nothing was measured."""
@@ -106,11 +132,28 @@ def compare_with_trials(plant: Plant, trials: Iterable[Trial]) -> list[Compariso
     trials : iterable of Trial
         Measured trials.
 
+    Returns
+    -------
+    list of Comparison
+        One for each trial, in their order.
+
     Raises
     ------
     InputError
         If a trial lacks an input of the plant or has no signal that the plant simulates, or if the
         simulation does not stay finite.
+
+    Examples
+    --------
+    >>> from models.plant.plant import NOMINAL, read_plant
+    >>> from models.trials.trial import TrialMeta
+    >>> plant = read_plant(NOMINAL.parent / "examples" / "emps_identified.json")
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="rest", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> columns = {"time_s": np.arange(50) * 1e-3}
+    >>> columns |= {"command_1_v": np.zeros(50), "position_1_m": np.zeros(50)}
+    >>> compare_with_trials(plant, [Trial("rest", meta, columns)])
+    [<Comparison rest: position_1_m>]
     """
     compiled: dict[int, CompiledModel] = {}
     result = []
@@ -155,7 +198,28 @@ def signal_errors(plant: Plant, comparisons: Sequence[Comparison]) -> dict[str, 
 
 
 def tip_rms_m(comparisons: Sequence[Comparison]) -> float | None:
-    """Return the root mean square error of the end effector in m; None if it was not measured."""
+    """Return the root mean square error of the end effector.
+
+    Parameters
+    ----------
+    comparisons : sequence of Comparison
+        Trials beside their simulations.
+
+    Returns
+    -------
+    float or None
+        Error in m over all measured rows; None if the end effector was not measured.
+
+    Examples
+    --------
+    >>> from models.trials.trial import TrialMeta
+    >>> meta = TrialMeta(dof=1, payload_kg=0.0, trial=1, motion="rest", source="measured",
+    ...                  period_s=1.0, rest_samples=1)
+    >>> trial = Trial("rest", meta, {"time_s": 0.1 * np.arange(3)})
+    >>> measured, simulated = ({axis: np.full(3, m) for axis in TIP} for m in (0.0, 0.001))
+    >>> round(tip_rms_m([Comparison(trial, simulated, measured)]), 6)
+    0.001732
+    """
     return _root_mean_square([c.tip_error_m() for c in comparisons if c.has_tip])
 
 
@@ -250,17 +314,30 @@ def over_payloads(trials: Sequence[Trial], fractions: Sequence[float]) -> list[T
 
 
 def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
-    """Draw the smallest and largest payload of each number of joints as SVG; return the path."""
+    """Write the figure of `plot_fit` as SVG; return the path."""
+    from matplotlib import pyplot
+
+    from models.shared.drawing import FILE_STYLE
+
+    figure = plot_fit(plant, trials)
+    with pyplot.rc_context(FILE_STYLE):
+        figure.savefig(path, format="svg")
+    return path
+
+
+def plot_fit(plant: Plant, trials: Sequence[Trial]) -> Figure:
+    """Measured and simulated signals of the smallest and the largest payload, by joints."""
     from matplotlib import pyplot
 
     from models.shared.drawing import FILE_STYLE  # loads matplotlib
 
     columns = compare_with_trials(plant, over_payloads(trials, (0.0, 1.0)))
     signals = list(dict.fromkeys(s for c in columns for s in c.simulated))
+    figure: Figure
     with pyplot.rc_context(FILE_STYLE):
         figure, axes = pyplot.subplots(
             len(signals), len(columns), squeeze=False, sharex="col",
-            figsize=(3.4 * len(columns), 1.5 * len(signals)), layout="constrained",
+            figsize=(max(6.0, 3.4 * len(columns)), 1.5 * len(signals)), layout="constrained",
         )  # fmt: skip
         for column, c in zip(axes.T, columns, strict=True):
             payload = PAYLOAD.significant(c.trial.meta.payload_kg)
@@ -273,9 +350,8 @@ def draw_fit(plant: Plant, trials: Sequence[Trial], path: Path) -> Path:
                     axis.set_visible(False)
         axes[0, 0].legend(fontsize=7)
         figure.suptitle(f"{plant.name}: measured, and simulated from the goals", fontsize=10)
-        figure.savefig(path, format="svg")
         pyplot.close(figure)
-    return path
+    return figure
 
 
 def _draw_signal(axis: Any, c: Comparison, signal: str) -> None:

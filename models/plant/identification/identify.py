@@ -18,52 +18,125 @@ of the other: the link's section is square and the servos are of one type.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
 
+from firmware_py.bus.servo_models import ServoGains
 from firmware_py.core.errors import InputError
 from models.plant.components import DRIVES, LOADS
 from models.plant.components.goal import NO_ACCELERATION_LIMIT
 from models.plant.document import Evaluation, Provenance
 from models.plant.effects import EFFECTS
-from models.plant.identification.evaluation import evaluate_plant, over_payloads
+from models.plant.identification.evaluation import evaluate_plant, over_payloads, plot_fit
 from models.plant.identification.fit import Objective, Solution, fit_objective
-from models.plant.parameter import Parameter
+from models.plant.identification.noise_floor import check_duration, with_noise_floor
+from models.plant.parameter import Parameter, bound_reached, is_weakly_determined
 from models.plant.plant import Plant, scope_of
 from models.plant.simulation.runner import Array
+from models.trials.checks.trials import judge_not_fitted, judge_pressures, refuse_unusable
 from models.trials.trial import Trial, TrialSet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LINK_SIGNALS: Final = ("tip", "di", "current")  # start of the names of those that it is fitted to
 
 Report = Callable[[str], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Identification:
-    """Result of an identification.
+    """Result of `identify`.
 
     Attributes
     ----------
     plant : Plant
-        Identified plant, with provenance.
+        Identified plant, with provenance and, where the trials repeat a motion, its noise floor.
     fitted : tuple of Parameter
         Fitted parameters with standard errors.
     held_out : Evaluation
         Errors on the held-out trials, or on the fitted ones if none are held out.
+    trials : TrialSet
+        All trials, fitted and held out.
+
+    Examples
+    --------
+    >>> from models.plant.plant import read_plant
+    >>> plant = read_plant("docs/notebooks/bundle_1dof/plant.json")
+    >>> mass = plant.parameters["link_mass_kg"]
+    >>> result = Identification(plant, (mass,), plant.provenance.held_out)
+    >>> print(result.summary().splitlines()[1])
+    link_mass_kg                          0.8225        0.11  kg
     """
 
     plant: Plant
     fitted: tuple[Parameter, ...]
     held_out: Evaluation
+    trials: TrialSet = field(default_factory=TrialSet)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Identification of {self.plant.name!r}: {len(self.fitted)} parameters fitted; "
+            f"{repr(self.held_out)[1:-1]}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from models.shared.notebook import html_table
+
+        rows = [
+            (q.name, f"{q.value:.4g}", f"{q.error or 0:.2g}", q.unit, _mark(q)) for q in self.fitted
+        ]
+        head = ("parameter", "value", "standard error", "unit", "")
+        return html_table(repr(self)[1:-1], head, rows)
+
+    def warnings(self) -> list[str]:
+        """Return what speaks against the result, one sentence each."""
+        from models.plant.identification.doubts import doubts, torque_constant_doubts
+
+        warnings = doubts(self)
+        if len(self.trials):
+            warnings += torque_constant_doubts(self.plant, self.trials.split()[0])
+        findings = [*judge_pressures(self.trials), *judge_not_fitted(self.trials)]
+        return [*warnings, *(f"{row.text}; {row.remedy}" for row in findings)]
+
+    def summary(self) -> str:
+        """Return the fitted parameters, and the errors on the held-out trials, as tables."""
+        rows = [f"{'parameter':34s}{'value':>11s}{'std. error':>12s}  unit"]
+        for q in self.fitted:
+            mark = f"  {_mark(q)}" if _mark(q) else ""
+            rows.append(f"{q.name:34s}{q.value:11.4g}{q.error or 0:12.2g}  {q.unit}{mark}")
+        held_out = len(self.trials.split()[1])
+        what = f"{held_out} held-out trials" if held_out else "the fitted trials (none held out)"
+        return "\n".join([*rows, "", f"errors on {what}", "", self.held_out.summary()])
+
+    def plot(self) -> Figure:
+        """Draw held-out trials, measured and simulated: the smallest and the largest payload."""
+        fitted, held_out = self.trials.split()
+        return plot_fit(self.plant, held_out or fitted)
+
+
+def _mark(q: Parameter) -> str:
+    """What a reader of the table has to know about a fitted value."""
+    if bound := bound_reached(q):
+        return f"at its {bound} bound"
+    return "weakly determined" if is_weakly_determined(q) else ""
 
 
 def identify(
-    plant: Plant, trials: Iterable[Trial], report: Report = lambda text: None
+    plant: Plant,
+    trials: Iterable[Trial],
+    report: Report = lambda text: None,
+    *,
+    servo_gains: Sequence[ServoGains] = (),
+    noise_floor: bool = True,
 ) -> Identification:
     """Fit a plant to trials.
+
+    The trials with the lowest number at the largest amplitude of each motion are fitted; the others
+    are held out (`TrialSet.split`).
 
     Parameters
     ----------
@@ -73,6 +146,11 @@ def identify(
         Trials of one joint, two joints or both.
     report : callable
         Called with one phrase of progress after each run of all trials.
+    servo_gains : sequence of ServoGains
+        Gains of the servos in the trials, by joint; empty if unknown. A bundle of the plant then
+        runs with these gains only.
+    noise_floor : bool
+        Whether to measure the noise floor, which `diagnose` compares with, on repeated trials.
 
     Returns
     -------
@@ -82,11 +160,30 @@ def identify(
     Raises
     ------
     InputError
-        If there are no trials, or one has more joints than the plant or lacks one of its inputs.
+        If there are no trials, one would spoil the fit or is of another link, or one has more
+        joints than the plant or lacks one of its inputs.
+
+    Examples
+    --------
+    Two trials of the rig, with 0 and 1 kg, identify the nominal plant. It takes a minute.
+
+    >>> import dropstitch
+    >>> rig, motion = dropstitch.rig_named("default"), dropstitch.Motion()
+    >>> cases = [dropstitch.TrialCase(motion, kg, trial=1) for kg in (0.0, 1.0)]
+    >>> trials = [dropstitch.run_case(rig, case) for case in cases]       # doctest: +SKIP
+    >>> result = dropstitch.identify(dropstitch.read_plant(), trials)     # doctest: +SKIP
+    >>> result                                                            # doctest: +SKIP
+    <Identification of 'drop-stitch link, identified': 24 parameters fitted; Evaluation on 2 ...>
     """
+    from models.plant.identification.doubts import refuse_other_links
+
     trials = TrialSet(tuple(trials))
     if not len(trials):
         raise InputError("trials", "are none", "give at least one")
+    refuse_unusable(trials)
+    refuse_other_links(plant, plant.where, trials)
+    for trial in trials:
+        check_duration(trial)
     fit, held_out = trials.split()
     if _planes(fit) > LOADS[plant.load].max_dof:
         raise InputError(
@@ -105,10 +202,13 @@ def identify(
         fitted_parameters=fitted,
         residual_rms=solution.rms,
         held_out=errors,
+        servo_gains=tuple(servo_gains),
     )
     name = plant.name.removesuffix(", identified").removesuffix(", nominal")
     result = replace(result, name=f"{name}, identified", provenance=provenance)
-    return Identification(result, tuple(result.parameters[n] for n in fitted), errors)
+    if noise_floor:
+        result = with_noise_floor(result, trials)
+    return Identification(result, tuple(result.parameters[n] for n in fitted), errors, trials)
 
 
 def free_parameters(plant: Plant, trials: Iterable[Trial]) -> tuple[list[str], list[str]]:

@@ -15,13 +15,11 @@ from firmware_py.bus.servo_models import MODELS
 from firmware_py.goals.tip_plan import FeedbackDesign, LoopMargins, PayloadPlan, RateFilter, TipPlan
 from firmware_py.inference.bundle import ModelBundle
 from firmware_py.link.link_facts import STUDY_FACTS
-from fmu.fmpy_instance import FmuArchive
 from fmu.fmu_checker import check_fmu
-from fmu.fmu_models import embedded_parts
 from hil.emulator.physics import build_twin
 from hil.report.plans_page import PlannedRun, plans_page
 from hil.sil import SilOptions, run_sil, write_results
-from models.commands.train import name_tests
+from models.bundle.train import name_tests
 from models.gap.decision.certainty import Answers
 from models.gap.report.gap_json import (
     FittedValue,
@@ -96,8 +94,7 @@ def build(toy_trials, toy_observer, toy_bundle, tmp_path_factory):
         msgspec.json.encode(evaluate_plant(plant, few))
     )
     twin = build_twin(NOMINAL, 1, directory)
-    with FmuArchive(twin) as archive:
-        report = check_fmu(archive, embedded_parts(archive.directory / "resources"))
+    report = check_fmu(twin)
     (directory / "check_twin_1dof.json").write_text(json.dumps(report.data()))
     options = SilOptions(
         bundle=ModelBundle.load(toy_bundle), model=MODELS[54024], out=directory / "sil_1dof",

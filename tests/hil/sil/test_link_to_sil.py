@@ -35,7 +35,9 @@ def brief(monkeypatch):
         lambda name: rig_named(name).changed(**{"world.pause_s": 0.3, "world.settle_s": 0.1}),
     )
     monkeypatch.setattr("models.plant.identification.identify.starts_with_option", lambda plant: [])
-    monkeypatch.setattr("models.commands.identify.with_noise_floor", lambda plant, trials: plant)
+    monkeypatch.setattr(
+        "models.plant.identification.identify.with_noise_floor", lambda plant, trials: plant
+    )
 
 
 @pytest.mark.usefixtures("brief")

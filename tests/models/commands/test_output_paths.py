@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.commands.output_paths import check_output_directory, check_output_file
+from models.shared.output_paths import check_output_directory, check_output_file
 
 
 @pytest.fixture

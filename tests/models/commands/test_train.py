@@ -10,7 +10,7 @@ import pytest
 
 from dropstitch.__main__ import main
 from firmware_py.core.errors import InputError
-from models.commands.train import name_tests, of_phases, refuse_fitted
+from models.bundle.train import name_tests, of_phases, refuse_fitted
 from models.plant.document import FittedTrial, Provenance
 from models.study.document import read_study
 from models.trials.files import write_trial

@@ -158,4 +158,4 @@ def test_probabilities_add_up_and_hypotheses_share_them(late, nothing):
 def test_the_plant_that_is_written_is_no_worse_on_what_was_left_out(late, nothing):
     for found in (late[0], nothing):
         errors = found.written.errors.rms()
-        assert all(errors[s] <= 1.05 * rms for s, rms in found.held_out_given.items())
+        assert all(errors[s] <= 1.05 * rms for s, rms in found.held_out_baseline.items())

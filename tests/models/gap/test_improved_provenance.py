@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.commands.train import refuse_fitted
+from models.bundle.train import refuse_fitted
 from models.gap.diagnosis import diagnose
 from models.plant.document import Provenance
 from models.plant.plant import read_plant

@@ -10,7 +10,7 @@ import pytest
 from models.gap.diagnosis import diagnose
 from models.gap.estimation.fitted_floor import noise_floor_for
 from models.gap.estimation.gauss_newton import GaussNewton
-from models.gap.outliers import odd_trials
+from models.gap.outliers import outlier_trials
 from models.gap.report.gap_results import gap_document
 from models.gap.report.gap_words import gap_in_words
 from models.gap.residuals.fit_parameters import candidate_effects, nuisance_and_variation
@@ -56,7 +56,7 @@ def test_the_trial_is_left_out_and_told_and_nothing_is_named(plant, hidden, chan
     trials = changed(trials, name, change)
     odd = next(t.name for t in trials if t.meta.trial == 3 or t.name == name)
     found = found_in(plant, trials)
-    assert [o.name for o in found.odd] == [odd]
+    assert [o.name for o in found.outliers] == [odd]
     assert (found.named, found.verdict) == ((), "no gap")
     document = gap_document(found)
     assert [o.name for o in document.odd_trials] == [odd]
@@ -68,7 +68,7 @@ def test_an_effect_is_found_beside_a_disturbed_trial(plant, hidden):
     trials = hidden(viscous_friction_1_nm_s_rad=4.0)
     name = next(t.name for t in trials if t.meta.payload_kg == 1.0)
     found = found_in(plant, changed(trials, name, bumped))
-    assert [o.name for o in found.odd] == [name]
+    assert [o.name for o in found.outliers] == [name]
     assert found.named == ("viscous_friction",)
 
 
@@ -81,7 +81,7 @@ def test_an_effect_makes_no_trial_odd(plant, hidden, strengths):
     trials = hidden(**strengths).trials
     residuals = Residuals(plant, trials, nuisance_and_variation(plant, trials))
     estimator = GaussNewton(residuals, noise_floor_for(residuals))
-    assert odd_trials(estimator, estimator.fit_nuisance(estimator.start())) == ()
+    assert outlier_trials(estimator, estimator.fit_nuisance(estimator.start())) == ()
 
 
 @pytest.mark.parametrize(
@@ -107,5 +107,5 @@ def test_a_trial_is_odd_by_its_repetition_else_by_trials_of_less_and_more_load(
     estimator = SimpleNamespace(
         residuals=SimpleNamespace(trials=trials, groups=[group]), means=[np.zeros(1)], floor=None
     )
-    found = odd_trials(estimator, SimpleNamespace(rows=[np.zeros(1)]))
+    found = outlier_trials(estimator, SimpleNamespace(rows=[np.zeros(1)]))
     assert [int(o.name) for o in found] == odd

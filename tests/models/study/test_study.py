@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from firmware_py.core.errors import InputError
-from models.commands.train import name_tests
+from models.bundle.train import name_tests
 from models.plant.simulation.runner import CompiledModel
 from models.predictor.fallback import fit_fallback
 from models.study.document import read_study, write_study

@@ -59,8 +59,8 @@ def test_a_strength_at_its_bound_names_nothing(bounded):
 def test_no_signal_is_worse_held_out_than_with_the_plant_as_given(request, case):
     found = request.getfixturevalue(case)
     errors = found.written.errors.rms()
-    assert errors.keys() == found.held_out_given.keys()
-    assert all(errors[s] <= 1.05 * rms for s, rms in found.held_out_given.items())
+    assert errors.keys() == found.held_out_baseline.keys()
+    assert all(errors[s] <= 1.05 * rms for s, rms in found.held_out_baseline.items())
 
 
 @pytest.mark.slow

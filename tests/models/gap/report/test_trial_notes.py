@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from models.gap.estimation.noise_floor import NoiseFloor
 from models.gap.estimation.transfer import motion_of
-from models.gap.outliers import OddTrial
+from models.gap.outliers import OutlierTrial
 from models.gap.report.gap_json import ChangedCondition, NoiseFloorSummary
 from models.gap.report.trial_notes import changed_conditions, notes_in_words
 from models.gap.residuals.localisation import motion_in_words
@@ -39,7 +39,7 @@ def test_everything_that_a_reader_has_to_know_is_noted(notes):
         notes(
             "unknown", larger={"2": 3.9}, goal_not_followed_at_row={"heavy": 310},
             rows_fitted={"long": 5000}, settings=GapSettings(same_link=True),
-            odd_trials=(OddTrial("p2_r2", "p2_r2.csv", 1.0, 8.9, 1.6),),
+            odd_trials=(OutlierTrial("p2_r2", "p2_r2.csv", 1.0, 8.9, 1.6),),
         )
     )  # fmt: skip
     for words in (

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.commands.evaluate import clock_sentence, evaluation_text
-from models.plant.identification.evaluation import CLOCK_LIMIT_S, evaluate_plant
+from models.plant.document import CLOCK_LIMIT_S
+from models.plant.identification.evaluation import evaluate_plant
 from models.plant.plant import read_plant
 
 LATE_S = (-0.0081, 0.0, 0.0034, 0.0073)
@@ -42,7 +42,7 @@ def test_the_clock_of_each_trial_is_separated_from_the_error_of_the_plant(trials
     np.testing.assert_allclose(differences_s, LATE_S, atol=3e-4)
     assert late.dof["1"].payloads["1"].clock_tip_rms_m == late.clock_tip_rms_m
     assert late.rigid_tip_rms_m is not None
-    text = evaluation_text(late).replace("\xa0", " ")
+    text = late.summary().replace("\xa0", " ")
     assert f"clock refitted {1e3 * late.clock_tip_rms_m:.1f} mm" in text
     assert "limit" not in text
 
@@ -51,7 +51,7 @@ def test_a_trial_whose_clock_is_beyond_the_limit_is_named(trials):
     result = evaluate_plant(read_plant(), trials([0.02, 0.004]))
     assert result.clocks_s["trial 0"] == pytest.approx(CLOCK_LIMIT_S, rel=1e-3)
     assert result.clocks_s["trial 1"] == pytest.approx(0.004, abs=3e-4)
-    assert clock_sentence(result).endswith(": trial 0")
+    assert result.clock_sentence().endswith(": trial 0")
 
 
 def test_without_motion_capture_there_is_no_clock(trials):
@@ -60,4 +60,4 @@ def test_without_motion_capture_there_is_no_clock(trials):
     result = evaluate_plant(read_plant(), [replace(trial, columns=columns)])
     assert result.tip_rms_m is result.clock_tip_rms_m is None
     assert result.clocks_s == {}
-    assert "end effector" not in evaluation_text(result)
+    assert "end effector" not in result.summary()
